@@ -77,7 +77,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from gnc_opt.versions import package_version
+    from gnc_opt.environment import package_version
 
     parser = _Parser(
         prog="gnc-opt",
@@ -166,7 +166,7 @@ def number_or_none(text: str) -> float | None:
 
 
 def _add_solve(commands: Any) -> None:
-    from gnc_opt.transcription.scheme import GAUSS, SCHEMES
+    from gnc_opt.planning.transcription.scheme import GAUSS, SCHEMES
 
     command = commands.add_parser(
         "solve",

@@ -14,18 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import GncOptError, ProblemWarning
-from gnc_opt.examples import example, examples
-from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
+from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_setting
 from gnc_opt.templates import write_template
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from gnc_opt.nlp import SolverOptions
-    from gnc_opt.problem.problem import Problem
+    from gnc_opt.planning.nlp import SolverOptions
+    from gnc_opt.planning.problem.problem import Problem
+    from gnc_opt.planning.solution.solution import Solution
+    from gnc_opt.planning.solution.verdict import Verdict
     from gnc_opt.simulation import Run
-    from gnc_opt.solution.solution import Solution
-    from gnc_opt.verify.verdict import Verdict
 
 
 REFINE_TOLERANCE = 1e-8
@@ -47,8 +46,8 @@ class ExitCode(IntEnum):
 
 
 def solve_command(args: argparse.Namespace) -> ExitCode:
-    from gnc_opt.solution.failure import failure_message
-    from gnc_opt.solve import solve
+    from gnc_opt.planning.direct.failure import failure_message
+    from gnc_opt.planning.solver import solve
 
     _check_targets(args)
     console = _console(args)
@@ -73,8 +72,8 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
 
 
 def multistart_command(args: argparse.Namespace) -> ExitCode:
-    from gnc_opt.refine import multistart
-    from gnc_opt.report.search import search_text, write_search
+    from gnc_opt.planning.study import multistart
+    from gnc_opt.report.json_output import search_text, write_search
 
     _check_targets(args)
     options = dict(parse_setting(text) for text in args.set)
@@ -151,8 +150,8 @@ def film_command(args: argparse.Namespace) -> ExitCode:
 
 def _moved(path: str) -> Solution | Run:
     """Load a solution or a run."""
+    from gnc_opt.planning.solution import load
     from gnc_opt.simulation import Run
-    from gnc_opt.solution import load
 
     try:
         return load(path)
@@ -170,13 +169,13 @@ def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
 
 
 def _verify(solution: Solution) -> Verdict:
-    from gnc_opt.verify import verify
+    from gnc_opt.planning.verification import verify
 
     return verify(solution)
 
 
 def _solver_options(args: argparse.Namespace) -> SolverOptions:
-    from gnc_opt.nlp import SolverOptions
+    from gnc_opt.planning.nlp import SolverOptions
 
     return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
 
@@ -224,8 +223,8 @@ def _show(console: Console, solution: Solution, verdict: Verdict | None) -> None
 def _write(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
+    from gnc_opt.report.json_output import json_text, write_json
     from gnc_opt.report.report import write_report
-    from gnc_opt.report.summary_json import json_text, write_json
 
     if args.json == "-":
         print(json_text(solution, verdict), end="")

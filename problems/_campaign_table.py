@@ -11,8 +11,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
+from gnc_opt.simulation.campaign_text import campaign_dict
 
 
 def parser(prog: str, description: str) -> argparse.ArgumentParser:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Campaign, ClosedLoop, monte_carlo
-from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.simulation.dispersions import Dispersion
 from problems.comparison import Row, remark, require
 
 RUNS, SEED = 1000, 1

@@ -10,8 +10,8 @@ from typing import Any
 
 import gnc_opt as go
 from benchmarks.performance.page import numbers
-from gnc_opt.examples import Example, examples
 from gnc_opt.plot import plot_controls, plot_run_controls, plot_run_states, plot_states
+from gnc_opt.problem_file import Example, examples
 from problems._example import Reference
 from website.sphinx_math import module_page
 

@@ -23,7 +23,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
-from gnc_opt.examples import examples  # noqa: E402
+from gnc_opt.problem_file import examples  # noqa: E402
 from website import api, gallery, redirects  # noqa: E402
 
 FROM_ROOT = {

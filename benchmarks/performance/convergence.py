@@ -25,8 +25,8 @@ from rich.table import Table
 from scipy.optimize import brentq
 
 import gnc_opt as go
+from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.plot.style import line_look, new_figure, save_figure, style
-from gnc_opt.transcription.scheme import Scheme
 
 Array = NDArray[np.float64]
 Signal = Callable[[Array], Array]

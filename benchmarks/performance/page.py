@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.performance.peers.compare import ACCURACIES, best
-from gnc_opt.examples import example
+from gnc_opt.problem_file import example
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "benchmarks.md"

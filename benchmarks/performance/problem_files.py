@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
-from gnc_opt.examples import example, examples
+from gnc_opt.problem_file import example, examples
 from problems._example import Reference
 
 LIMIT = 120.0

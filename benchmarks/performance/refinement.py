@@ -28,11 +28,11 @@ from rich.table import Table
 
 import gnc_opt as go
 from benchmarks.validation.problem_set.reader import build_problem, read_documents
+from gnc_opt.planning.refinement.engine import StructureChoice
+from gnc_opt.planning.refinement.error import estimate_errors, largest_error
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.style import save_figure
-from gnc_opt.refine.error import estimate_errors, largest_error
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.refine.refine import StructureChoice
 
 REFERENCE = 1.3308069049430022
 """Optimal cost of the hyper-sensitive problem, from stitching the stable and unstable manifolds."""

@@ -32,8 +32,8 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from gnc_opt.nlp import NlpResult
-from gnc_opt.solution.attempt import Attempt
+from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.nlp import NlpResult
 from problems import rendezvous
 
 SEGMENTS = (20, 60, 200, 600, 2000)

@@ -38,11 +38,11 @@ from rich.table import Table
 
 import gnc_opt as go
 from benchmarks.performance.bare_rendezvous import BareResult, solve_bare
-from gnc_opt.nlp.options import _ipopt_options
-from gnc_opt.solution.start import start_from_guess
-from gnc_opt.transcription.quadrature import collocation_rule
-from gnc_opt.transcription.scaling import phase_magnitudes
-from gnc_opt.transcription.transcription import transcribe
+from gnc_opt.planning.nlp.options import _ipopt_options
+from gnc_opt.planning.solution.warm_start import start_from_guess
+from gnc_opt.planning.transcription.quadrature import collocation_rule
+from gnc_opt.planning.transcription.scaling import phase_magnitudes
+from gnc_opt.planning.transcription.transcription import transcribe
 from problems.rendezvous import build
 
 CASE = 1

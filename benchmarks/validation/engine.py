@@ -35,7 +35,7 @@ from typing import Any
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
-from gnc_opt.examples import Example, example, examples
+from gnc_opt.problem_file import Example, example, examples
 from problems._example import Reference
 
 SET_FILE = Path("../shared/ocp/problems.json")

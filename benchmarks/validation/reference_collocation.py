@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.examples import example
-from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.problem_file import example
 
 Array = NDArray[np.float64]
 

@@ -1,23 +1,26 @@
-"""Analysis of closed loops: how far errors scatter and why, how rare failures are, what loops do to frequencies."""
+"""Statements about a closed loop: covariance, frequency response, sensitivity, rare events, worst case, filter consistency."""
 
-from gnc_opt.analysis.agreement import Agreement
-from gnc_opt.analysis.covariance import LinearCovariance, linear_covariance
-from gnc_opt.analysis.drivers import Correlations, Share, SobolIndices, correlations, sobol_indices
-from gnc_opt.analysis.experiment import Experiment
-from gnc_opt.analysis.frequency import LoopResponse, loop_response
-from gnc_opt.analysis.rare import FailureProbability, failure_probability
-from gnc_opt.analysis.worst import WorstCase, worst_case
+from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
+from gnc_opt.analysis.global_sensitivity import Correlations, Share, SobolIndices, correlations, sobol_indices
+from gnc_opt.analysis.linear_covariance import Agreement, LinearCovariance, linear_covariance
+from gnc_opt.analysis.loop_response import LoopResponse, loop_response
+from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.analysis.subset_simulation import FailureProbability, failure_probability
+from gnc_opt.analysis.worst_case import WorstCase, worst_case
 
 __all__ = [
     "Agreement",
+    "Consistency",
     "Correlations",
     "Experiment",
     "FailureProbability",
+    "InnovationTest",
     "LinearCovariance",
     "LoopResponse",
     "Share",
     "SobolIndices",
     "WorstCase",
+    "consistency",
     "correlations",
     "failure_probability",
     "linear_covariance",

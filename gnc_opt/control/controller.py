@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_label, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_numbers import CNumbers
-from gnc_opt.control.explanation import Explanation
-from gnc_opt.control.python_control import sampled_system
+from gnc_opt.control.c_export.c_writer import CNumbers
+from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.error_dynamics import sampled_system
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, as_point
+from gnc_opt.model.variables import Layout, as_point
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]

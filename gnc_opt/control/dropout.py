@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
 from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.design_report import Explanation, Fact
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, Variable, as_vector
+from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.tolerances import LARGEST
 
 HOLD = 3

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.explanation import Explanation, Fact, number_text
-from gnc_opt.control.guard import (
+from gnc_opt.control.decoupling import (
     GROWTH,
     GUARD,
     GuardedLaw,
@@ -31,17 +31,16 @@ from gnc_opt.control.guard import (
     guarded_controller,
     guarded_inverse,
 )
-from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
-from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
-from gnc_opt.control.poles import real_polynomial
+from gnc_opt.control.design_report import Explanation, Fact, number_text
+from gnc_opt.control.feedforward import reference_times
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
-from gnc_opt.control.sampling import spectral_radius, zero_order_hold
-from gnc_opt.control.schedule import reference_times
+from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
+from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.threads import one_thread
+from gnc_opt.model.variables import as_vector
 
 _SPAN = 20.0
 """A rehearsal lasts this many time constants of the slowest pole."""

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Authority, saturated
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.deviation import evaluate_columns
-from gnc_opt.control.explanation import Fact
-from gnc_opt.control.lie import OutputErrors
-from gnc_opt.control.limits import Authority, saturated
+from gnc_opt.control.design_report import Fact
+from gnc_opt.control.error_dynamics import evaluate_columns
+from gnc_opt.control.input_output_linearization import OutputErrors
 from gnc_opt.control.reference import TRIM_TOLERANCE, Reference
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import as_point
+from gnc_opt.model.variables import as_point
 from gnc_opt.tolerances import PLAUSIBLE, ROUNDING, STEP_SLACK
 
 Rehearsal: TypeAlias = Callable[[Controller], list[Fact]]

@@ -1,7 +1,6 @@
 """Model: variables, parameters, dynamics and outputs, written once and symbolically."""
 
-from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
-from gnc_opt.model.symbol import Symbol
+from gnc_opt.model.variables import Layout, Symbol, Variable
 
 __all__ = ["Layout", "Model", "Symbol", "Variable"]

@@ -1,4 +1,12 @@
-"""Integration of dynamics that always ends, and says where and why it ended early."""
+"""Integration of dynamics that always ends, and says where and why it ended early.
+
+Dormand and Prince's Runge-Kutta method of order 8, all stages of a step in one call of CasADi.
+
+The method and its control of the step are those of SciPy's DOP853 (Hairer, Nørsett & Wanner, Solving Ordinary
+Differential Equations I, sections II.4 and II.5), which calls Python for every stage: that takes several times as long
+as the dynamics of a usual model. What is out of the ordinary is not dealt with here but by
+`gnc_opt.model.integration.integrate`.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +14,139 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+
+STAGES = 12
+"""Evaluations of the dynamics per step: the last one is the next step's first."""
+
+ORDER = 8
+
+SAFETY, LEAST, MOST = 0.9, 0.2, 10.0
+"""A step is this share of what its error allows, and at least and at most so many times as long as the last one."""
+
+FEWEST = 10
+"""The shortest step, in units of rounding of the time."""
+
+Controls = Callable[[Array], Array]
+"""Controls (m, n_times) at times (n_times,)."""
+
+
+def step_function(rates: Any) -> Any:
+    """Return the CasADi function of a step.
+
+    Parameters
+    ----------
+    rates : casadi.Function
+        Of (t, x, u, ...).
+
+    Returns
+    -------
+    casadi.Function
+        Of (t, h, x, dx/dt, the controls at the later stages one after another, ...); in one column the new state, its
+        rate, and the error estimates of order 5 and 3 per second.
+    """
+    method = scipy.integrate.DOP853
+    size, channels = rates.size1_in(1), rates.size1_in(2)
+    t, h, x, first = (
+        ca.MX.sym(name, rows) for name, rows in (("t", 1), ("h", 1), ("x", size), ("rate", size))
+    )
+    column = ca.MX.sym("u", channels * (STAGES - 1))
+    u = ca.horzsplit(ca.reshape(column, channels, STAGES - 1))
+    others = [ca.MX.sym(rates.name_in(i), rates.size1_in(i)) for i in range(3, rates.n_in())]
+    stages = [first]
+    for shares, place, control in zip(method.A[1:STAGES], method.C[1:STAGES], u, strict=True):
+        moved = x + h * (ca.horzcat(*stages) @ ca.DM(shares[: len(stages)]))
+        stages.append(rates(t + place * h, moved, control, *others))
+    last = x + h * (ca.horzcat(*stages) @ ca.DM(method.B))
+    stages.append(rates(t + h, last, u[-1], *others))
+    errors = [ca.horzcat(*stages) @ ca.DM(method.E5), ca.horzcat(*stages) @ ca.DM(method.E3)]
+    result = ca.densify(ca.vertcat(last, stages[-1], *errors))
+    return ca.Function("step", [t, h, x, first, column, *others], [result])
+
+
+def carried(
+    step: Callable[..., Array],
+    rate: Rate,
+    controls: Controls,
+    x: Array,
+    span: tuple[float, float],
+    tolerance: Tolerance,
+    budget: Budget,
+) -> Array | None:
+    """Return the state (n,) at the end of a span, or None where numbers or steps do not stay ordinary.
+
+    Parameters
+    ----------
+    step : callable
+        `step_function` of its first five arguments.
+    rate : callable
+        The dynamics under the controls.
+    controls : callable
+    x : array (n_states,)
+        Initial state.
+    span : tuple of two floats
+        Where to begin and to end, the later one.
+    tolerance : Tolerance
+    budget : Budget
+
+    Raises
+    ------
+    SpentError
+        They take too many evaluations.
+    """
+    t, end = span
+    places = np.asarray(scipy.integrate.DOP853.C[1:STAGES])
+    smallest, largest = tolerance.relative * tolerance.magnitude, DIVERGED * tolerance.magnitude
+    with np.errstate(all="ignore"):
+        slope = rate(t, x)
+        h, grows = _first_step(rate, x, slope, span, tolerance), True
+        while t < end:
+            shortest = FEWEST * np.spacing(abs(t))
+            width = min(max(h, shortest), end - t)
+            found = step(t, width, x, slope, controls(t + width * places).ravel("F"))
+            budget.spend(t, STAGES)
+            new, new_slope, *errors = found.reshape(4, -1)
+            scale = smallest + tolerance.relative * np.maximum(np.abs(x), np.abs(new))
+            error = width * _norm(errors[0] / scale, errors[1] / scale)
+            if not np.isfinite(error) or not np.all(np.abs(new) < largest):
+                return None
+            growth = SAFETY * error ** (-1.0 / ORDER) if error > 0 else MOST
+            if error >= 1.0:
+                if width <= shortest:
+                    return None
+                h, grows = width * max(LEAST, growth), False
+                continue
+            h, grows = width * min(MOST if grows else 1.0, max(LEAST, growth)), True
+            t, x, slope = (end if width == end - t else t + width), new, new_slope
+    return x if np.all(np.isfinite(slope)) else None
+
+
+def _norm(fifth: Array, third: Array) -> float:
+    """The error of a step per second, from its estimates of two orders in units of the tolerance."""
+    square = float(fifth @ fifth)
+    both = square + 0.01 * float(third @ third)
+    return square / float(np.sqrt(both * fifth.size)) if both != 0 else 0.0
+
+
+def _first_step(rate: Rate, x: Array, slope: Array, span: tuple[float, float], tolerance: Tolerance) -> float:
+    """A first step from the sizes of the state along the trajectory and of its first two derivatives (ibid., II.4)."""
+    length = span[1] - span[0]
+    scale = tolerance.relative * (tolerance.magnitude + np.abs(x))
+
+    def size(values: Array) -> float:
+        return float(np.linalg.norm(values / scale) / np.sqrt(x.size))
+
+    state, speed = size(np.maximum(np.abs(x), tolerance.magnitude)), size(slope)
+    trial = min(0.01 * state / speed if speed > 0 else length, length)
+    bend = size(rate(span[0] + trial, x + trial * slope) - slope) / trial
+    steepest = max(speed, bend)
+    wanted = max(1e-6, 1e-3 * trial) if steepest <= 1e-15 else (0.01 / steepest) ** (1.0 / ORDER)
+    return min(100.0 * trial, wanted, length)
+
 
 Rate: TypeAlias = Callable[[float, Array], Array]
 """dx/dt as a function of t and x."""

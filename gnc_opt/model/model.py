@@ -1,27 +1,87 @@
-"""Model: the dynamics of a vehicle, written once."""
+"""Model: the dynamics of a vehicle, written once.
+
+How far states are from a reference, and the way back, where neither is a subtraction or a sum.
+"""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
+from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, right_symbol
-from gnc_opt.model.composed import ComposedControl, SplitControl, VectorControl
-from gnc_opt.model.differences import Differences
+from gnc_opt.model.casadi_import import Given, derivative_in
+from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.evaluation import checked, evaluate
-from gnc_opt.model.exchange import Given, derivative_in
-from gnc_opt.model.layout import Layout, Variable, as_vector
-from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
 from gnc_opt.model.table import TableUse
-from gnc_opt.model.variables import Variables
-from gnc_opt.strict import Strict
+from gnc_opt.model.variables import (
+    Layout,
+    Symbol,
+    Variable,
+    Variables,
+    as_expression,
+    as_vector,
+    foreign_symbols,
+)
+
+
+class Differences:
+    """Differences and retractions that a model's states were declared with, by name; see `Model.difference`."""
+
+    def __init__(self, owner: str) -> None:
+        self._owner = owner
+        self._functions: dict[str, Callable[[Any, Any], Any]] = {}
+        self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
+
+    def declare(
+        self,
+        name: str,
+        function: Callable[[Any, Any], Any],
+        retraction: Callable[[Any, Any], Any] | None,
+    ) -> None:
+        """Take those of a state in place of others."""
+        self._functions[name] = function
+        self._retractions.pop(name, None)
+        if retraction is not None:
+            self._retractions[name] = retraction
+
+    def errors(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
+        """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column for each state."""
+        for name in states.names:
+            rows = states.slice(name)
+            if name in self._functions:
+                what = f"the difference of state '{name}' in {self._owner}"
+                yield as_expression(self._functions[name](x[rows], x_ref[rows]), what)
+            else:
+                yield x[rows] - x_ref[rows]
+
+    def layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
+        """Return names, sizes and units of the errors."""
+        parts = zip(states.variables, self.errors(states, x, x_ref), strict=True)
+        return Layout("error", tuple(Variable(v.name, e.shape[0], v.unit) for v, e in parts), self._owner)
+
+    def moved(self, name: str, own: Any, error: Any) -> Any:
+        """Return a state, SX like ``own``, that is an error, an SX column, away from its own value."""
+        if name not in self._functions:
+            return own + error
+        what = f"the retraction of state '{name}' in {self._owner}"
+        if name not in self._retractions:
+            raise ModelError(
+                f"{what} is missing: give difference('{name}', ..., retraction=...) the way back."
+            )
+        value = as_expression(self._retractions[name](own, error), what)
+        if value.shape != own.shape:
+            raise ModelError(
+                f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
+            )
+        return value
+
 
 _ARGUMENTS = ["t", "x", "u", "p"]
 

@@ -12,13 +12,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_label, read_numbers
+from gnc_opt.arguments import Strict, read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
-from gnc_opt.model.columns import read_columns
-from gnc_opt.model.pieces import METHODS, Method, Pieces
-from gnc_opt.model.symbol import owners_of
-from gnc_opt.strict import Strict
+from gnc_opt.model.interpolation import METHODS, Method, Pieces
+from gnc_opt.model.tabular import read_columns
+from gnc_opt.model.variables import owners_of
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 

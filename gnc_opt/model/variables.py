@@ -1,17 +1,257 @@
-"""The states, controls and parameters that a model declares."""
+"""The states, controls and parameters that a model declares.
+
+Named variables and their places in a stacked vector.
+
+The symbol that a declaration returns: a CasADi SX vector that knows its name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
+from weakref import WeakValueDictionary
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer
-from gnc_opt.errors import ModelError, unknown_name
-from gnc_opt.model.layout import Layout, Variable, as_magnitudes
-from gnc_opt.model.symbol import Symbol
+from gnc_opt.arguments import ErrorType, expect, read_integer, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ModelError, ProblemError, shown, unknown_name
+from gnc_opt.model.expressions import holds_nan
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named, possibly vector-valued quantity.
+
+    Attributes
+    ----------
+    name : str
+    size : int
+        Number of components.
+    unit : str
+        For printing and plotting; gnc_opt computes in the units it is given (SI by convention).
+    nominal : tuple of float or None
+        Typical magnitude of each component, used for scaling; ``None`` lets gnc_opt choose.
+
+    Examples
+    --------
+    >>> print(cart.states["q"], cart.states["q"].labels)
+    q (m) ('q',)
+    """
+
+    name: str
+    size: int = 1
+    unit: str = ""
+    nominal: tuple[float, ...] | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Component names: ``("q",)`` for a scalar, ``("r[0]", "r[1]", ...)`` for a vector."""
+        return (self.name,) if self.size == 1 else tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+    def __str__(self) -> str:
+        size = f"[{self.size}]" if self.size > 1 else ""
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"{self.name}{size}{unit}"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Ordered variables of one kind ("state", "control", ...) stacked into one vector.
+
+    Examples
+    --------
+    >>> print(cart.states.names, cart.states.units, cart.states.slice("v"))
+    ('q', 'v') ('m', 'm/s') slice(1, 2, None)
+    """
+
+    kind: str
+    variables: tuple[Variable, ...] = ()
+    owner: str = ""
+
+    @cached_property
+    def size(self) -> int:
+        """Length of the stacked vector."""
+        return sum(v.size for v in self.variables)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Variable names in order."""
+        return tuple(v.name for v in self.variables)
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Component names in order, one per entry of the stacked vector."""
+        return tuple(label for v in self.variables for label in v.labels)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units, one per entry of the stacked vector."""
+        return tuple(v.unit for v in self.variables for _ in range(v.size))
+
+    @cached_property
+    def _slices(self) -> dict[str, slice]:
+        ends = np.cumsum([v.size for v in self.variables])
+        return {
+            v.name: slice(int(end) - v.size, int(end)) for v, end in zip(self.variables, ends, strict=True)
+        }
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self._slices
+
+    def __getitem__(self, name: str) -> Variable:
+        self.slice(name)
+        return next(v for v in self.variables if v.name == name)
+
+    def slice(self, name: str) -> slice:
+        """Return the place of a variable in the stacked vector; raise `UnknownNameError` for others."""
+        if name not in self:
+            raise unknown_name(self.kind, name, self.owner or "it", self.names)
+        return self._slices[name]
+
+    def stack(self, values: Mapping[str, ArrayLike], default: float = np.nan) -> Array:
+        """Stack values by name into one vector of shape (size,); absent names get ``default``."""
+        out = np.full(self.size, default)
+        for name, value in values.items():
+            out[self.slice(name)] = as_vector(value, self[name].size, f"{self.kind} '{name}'")
+        return out
+
+
+def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return ``value`` as a float vector of ``size`` entries; scalars are repeated.
+
+    Raises
+    ------
+    ProblemError
+        Or the given class of error, if the value is not numeric or has another number of entries.
+    """
+    array = read_numbers(value, what, error).reshape(-1)
+    if array.size == 1:
+        return np.full(size, array[0])
+    if array.size != size:
+        needed = "one value" if size == 1 else f"{size} values, or one for all"
+        raise error(f"{what} is given {array.size} values: give {needed}.")
+    return array
+
+
+def as_point(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return what `as_vector` does of a state or a whole measurement: a list of one number is no list of several."""
+    if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
+        raise error(f"{what} is given 1 value in a list: give {size} values.")
+    return as_vector(value, size, what, error)
+
+
+def as_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return typical magnitudes as `as_vector` does; they are positive and finite, or an error is raised."""
+    vector = as_vector(value, size, what, error)
+    if not np.all(np.isfinite(vector) & (vector > 0)):
+        raise error(f"{what} is {vector}: give positive finite numbers.")
+    return vector
+
+
+class Symbol(ca.SX):  # type: ignore[misc]
+    """A named CasADi SX column vector.
+
+    Use it in CasADi expressions (``ca.sin(q)``, ``q[0]``, ``a / m``) and as a dictionary key.
+
+    Attributes
+    ----------
+    variable : Variable
+    table_uses : list
+        Calls of tables with expressions of this symbol: the only trace of a table in an expression.
+
+    Examples
+    --------
+    >>> mass = go.Model("crate").parameter("mass", 2.0, unit="kg")
+    >>> print(mass, 0.5 * mass * v**2)
+    mass ((0.5*mass)*sq(v))
+    """
+
+    def __init__(self, variable: Variable) -> None:
+        super().__init__(ca.SX.sym(variable.name, variable.size))
+        self.variable = variable
+        self.table_uses: list[Any] = []
+        for element in ca.vertsplit(self):
+            _OWNERS[element.element_hash()] = self
+
+    def __float__(self) -> float:
+        name = self.variable.name
+        raise ModelError(
+            f"'{name}' is a symbol and has no number: write ca.sin({name}), with casadi imported as ca, not "
+            f"math.sin({name})."
+        )
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Answer ``np.linalg.norm(v)`` and the like as CasADi does, which knows plain SX only."""
+        return function(*map(_plain, args), **{name: _plain(value) for name, value in kwargs.items()})
+
+    # Keys are compared by identity: CasADi's == builds an expression instead of answering.
+    __hash__ = object.__hash__
+
+    def __repr__(self) -> str:
+        return f"<{self.variable.name}[{self.variable.size}]>"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with a plain SX for every symbol in it."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(_plain, value))
+    return ca.SX(value) if isinstance(value, Symbol) else value
+
+
+_OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()
+"""From scalar symbols to the declared symbol that they are part of."""
+
+
+def owners_of(scalars: Iterable[Any]) -> list[Symbol]:
+    """Return the declared symbols that scalar SX symbols are part of, each once."""
+    found = (_OWNERS.get(scalar.element_hash()) for scalar in scalars)
+    return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
+
+
+def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
+    """Return ``value`` (SX, number, list of both) as an SX column vector.
+
+    Parameters
+    ----------
+    value : casadi.SX, float, array-like or list of these
+    what : str
+        Names the expression in error messages.
+    size : int, optional
+        Required number of rows.
+    failure : class of GncOptError
+        What to raise for a wrong size or type.
+    """
+    try:
+        parts = value if isinstance(value, (list, tuple)) else [value]
+        expression = ca.vertcat(*[ca.SX(v) for v in parts])
+    except (NotImplementedError, RuntimeError) as error:
+        raise failure(
+            f"{what} is {shown(value)}, which is neither a number nor a CasADi SX expression: "
+            "build it from the symbols that state(), control() and parameter() return."
+        ) from error
+    if expression.shape[1] != 1 and expression.shape[0] == 1:
+        expression = expression.T
+    if expression.shape[1] != 1 or expression.shape[0] == 0:
+        raise failure(f"{what} has the shape {expression.shape}: give a column vector.")
+    if size is not None and expression.shape[0] != size:
+        raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
+    if holds_nan(expression):
+        raise failure(
+            f"{what} contains nan: give numbers, and write ca.sin(x), with casadi imported as ca, not math.sin(x)."
+        )
+    return ca.densify(expression)
+
+
+def foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
+    """Return the names of the scalar symbols in ``expression`` that are not among ``known``."""
+    allowed = {element.element_hash() for symbol in known for element in ca.vertsplit(ca.vec(symbol))}
+    return [s.name() for s in ca.symvar(expression) if s.element_hash() not in allowed]
+
 
 KINDS = ("state", "control", "parameter")
 

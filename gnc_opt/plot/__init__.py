@@ -5,11 +5,10 @@ from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.film import save_film
 from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.plot.path import plot_curves, plot_path
-from gnc_opt.plot.refinement import plot_refinement
+from gnc_opt.plot.refinement import plot_refinement, plot_verdict
 from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
-from gnc_opt.plot.verdict import plot_verdict
 from gnc_opt.plot.view import Thruster, View
 
 __all__ = [

@@ -12,17 +12,22 @@ from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.composed import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.plot.over_time import (
+from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.plot.axes import (
     BOUND,
     NEGLIGIBLE,
     Labels,
+    chosen_names,
+    chosen_phases,
     component_labels,
     draw_components,
     leave_room,
+    sample,
     span_phases,
+    zero_crossings,
 )
-from gnc_opt.plot.sampling import chosen_names, chosen_phases, sample, zero_crossings
 from gnc_opt.plot.style import (
     COLORS,
     axis_label,
@@ -33,8 +38,6 @@ from gnc_opt.plot.style import (
     per_unit,
     style,
 )
-from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.solution import Solution
 
 _FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
 _POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}

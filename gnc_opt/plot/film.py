@@ -17,11 +17,11 @@ from matplotlib.ticker import NullFormatter
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.path import frame_space
 from gnc_opt.plot.style import COLORS, DPI, QUIET, legend_on_top, new_figure, style
 from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere, track
 from gnc_opt.simulation.run import Run
-from gnc_opt.solution.solution import Solution
 
 _PATH_POINTS = 600
 """Of a path that is drawn whole."""

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from gnc_opt.analysis.frequency import LoopResponse
+from gnc_opt.analysis.loop_response import LoopResponse
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import QUIET, axis_label, legend_on_top, line_look, name_text, new_figure, style
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
-from gnc_opt.extras import imported
-from gnc_opt.plot.dispersion_tube import SHARE, tube
+from gnc_opt.plot.campaign import SHARE, tube
 from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere
 
 _INSTANTS = (41, 241)

@@ -15,16 +15,21 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
-from gnc_opt.plot.over_time import (
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.plot.axes import (
     BOUND,
     NEGLIGIBLE,
     Labels,
+    chosen_names,
+    chosen_phases,
     component_labels,
+    data_range,
     draw_components,
     leave_room,
+    sample,
     span_phases,
 )
-from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample
 from gnc_opt.plot.style import (
     COLORS,
     axis_label,
@@ -36,8 +41,6 @@ from gnc_opt.plot.style import (
     per_unit,
     style,
 )
-from gnc_opt.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.solution.solution import Solution
 
 _AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
 _ALONG_FLOWN: dict[str, Any] = {"color": COLORS[5], "linewidth": 0.9}

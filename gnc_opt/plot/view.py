@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, UnknownNameError, shown, unknown_name
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.run import Run
-from gnc_opt.solution.solution import Solution
 from gnc_opt.spacecraft import mrp_to_dcm, quaternion_to_dcm
 
 Moved: TypeAlias = Solution | Run

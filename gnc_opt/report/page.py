@@ -1,18 +1,115 @@
-"""The page about one solution."""
+"""The page about one solution.
+
+The one page of a report: its frame, its style and its pieces; it needs no network and no other file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from gnc_opt.markup import table
-from gnc_opt.report.document import again, chip, document, pictures
-from gnc_opt.report.summary import known_quality, mesh_text
+from gnc_opt.errors import GncOptError
+from gnc_opt.planning.solution.history import History
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import known_quality, mesh_text
+from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
 from gnc_opt.report.verdict_table import number_text, verdict_counts
-from gnc_opt.solution.history import History
-from gnc_opt.solution.solution import Solution
-from gnc_opt.verify.verdict import Condition, Result, Verdict
+from gnc_opt.text import table
+
+_KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+"""What browsers draw inside a page."""
+
+
+def report_folder(directory: str | Path) -> Path:
+    """Make a folder for a report and return its path; refuse a file."""
+    folder = Path(directory)
+    if folder.exists() and not folder.is_dir():
+        raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
+    """Write figures by file stem as SVG and return their paths."""
+    from gnc_opt.plot.style import save_figure
+
+    return [save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures]
+
+
+def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
+    """Return a page: sections of HTML below their titles, empty ones left out."""
+    shown = {name: body for name, body in sections.items() if body}
+    links = "".join(f'<a href="#{_anchor(name)}">{name}</a>' for name in shown)
+    bodies = "".join(
+        f'<section id="{_anchor(name)}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
+    )
+    name = escape(title)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{name}</title><style>{_STYLE}</style></head>\n<body><header><h1>{name}</h1>"
+        f"<p>{headline}</p><nav>{links}</nav></header>\n<main>{bodies}</main></body></html>\n"
+    )
+
+
+def pictures(paths: Sequence[Path]) -> str:
+    """Return SVG and PNG files as part of a page; others are left out."""
+    return "".join(_picture(path) for path in paths if path.suffix in _KINDS)
+
+
+def chip(word: str, tone: str) -> str:
+    """Return a word that stands out; tones: good, bad, open or none."""
+    return f'<span class="chip {tone}">{escape(word)}</span>'
+
+
+def again(command: str | None) -> str:
+    """Return how to get the same page again."""
+    return f"<p>Again: <code>{escape(command)}</code></p>" if command else ""
+
+
+def _anchor(title: str) -> str:
+    return title.lower().replace(" ", "-")
+
+
+def _picture(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    name = escape(path.stem.replace("_", " "))
+    source = f"data:{_KINDS[path.suffix]};base64,{data}"
+    return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
+
+
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1a1f24; --quiet: #5b6770; --paper: #fff; --line: #d8dde1;
+  --good: #1a7f4b; --bad: #c0341d; --open: #8a6100; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --quiet: #9aa7b1; --paper: #14181c; --line: #343c44;
+  --good: #4cc38a; --bad: #ff8a70; --open: #e3b341; } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 62rem; padding: 1rem; font: 16px/1.5 system-ui, sans-serif; color: var(--ink);
+  background: var(--paper); }
+h1 { margin: 0; font-size: 1.6rem; } h2 { margin: 2rem 0 .5rem; font-size: 1.15rem; }
+nav { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; padding: .4rem 0; border-block: 1px solid var(--line); }
+a { color: inherit; } a:focus-visible, summary:focus-visible { outline: 2px solid var(--good); }
+.chip { display: inline-block; padding: 0 .55rem; margin-right: .5rem; border: 1px solid; border-radius: 1rem;
+  font-size: .85rem; font-weight: 600; }
+.good { color: var(--good); } .bad { color: var(--bad); } .open { color: var(--open); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+th, summary span:last-child, figcaption { color: var(--quiet); font-weight: normal; }
+details { padding: .3rem 0; border-bottom: 1px solid var(--line); } details p { margin: .3rem 0 .3rem 1rem; }
+summary { cursor: pointer; } summary b { margin-right: .8rem; }
+figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
+img { max-width: 100%; padding: .5rem; background: #fff; border-radius: .3rem; }
+code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
+#stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
+#film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
+#film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
+@media print { nav, #motion { display: none; } figure, details, tr { break-inside: avoid; }
+  h2 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 22cm; } }
+"""
+
 
 _TONES = {Result.PASS: "good", Result.FAIL: "bad", Result.CANNOT_TELL: "open"}
 

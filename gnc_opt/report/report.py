@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from gnc_opt.report.document import report_folder, save_figures
-from gnc_opt.report.summary_json import write_json
-from gnc_opt.solution.solution import Solution
-from gnc_opt.verify.verdict import Verdict
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.report.json_output import write_json
+from gnc_opt.report.page import report_folder, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,7 +88,7 @@ def _motion(solution: Solution, view: View) -> str:
 
 
 def _verdict_figure(verdict: Verdict) -> Figure:
-    from gnc_opt.plot.verdict import plot_verdict
+    from gnc_opt.plot.refinement import plot_verdict
 
     return plot_verdict(verdict)
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from gnc_opt.verify.verdict import Condition, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
 
 _STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "yellow"}
 

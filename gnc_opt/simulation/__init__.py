@@ -1,5 +1,6 @@
-"""Closed loops: plant, controller, actuators, sensors and disturbances as one compiled function."""
+"""The closed loop of plant, controller, actuators, sensors, disturbances and events: runs and campaigns."""
 
+from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
@@ -17,20 +18,17 @@ from gnc_opt.simulation.actuators import (
 from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.consistency import Consistency, InnovationTest, consistency
-from gnc_opt.simulation.course import Replan
-from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.dispersions import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
-from gnc_opt.simulation.ending import Ending
-from gnc_opt.simulation.envelope import Envelope
-from gnc_opt.simulation.event import Event, Occurrence
-from gnc_opt.simulation.flight import Flight
-from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.events import Event, Occurrence
+from gnc_opt.simulation.external_plant import PlantFlight, fly_plant
+from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.measures import Envelope
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.plant import PlantFlight, fly_plant
-from gnc_opt.simulation.quantity import Quantity
-from gnc_opt.simulation.replanner import Replanner
+from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.sensors import Bias, Noise, Outage, RandomWalk, Sampling, Scale, SensorDelay
 from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
@@ -43,7 +41,6 @@ __all__ = [
     "Campaign",
     "Choice",
     "ClosedLoop",
-    "Consistency",
     "Constant",
     "Deadband",
     "Delay",
@@ -54,7 +51,6 @@ __all__ = [
     "Expression",
     "Flight",
     "Hold",
-    "InnovationTest",
     "Lag",
     "MinimumImpulse",
     "Mixer",
@@ -73,7 +69,6 @@ __all__ = [
     "RandomWalk",
     "RateLimit",
     "Replan",
-    "Replanner",
     "Run",
     "RunStatus",
     "Sampling",
@@ -88,7 +83,6 @@ __all__ = [
     "Turn",
     "Uniform",
     "WheelArray",
-    "consistency",
     "fly_plant",
     "monte_carlo",
 ]

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import as_vector
-from gnc_opt.simulation.wave import Wave
+from gnc_opt.model.variables import as_vector
+from gnc_opt.simulation.intersample_input import Wave
 
 Parameters: TypeAlias = Mapping[str, Any]
 """The SX columns of a block's parameters by name."""

@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.archive import FileFormat
+from gnc_opt.archive import FileFormat, Packing
+from gnc_opt.arguments import Strict
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.markup import preformatted
-from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.model.records import Records, named
-from gnc_opt.packing import Packing
-from gnc_opt.simulation.envelope import Envelope, envelope
-from gnc_opt.simulation.first_files import campaign_fields
-from gnc_opt.simulation.flight import Flight
-from gnc_opt.simulation.measures import Measures
+from gnc_opt.model.tabular import Records, named
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
+from gnc_opt.simulation.measures import Envelope, Measures, envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
-from gnc_opt.strict import Strict
+from gnc_opt.simulation.version_one_files import campaign_fields
+from gnc_opt.text import preformatted
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +121,7 @@ class Campaign(Strict):
         return len(self.outcomes)
 
     def __str__(self) -> str:
-        from gnc_opt.report.campaign import campaign_table
+        from gnc_opt.simulation.campaign_text import campaign_table
 
         return campaign_table(self)
 
@@ -344,7 +342,7 @@ class Campaign(Strict):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the statistics and what failed as JSON text; with a path also write it."""
-        from gnc_opt.report.campaign import campaign_text
+        from gnc_opt.simulation.campaign_text import campaign_text
 
         text = campaign_text(self)
         if path is not None:

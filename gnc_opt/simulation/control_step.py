@@ -8,14 +8,13 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.control.steps import in_order
-from gnc_opt.model.layout import Layout
+from gnc_opt.control.sampled_data import in_order
+from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
-from gnc_opt.simulation.crossing import Watch, notes_of, record_of
-from gnc_opt.simulation.integrate import Taken, dormand_prince
-from gnc_opt.simulation.places import Places
-from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
-from gnc_opt.simulation.wave import Input, Wave
+from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
+from gnc_opt.simulation.event_location import Watch, notes_of, record_of
+from gnc_opt.simulation.intersample_input import Input, Wave
+from gnc_opt.simulation.signals import Link, Places, put, put_wave, take, take_wave
 from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
 

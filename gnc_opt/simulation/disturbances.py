@@ -15,7 +15,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.control.steps import is_first, next_phase, whole_steps
+from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
 

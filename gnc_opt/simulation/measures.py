@@ -1,17 +1,75 @@
-"""Measures: the numbers of each run by which a campaign is judged, by their names."""
+"""Measures: the numbers of each run by which a campaign is judged, by their names.
+
+Envelope: between which values a quantity of all runs stays over time, with bands of order statistics.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, unknown_name
-from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.metrics import rotation_angle
-from gnc_opt.simulation.quantity import KEPT
+from gnc_opt.model.variables import Layout
+from gnc_opt.simulation.confidence_intervals import percentile
+from gnc_opt.simulation.quantities import KEPT
+from gnc_opt.simulation.run import rotation_angle
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """Percentiles of a quantity over time, each time by itself.
+
+    Attributes
+    ----------
+    name, unit : str
+    times : array (n_times,)
+        s.
+    levels : tuple of float
+    values : array (n_levels, n_times)
+        That a share ``level`` of the runs still flying does not exceed.
+    low, high : array (n_levels, n_times)
+        Intervals of order statistics that hold the true percentile with ``confidence``, at each time; infinite where
+        the runs are too few.
+    runs : int array (n_times,)
+        That are still flying.
+    confidence : float
+
+    Examples
+    --------
+    >>> envelope = campaign.envelope("overshoot", levels=(0.5, 0.9))
+    >>> print(envelope.times.shape, envelope.values.shape, f"{envelope.values[1].max():.3f} {envelope.unit}")
+    (81,) (2, 81) 0.005 m
+    """
+
+    name: str
+    unit: str
+    times: Array
+    levels: tuple[float, ...]
+    values: Array
+    low: Array
+    high: Array
+    runs: Array
+    confidence: float
+
+
+def envelope(
+    name: str, unit: str, times: Array, samples: Array, levels: Sequence[float], confidence: float
+) -> Envelope:
+    """Return the envelope of samples (n_times, n_runs), not-a-number where a run is over; see `Envelope`."""
+    shape = (len(levels), times.size)
+    values, low, high = (np.full(shape, np.nan) for _ in range(3))
+    flying = np.sum(~np.isnan(samples), axis=1)
+    for k in np.flatnonzero(flying):
+        some = samples[k][~np.isnan(samples[k])]
+        for j, level in enumerate(levels):
+            found = percentile(some, level, confidence)
+            values[j, k], low[j, k], high[j, k] = found.value, found.low, found.high
+    return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, flying, confidence)
+
 
 COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
 """Costs that are summed over the components of a command or control, and what follows the unit."""

@@ -1,27 +1,118 @@
-"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random."""
+"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random.
+
+Criteria: what the runs of a campaign are compared with and measured by.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer
-from gnc_opt.errors import GncOptError
+from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, GncOptError, in_words
+from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.checkpoint import MOST_PER_FILE, store, stored
-from gnc_opt.simulation.criteria import Judge, read_criteria
-from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
-from gnc_opt.simulation.gathering import gathered
-from gnc_opt.simulation.loop import ClosedLoop
-from gnc_opt.simulation.mission import Batch, Flown, Mission, batches, flown_parts, halves
+from gnc_opt.simulation.campaign_batch import (
+    MOST_PER_FILE,
+    Batch,
+    Flown,
+    Mission,
+    batches,
+    flown_parts,
+    gathered,
+    halves,
+    store,
+    stored,
+)
+from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.workers import Done, Shared, WorkerPool
+
+Judge = Callable[[Campaign], ArrayLike]
+"""A measure of one's own: returns a number per run, (m,)."""
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Target, limits and measures of one's own; see `monte_carlo`."""
+
+    target: Mapping[str, ArrayLike] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    judge: Mapping[str, Judge] = field(default_factory=dict)
+
+    def goal(self, flight: Flight) -> Array:
+        """Return what states are compared with at the end (n_states,); not-a-number where there is nothing."""
+        goal = np.full(flight.states.size, np.nan)
+        if flight.reference is not None:
+            for name in flight.followed.names:
+                if name in flight.states:
+                    goal[flight.states.slice(name)] = flight.reference[flight.followed.slice(name), -1]
+        for name, value in self.target.items():
+            place = flight.states.slice(name)
+            numbers = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+            if not np.all(np.isfinite(numbers)):
+                raise ArgumentError(
+                    f"the target of '{name}' is {numbers}: give finite numbers, or leave it out."
+                )
+            goal[place] = numbers
+        return goal
+
+    def check(self, empty: Campaign) -> None:
+        """Refuse limits of measures that a campaign (without runs) does not have, and what is no limit or measure."""
+        for name, value in self.limits.items():
+            if name not in self.judge:
+                empty.measure(name)
+            _limit(name, value)
+        for name, function in self.judge.items():
+            if name in empty.measures:
+                raise ArgumentError(f"the campaign has a measure '{name}' already: give yours another name.")
+            if not callable(function):
+                raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
+
+    def applied(self, campaign: Campaign) -> Campaign:
+        """Return a campaign with the limits and the measures of one's own."""
+        campaign = replace(
+            campaign, limits={name: _limit(name, value) for name, value in self.limits.items()}
+        )
+        return replace(
+            campaign, measured={name: _measured(name, judge, campaign) for name, judge in self.judge.items()}
+        )
+
+
+def read_criteria(target: Any, judge: Any, limits: Any = None) -> Criteria:
+    """Return the criteria of optional mappings; what is none is refused."""
+    return Criteria(
+        read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
+        read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
+        read_mapping(judge, "the judge of runs", 'write {"miss": lambda campaign: ...}'),
+    )
+
+
+def _limit(name: str, value: float) -> float:
+    return read_positive(value, f"the limit of '{name}'", or_zero=True)
+
+
+def _measured(name: str, judge: Judge, campaign: Campaign) -> Array:
+    try:
+        values = np.asarray(judge(campaign), dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(
+            f"the measure '{name}' gives no numbers ({in_words(error)}): return one per run, ({len(campaign)},)."
+        ) from error
+    if values.shape != (len(campaign),):
+        raise ArgumentError(
+            f"the measure '{name}' has the shape {values.shape}: return one number per run, ({len(campaign)},)."
+        )
+    return values
 
 
 def monte_carlo(
@@ -138,7 +229,7 @@ def monte_carlo(
 def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
-    from gnc_opt.report.progress import campaign_meter
+    from gnc_opt.progress import campaign_meter
 
     return campaign_meter(total)
 

@@ -23,9 +23,11 @@ from gnc_opt.spacecraft.attitude import (
     mrp_to_quaternion,
     mrp_to_rotation,
 )
-from gnc_opt.spacecraft.flexible import FlexibleBody
+from gnc_opt.spacecraft.flexible_body import FlexibleBody
 from gnc_opt.spacecraft.gravity import (
     J2_EARTH,
+    MU_EARTH,
+    RADIUS_EARTH,
     angular_momentum_about_axis,
     gravity_gradient_torque,
     gravity_potential,
@@ -47,34 +49,28 @@ from gnc_opt.spacecraft.quaternion import (
 )
 from gnc_opt.spacecraft.relative_motion import (
     differential_j2,
+    hill_acceleration,
     inertial_from_relative,
+    lvlh_rate,
+    mean_motion,
     radial_frame,
     radial_frame_rate,
     relative_acceleration,
     relative_from_inertial,
 )
-from gnc_opt.spacecraft.relative_orbit import (
-    MU_EARTH,
-    RADIUS_EARTH,
-    hill_acceleration,
-    lvlh_rate,
-    mean_motion,
-)
 from gnc_opt.spacecraft.rigid_body import (
+    PYRAMID_ELEVATION,
     angular_acceleration,
     angular_momentum,
+    array_momentum,
     divide_by_inertia,
     relative_angular_acceleration,
-)
-from gnc_opt.spacecraft.tether import TetherAccelerations, TetheredPair, TetherMotion
-from gnc_opt.spacecraft.vector import apply, cross, dot, scale, stack, stack_rows, transpose
-from gnc_opt.spacecraft.wheels import (
-    PYRAMID_ELEVATION,
-    array_momentum,
     total_momentum,
     wheel_body_acceleration,
     wheel_pyramid,
 )
+from gnc_opt.spacecraft.tether import TetherAccelerations, TetheredPair, TetherMotion
+from gnc_opt.spacecraft.vectors import apply, cross, dot, scale, stack, stack_rows, transpose
 
 __all__ = [
     "FLATTENING_EARTH",

@@ -39,8 +39,8 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.table import Table, table
-from gnc_opt.spacecraft.relative_orbit import RADIUS_EARTH
-from gnc_opt.spacecraft.vector import Vector, dot, scale, stack
+from gnc_opt.spacecraft.gravity import RADIUS_EARTH
+from gnc_opt.spacecraft.vectors import Vector, dot, scale, stack
 
 RATE_EARTH = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""

@@ -48,7 +48,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
+from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
 
 
 def mrp_to_dcm(sigma_BL: Vector) -> Matrix:

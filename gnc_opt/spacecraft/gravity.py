@@ -30,9 +30,14 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.spacecraft.relative_orbit import MU_EARTH, RADIUS_EARTH
 from gnc_opt.spacecraft.rigid_body import angular_momentum
-from gnc_opt.spacecraft.vector import Vector, cross, dot, scale, stack
+from gnc_opt.spacecraft.vectors import Vector, cross, dot, scale, stack
+
+MU_EARTH = 398600.4418e9
+"""Gravitational parameter of the Earth, m^3/s^2 (WGS 84)."""
+
+RADIUS_EARTH = 6378.137e3
+"""Equatorial radius of the Earth, m (WGS 84)."""
 
 J2_EARTH = 0.0010826
 """Second zonal harmonic of the Earth, not normalised."""

@@ -34,7 +34,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
+from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
 
 Quaternion = Any
 """CasADi (4, 1), or an array (4,) or (4, n_times), scalar part first."""

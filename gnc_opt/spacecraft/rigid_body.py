@@ -17,6 +17,30 @@ The kinetic energy :math:`\tfrac12 \omega_{BI}^T J\, \omega_{BI}` and the length
 
 Rates in rad/s, inertia in kg m^2, torque in N m. The inertia is three principal moments, (3,), or a symmetric
 matrix, (3, 3). Rates and torques are CasADi columns or arrays (3,) and (3, n_times), time last.
+
+Reaction wheels: a rigid body that trades angular momentum with wheels fixed in it.
+
+n wheels with spin axes in the columns of ``axes`` (3, n), body components, inertia :math:`I_w` about the
+axis each, spin rate :math:`\Omega` relative to the body and motor torque T (on the *body*; the wheels feel
+-T):
+
+.. math::
+   J \dot\omega &= -\omega \times (J \omega + A h) + A T + T_{ext} \\
+   \dot h &= -T, \qquad h = I_w \Omega .
+
+J is the inertia with the wheels locked in all but spin; the wheels' momentum along their axes that comes
+from the body's own rate is left out, as is usual (:math:`I_w \ll J`). Without external torque the total
+momentum :math:`J \omega + A h` is constant in inertial space: its length is constant, and from rest it
+stays zero, so that the gyroscopic term vanishes.
+
+The power at the shaft of wheel i is :math:`-T_i \Omega_i`: positive where the motor drives the wheel faster.
+
+SI units. Vectors are CasADi columns or arrays (n,) and (n, n_times), time last.
+
+References
+----------
+F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, Springer
+2014, section 7.5.
 """
 
 from __future__ import annotations
@@ -25,8 +49,130 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gnc_opt.spacecraft.vector import Vector, apply, cross, is_symbolic, stack
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.spacecraft.vectors import Matrix, Vector, apply, cross, is_symbolic, stack
+
+PYRAMID_ELEVATION = float(np.arctan(1 / np.sqrt(2)))
+"""Elevation of the axes above the base (rad) that serves all three body axes alike, 35.264 degrees."""
+
+
+def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi / 4, wheels: int = 4) -> Array:
+    """Return the spin axes (3, wheels) of a pyramid about z.
+
+    Parameters
+    ----------
+    elevation : float
+        Of the axes above the x-y plane, rad.
+    azimuth : float
+        Of the first wheel from x towards y, rad; the others follow at equal angles.
+    wheels : int
+        At least 3.
+
+    Raises
+    ------
+    ArgumentError
+        Fewer than three wheels.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import wheel_pyramid
+    >>> print(np.round(np.linalg.norm(wheel_pyramid(), axis=0), 12))  # a unit vector per wheel
+    [1. 1. 1. 1.]
+    """
+    if wheels < 3:
+        raise ArgumentError(
+            f"a pyramid of {wheels} wheels cannot turn a body about all axes: give at least 3."
+        )
+    angles = azimuth + 2 * np.pi * np.arange(wheels) / wheels
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(angles), level * np.sin(angles), np.full(wheels, np.sin(elevation))])
+
+
+def array_momentum(axes: ArrayLike, momenta: Vector) -> Vector:
+    """Return the momentum of all wheels in body components, N m s.
+
+    Parameters
+    ----------
+    axes : array (3, n)
+        Spin axes as columns.
+    momenta : casadi (n, 1), array (n,) or (n, n_times)
+        Of each wheel about its axis, N m s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import array_momentum, wheel_pyramid
+    >>> print(np.round(array_momentum(wheel_pyramid(), [1.0, 1.0, 1.0, 1.0]), 4) + 0.0)
+    [0.     0.     2.3094]
+    """
+    return _times(axes, momenta)
+
+
+def wheel_body_acceleration(
+    inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: Vector, torques: Vector, external_B: Vector
+) -> Vector:
+    """Return the time derivative of ``omega_BI_B``, rad/s^2.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    axes : array (3, n)
+        Spin axes as columns.
+    omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
+        Rate of the body relative to inertial space in B components, rad/s.
+    momenta : casadi (n, 1), array (n,) or (n, n_times)
+        Of each wheel about its axis, N m s; their rates are ``-torques``.
+    torques : like ``momenta``
+        Of the motors on the body, N m.
+    external_B : like ``omega_BI_B``
+        N m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import wheel_body_acceleration
+    >>> inertia, axes = [10.0, 8.0, 6.0], np.eye(3)
+    >>> spinning = {"momenta": np.array([0.0, 0.0, 2.0]), "torques": np.zeros(3)}
+    >>> rate = np.array([0.01, 0.0, 0.0])
+    >>> print(wheel_body_acceleration(inertia, axes, rate, **spinning, external_B=np.zeros(3)))
+    [0.     0.0025 0.    ]
+    """
+    total = total_momentum(inertia, axes, omega_BI_B, momenta)
+    gyroscopic, driving = cross(omega_BI_B, total), _times(axes, torques)
+    return divide_by_inertia(inertia, stack([driving[i] + external_B[i] - gyroscopic[i] for i in range(3)]))
+
+
+def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: Vector) -> Vector:
+    """Return the momentum of body and wheels in body components, N m s; constant in inertial space without torque.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    axes : array (3, n)
+        Spin axes as columns.
+    omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
+        rad/s.
+    momenta : casadi (n, 1), array (n,) or (n, n_times)
+        Of each wheel about its axis, N m s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import total_momentum, wheel_pyramid
+    >>> print(np.round(total_momentum(np.eye(3), wheel_pyramid(), [0.0, 0.0, 0.1], [0.0] * 4), 4))
+    [0.  0.  0.1]
+    """
+    body, wheels = angular_momentum(inertia, omega_BI_B), _times(axes, momenta)
+    return stack([body[i] + wheels[i] for i in range(3)])
+
+
+def _times(matrix: ArrayLike | Matrix, vector: Vector) -> Vector:
+    """Return matrix times vector for any number of columns."""
+    if is_symbolic(matrix, vector):
+        return ca.mtimes(ca.DM(np.asarray(matrix)) if not is_symbolic(matrix) else matrix, vector)
+    return np.asarray(matrix, dtype=float) @ np.asarray(vector, dtype=float)
 
 
 def angular_acceleration(inertia: Any, omega_BI_B: Vector, torque_B: Vector) -> Vector:

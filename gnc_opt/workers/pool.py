@@ -22,8 +22,7 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError
-from gnc_opt.workers.processes import OwnProcesses
-from gnc_opt.workers.shared import Object, Parcel, Shared, opened
+from gnc_opt.workers.processes import Object, OwnProcesses, Parcel, Shared, opened
 
 MOST_CRASHES = 8
 """After so many items in a row that each killed a process of its own, no more are tried."""

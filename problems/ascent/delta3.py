@@ -29,7 +29,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from gnc_opt.spacecraft.vector import cross
+from gnc_opt.spacecraft.vectors import cross
 from problems._example import Array, Reference, run
 
 MU = 3.986012e14

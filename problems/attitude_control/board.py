@@ -25,7 +25,8 @@ from dataclasses import replace
 import casadi as ca
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Estimator, Measurement, bridge_dropouts, law, output_feedback
+from gnc_opt.control import Controller, bridge_dropouts, law
+from gnc_opt.estimation import Estimator, Measurement, output_feedback
 from gnc_opt.simulation.block import clip
 from problems.attitude_control.model import (
     GYRO_BIAS,

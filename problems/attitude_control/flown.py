@@ -40,7 +40,7 @@ from gnc_opt.simulation import (
     Uniform,
     monte_carlo,
 )
-from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import quaternion_retraction
 from problems.attitude_control.board import DT, controller
 from problems.attitude_control.model import (

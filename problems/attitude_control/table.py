@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from rich.console import Console
 
-from gnc_opt.simulation import Campaign, consistency
+from gnc_opt.analysis import consistency
+from gnc_opt.simulation import Campaign
 from problems._campaign_table import kept_in, parser, table, wide_console, write
 from problems.attitude_control.board import LAWS, estimator
 from problems.attitude_control.flown import LIMITS, campaign

@@ -23,8 +23,8 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Controller, Explanation, Fact, Reference, first_memory, law
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.model.layout import Layout
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.model.variables import Layout
 from gnc_opt.spacecraft import (
     FlexibleBody,
     cross,

@@ -31,7 +31,7 @@ from gnc_opt.control import (
     design_lqr,
     design_sliding_mode,
 )
-from gnc_opt.control.sliding.reaching import Boundary
+from gnc_opt.control.reaching_laws import Boundary
 from gnc_opt.simulation import Block, ClosedLoop, Disturbance, Run
 from problems.formation_flying.model import (
     PERIOD,

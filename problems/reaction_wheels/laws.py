@@ -31,10 +31,10 @@ from scipy.linalg import solve_continuous_are
 
 import gnc_opt as go
 from gnc_opt.control import Explanation, Fact, first_memory, law
-from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.linear.riccati import steady
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.model.layout import Layout
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.riccati import steady
+from gnc_opt.model.variables import Layout
 from gnc_opt.spacecraft import quaternion_error
 from problems._example import Array
 from problems.reaction_wheels.model import REST, resting, wheel_model

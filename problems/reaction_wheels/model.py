@@ -11,7 +11,7 @@ body (N m); the wheels feel -T. With the wheels' axes in the columns of A (the p
    \dot q = \tfrac12\, q \otimes (0, \omega), \qquad
    J \dot\omega = -\omega \times (J \omega + A h) + A T, \qquad \dot h = -T .
 
-`wheel_model` is the only place where these are written (`gnc_opt.spacecraft.wheels` has their derivation); the
+`wheel_model` is the only place where these are written (`gnc_opt.spacecraft.rigid_body` has their derivation); the
 published laws, the optimal slews, the simulated plant and the flight code all use it. The publication's quaternions
 have the scalar part last; `paper_quaternion` converts at the edges, where numbers are compared.
 

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import gnc_opt as go
-from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.linear.riccati import steady
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.riccati import steady
 from gnc_opt.errors import did_you_mean
 from problems._example import Reference
 from problems.comparison import Row, at_most, compare, require

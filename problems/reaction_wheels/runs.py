@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp, trapezoid
 
 import gnc_opt as go
-from gnc_opt.simulation.metrics import settling_time
+from gnc_opt.simulation.run import settling_time
 from gnc_opt.spacecraft import quaternion_angle, quaternion_to_rotation, total_momentum
 from problems._example import Array
 from problems.reaction_wheels.laws import Law, design_flc, design_quaternion_lqr

@@ -301,7 +301,7 @@ def _draw(console: Console, outcome: Outcome, folder: Path) -> None:
 
 
 def _summaries(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    from gnc_opt.report.summary_json import summary_dict
+    from gnc_opt.report.json_output import summary_dict
 
     return [{"case": o.case, "equation": o.equation, **summary_dict(o.solution, o.verdict)} for o in outcomes]
 

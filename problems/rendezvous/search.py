@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 import gnc_opt as go
-from gnc_opt.report.search import search_dict
+from gnc_opt.report.json_output import search_dict
 from problems.rendezvous.model import PAPER_MESH, Equation, build
 from problems.rendezvous.optimal import REFERENCE
 

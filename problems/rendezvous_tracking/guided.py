@@ -13,7 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.control import Controller, GuidanceOptions, design_lqr, design_neighbouring_optimal
+from gnc_opt.control import Controller, design_lqr
+from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, Run
 from problems.rendezvous_tracking.tracking import AUTHORITY, DT, LIMITS, SETTLING, Tracking
 

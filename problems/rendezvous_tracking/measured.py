@@ -20,8 +20,8 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import (
-    Controller,
+from gnc_opt.control import Controller
+from gnc_opt.estimation import (
     Estimator,
     FilterOptions,
     Measurement,

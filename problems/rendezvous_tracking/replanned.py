@@ -22,20 +22,13 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.control import (
-    Controller,
-    Explanation,
-    Fact,
-    Reference,
-    bridge_dropouts,
-    first_memory,
-    law,
-    output_feedback,
-)
+from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.schedule import ReferenceSchedule, StackedSchedule, reference_signals
-from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.simulation import ClosedLoop, Replanner
+from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals
+from gnc_opt.estimation import output_feedback
+from gnc_opt.guidance import Replanner
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.simulation import ClosedLoop
 from gnc_opt.spacecraft import apply, mrp_difference, mrp_to_dcm
 from problems.rendezvous import INERTIA, MASS
 from problems.rendezvous_tracking.measured import Measured

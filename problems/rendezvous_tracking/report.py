@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
+from gnc_opt.simulation.campaign_text import campaign_dict
 from problems._campaign_table import kept_in
 from problems.flown import with_settings
 from problems.rendezvous import CASES

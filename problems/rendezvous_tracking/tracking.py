@@ -61,7 +61,7 @@ from gnc_opt.simulation import (
     Uniform,
     monte_carlo,
 )
-from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_rate
 from problems.kept import kept
 from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model

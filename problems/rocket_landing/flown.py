@@ -27,7 +27,8 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, Reference
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.schedule import ReferenceSchedule
+from gnc_opt.control.feedforward import ReferenceSchedule
+from gnc_opt.guidance import Replanner
 from gnc_opt.simulation import (
     Bias,
     Campaign,
@@ -36,13 +37,12 @@ from gnc_opt.simulation import (
     Lag,
     Noise,
     Normal,
-    Replanner,
     ScaleFactor,
     Sinusoid,
     Uniform,
     monte_carlo,
 )
-from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.simulation.dispersions import Dispersion
 from problems.rocket_landing.laws import DT, regulator, zem_zev
 from problems.rocket_landing.model import MESH, START, build, descent, plant
 

@@ -22,8 +22,8 @@ from collections.abc import Callable
 import casadi as ca
 
 from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.model.layout import Layout
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.model.variables import Layout
 from problems.landing.mars_landing import FULL, GRAVITY
 from problems.rocket_landing.model import ENGINES, SETTLING, UP, norm
 

@@ -21,10 +21,10 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Explanation, Fact, SuperTwistingObserver
-from gnc_opt.control.guard import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
-from gnc_opt.control.lie import OutputErrors, zero_dynamics
-from gnc_opt.control.sliding.hierarchical import hierarchical_errors
-from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching
+from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
+from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
+from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
+from gnc_opt.control.predictive_reaching import PredictiveReaching
 from problems.tethered_formation.model import MAX_ANGLE, MAX_RATE, RADIUS
 
 Unknown: TypeAlias = Literal["observed", "ignored", "modelled"]

@@ -10,8 +10,8 @@ import scipy
 from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
-from gnc_opt.analysis.linearization import Linearization
-from gnc_opt.control import Measurement
+from gnc_opt.analysis.loop_linearization import Linearization
+from gnc_opt.estimation import Measurement
 from gnc_opt.simulation import (
     Ball,
     Choice,
@@ -25,7 +25,7 @@ from gnc_opt.simulation import (
     Turn,
     Uniform,
 )
-from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, quaternion_difference, quaternion_rate
 
 STEPS = 60
@@ -210,7 +210,7 @@ def test_a_filter_in_error_on_the_nominal_run_weighs_by_a_covariance_that_scatte
     expected = 0.1 * np.abs(q[0] - q[1]) / (2 * step)
     told = go.linear_covariance(experiment, checks=0).std("q")[0]
     assert told == pytest.approx(expected, abs=1e-7)
-    monkeypatch.setattr("gnc_opt.analysis.covariance._Pass._heard", lambda *_: False)
+    monkeypatch.setattr("gnc_opt.analysis.linear_covariance._Pass._heard", lambda *_: False)
     held = go.linear_covariance(experiment, checks=0).std("q")[0]
     assert np.abs(held - expected).max() > 1e-3
 

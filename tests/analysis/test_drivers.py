@@ -5,7 +5,8 @@ import pytest
 from sled import MISSION, SPREAD, loop_of
 
 import gnc_opt as go
-from gnc_opt.analysis import correlations, drivers, sobol_indices
+from gnc_opt.analysis import correlations, sobol_indices
+from gnc_opt.analysis import global_sensitivity as drivers
 from gnc_opt.simulation import Choice, Normal, Saturation
 
 

@@ -6,7 +6,8 @@ import scipy
 from sled import MISSION, SPREAD, loop_of
 
 import gnc_opt as go
-from gnc_opt.analysis import failure_probability, rare
+from gnc_opt.analysis import failure_probability
+from gnc_opt.analysis import subset_simulation as rare
 from gnc_opt.simulation import Normal, Saturation
 
 

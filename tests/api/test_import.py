@@ -30,8 +30,8 @@ def printed(program: str) -> list[str]:
 
 PACKAGES = (
     "gnc_opt.solve",
-    "gnc_opt.resolve",
-    "gnc_opt.study",
+    "gnc_opt.planning.solver",
+    "gnc_opt.planning.study",
     "gnc_opt.verify",
     "gnc_opt.control",
     "gnc_opt.simulation",
@@ -56,9 +56,9 @@ def test_import_alone_loads_nothing_and_a_name_what_it_needs() -> None:
     others = "print(*sorted({name.partition('.')[0] for name in sys.modules} & {'numpy', 'casadi'}))"
     assert printed(f"import sys, gnc_opt; {others}") == []
     assert printed(f"import sys, gnc_opt; gnc_opt.Model; {others}") == ["casadi", "numpy"]
-    assert printed("import sys, gnc_opt; gnc_opt.Problem; print('gnc_opt.refine.refine' in sys.modules)") == [
-        "False"
-    ]
+    assert printed(
+        "import sys, gnc_opt; gnc_opt.Problem; print('gnc_opt.planning.refinement.engine' in sys.modules)"
+    ) == ["False"]
 
 
 def test_reports_load_neither_figures_nor_the_closed_loop_before_they_are_drawn() -> None:
@@ -86,7 +86,7 @@ def test_names_are_functions_whichever_module_was_loaded_first() -> None:
     program = f"""
 import sys
 for first in {(*FUNCTIONS_WITH_A_MODULE, "study", "report")!r}:
-    for begin in ("import gnc_opt.{{0}}", "import gnc_opt; gnc_opt.{{0}}; import gnc_opt.{{0}}, gnc_opt.resolve"):
+    for begin in ("import gnc_opt.{{0}}", "import gnc_opt; gnc_opt.{{0}}; import gnc_opt.{{0}}, gnc_opt.planning.solver"):
         for name in [name for name in sys.modules if name.partition(".")[0] == "gnc_opt"]:
             del sys.modules[name]
         exec(begin.format(first), names := {{}})

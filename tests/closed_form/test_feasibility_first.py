@@ -14,11 +14,11 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.nlp import Status
-from gnc_opt.solution.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
-from gnc_opt.solution.start import start_from_guess
-from gnc_opt.transcription.mesh import DEFAULT_MESH
-from gnc_opt.transcription.transcription import transcribe
+from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
+from gnc_opt.planning.nlp import Status
+from gnc_opt.planning.solution.warm_start import start_from_guess
+from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
+from gnc_opt.planning.transcription.transcription import transcribe
 
 
 def oscillator(displacement: float, final: tuple[float, float | None] = (0.1, None)) -> go.Problem:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 MESHES = ("20x4", "60x3")
 

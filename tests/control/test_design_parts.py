@@ -13,22 +13,16 @@ from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import minimize_scalar
 
+from gnc_opt.control import riccati
+from gnc_opt.control.control_limits import clip, read_limits, require_reserve, reserve_shares, saturated
 from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.deviation import Deviation, evaluate_columns
-from gnc_opt.control.explanation import Explanation, Fact, number_text
-from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.limits import clip, read_limits, require_reserve, reserve_shares, saturated
-from gnc_opt.control.linear import riccati
-from gnc_opt.control.linear.gains import (
-    SampledGains,
-    cost_defect,
-    resting_control,
-    riccati_defect,
-    riccati_gains,
-)
-from gnc_opt.control.linear.linearization_table import LinearizationTable
-from gnc_opt.control.linear.margins import _frequencies, _met, margins
-from gnc_opt.control.linear.riccati import (
+from gnc_opt.control.design_report import Explanation, Fact, number_text
+from gnc_opt.control.error_dynamics import Deviation, evaluate_columns
+from gnc_opt.control.feedforward import ReferenceSchedule, feedforward, reference_signals, reference_times
+from gnc_opt.control.loop_margins import _frequencies, _met, margins
+from gnc_opt.control.quadratic_cost import QuadraticCost, bryson, read_cost, read_weight
+from gnc_opt.control.reference import Reference, trim
+from gnc_opt.control.riccati import (
     gain_of,
     require_detectable,
     require_stabilizable,
@@ -36,14 +30,25 @@ from gnc_opt.control.linear.riccati import (
     steady,
     unreached,
 )
-from gnc_opt.control.linear.weights import QuadraticCost, bryson, read_cost, read_weight
-from gnc_opt.control.poles import continuous_poles, real_polynomial
-from gnc_opt.control.reference import Reference, trim
-from gnc_opt.control.sampling import sample, sample_along, spectral_radius, zero_order_hold
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.sampled_data import (
+    continuous_poles,
+    real_polynomial,
+    sample,
+    sample_along,
+    spectral_radius,
+    zero_order_hold,
+)
+from gnc_opt.control.tvlqr_gains import (
+    LinearizationTable,
+    SampledGains,
+    cost_defect,
+    resting_control,
+    riccati_defect,
+    riccati_gains,
+)
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 
 NAN, INF = np.nan, np.inf
 

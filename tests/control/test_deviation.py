@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
-from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.linear.lqr import design_lqr
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.lqr import design_lqr
 from gnc_opt.errors import DesignError
 from gnc_opt.spacecraft.attitude import mrp_difference, mrp_from_axis_angle, mrp_rate
 

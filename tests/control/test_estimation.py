@@ -8,10 +8,10 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import FilterOptions, Measurement, UnscentedOptions, design_ekf, design_ukf
-from gnc_opt.control.estimation.augmented import AugmentedModel
-from gnc_opt.control.estimation.linearization import Regression, cholesky, solved_left, solved_right
-from gnc_opt.control.estimation.space import flat
+from gnc_opt.estimation import FilterOptions, Measurement, UnscentedOptions, design_ekf, design_ukf
+from gnc_opt.estimation.augmented_model import AugmentedModel
+from gnc_opt.estimation.error_space import flat
+from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.spacecraft import (
     mrp_difference,
     mrp_from_axis_angle,

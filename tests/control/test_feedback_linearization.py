@@ -9,7 +9,7 @@ from scipy.integrate import trapezoid
 from stepping import step_through
 
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
-from gnc_opt.control.lie import decoupling_matrix
+from gnc_opt.control.input_output_linearization import decoupling_matrix
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model.model import Model

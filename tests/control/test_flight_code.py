@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control.c_expressions import c_statements
+from gnc_opt.control.c_export.c_writer import c_statements
+from gnc_opt.control.c_export.export import export_c
 from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.explanation import Explanation
-from gnc_opt.control.flight_code import export_c
-from gnc_opt.control.linear.lqr import design_lqr
-from gnc_opt.control.linear.tvlqr import design_tvlqr
+from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
 
 COMPILER = shutil.which("cc")
 FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wfloat-equal", "-Werror", "-O2"]

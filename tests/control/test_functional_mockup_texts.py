@@ -8,7 +8,7 @@ import pytest
 from test_flight_code import follower
 
 from gnc_opt.control import export_fmu
-from gnc_opt.control import functional_mockup as fmu
+from gnc_opt.control import fmu_export as fmu
 
 DT = 0.1
 

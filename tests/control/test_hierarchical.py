@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from stepping import step_through
 
-from gnc_opt.control.lie import zero_dynamics
+from gnc_opt.control.hierarchical_sliding_mode import design_hierarchical_sliding_mode, hierarchical_errors
+from gnc_opt.control.input_output_linearization import zero_dynamics
+from gnc_opt.control.reaching_laws import ConstantRate, SaturationLayer, Sign
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding.hierarchical import design_hierarchical_sliding_mode, hierarchical_errors
-from gnc_opt.control.sliding.reaching import ConstantRate, SaturationLayer, Sign
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.spacecraft import TetheredPair, TetherMotion

@@ -11,29 +11,30 @@ from gnc_opt.control import (
     CodeOptions,
     ConstantRate,
     ExponentialRate,
-    FilterOptions,
-    Measurement,
     Reference,
     SaturationLayer,
     Sign,
     SuperTwisting,
-    UnscentedOptions,
     bridge_dropouts,
     bryson,
-    design_ekf,
     design_gain_schedule,
     design_integral_sliding_mode,
     design_lqr,
     design_mpc,
-    design_neighbouring_extremal,
-    design_neighbouring_optimal,
     design_sliding_mode,
     design_tvlqr,
-    design_ukf,
     feedforward,
-    output_feedback,
 )
 from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.estimation import (
+    FilterOptions,
+    Measurement,
+    UnscentedOptions,
+    design_ekf,
+    design_ukf,
+    output_feedback,
+)
+from gnc_opt.guidance import design_neighbouring_extremal, design_neighbouring_optimal
 from gnc_opt.simulation import Outage
 
 

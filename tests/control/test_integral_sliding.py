@@ -11,11 +11,11 @@ import pytest
 from scipy.linalg import solve_continuous_are
 from stepping import step_through
 
-from gnc_opt.control.linear.lqr import design_lqr
-from gnc_opt.control.linear.tvlqr import design_tvlqr
+from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.reaching_laws import ConstantRate, SaturationLayer, Sign, SuperTwisting
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding.integral_sliding_mode import design_integral_sliding_mode
-from gnc_opt.control.sliding.reaching import ConstantRate, SaturationLayer, Sign, SuperTwisting
+from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 

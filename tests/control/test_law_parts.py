@@ -11,16 +11,19 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from gnc_opt.control.c_numbers import DOUBLE, wrapped
+from gnc_opt.control import active_set_qp as programme_code
+from gnc_opt.control.active_set_qp import ProgrammeCode, _Numbered
+from gnc_opt.control.c_export.c_writer import DOUBLE, wrapped
+from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix, export_c
+from gnc_opt.control.c_export.schedule_table import flight_table
 from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.decoupling import Inverse, Memory, _solve
+from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.error_dynamics import Deviation
 from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.flight_code import _identifier, _read_prefix, export_c
-from gnc_opt.control.flight_files import _entries, _plain
-from gnc_opt.control.flight_table import flight_table
-from gnc_opt.control.guard import Inverse, Memory, _solve
-from gnc_opt.control.lie import (
+from gnc_opt.control.feedforward import StackedSchedule
+from gnc_opt.control.horizon_qp import Horizon, Programme, Rows
+from gnc_opt.control.input_output_linearization import (
     Pair,
     _labels,
     _output,
@@ -29,17 +32,11 @@ from gnc_opt.control.lie import (
     output_errors,
     zero_dynamics,
 )
-from gnc_opt.control.linear.gains import SampledGains
-from gnc_opt.control.linear.lqr import design_lqr
-from gnc_opt.control.predictive import programme_code
-from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
-from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
-from gnc_opt.control.predictive.programme_code import ProgrammeCode, _Numbered
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampling import SampledStep
-from gnc_opt.control.schedule import StackedSchedule
-from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
-from gnc_opt.control.sliding.reaching import (
+from gnc_opt.control.integral_sliding_mode import _nominal, _poles, _surface
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
+from gnc_opt.control.predictive_reaching import PredictiveReaching, _insert, _interpolate
+from gnc_opt.control.reaching_laws import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -49,20 +46,27 @@ from gnc_opt.control.sliding.reaching import (
     TanhLayer,
     read_bounds,
 )
-from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching, _insert, _interpolate
-from gnc_opt.control.sliding.sliding_mode import _coefficients
-from gnc_opt.control.sliding.super_twisting import (
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sampled_data import SampledStep
+from gnc_opt.control.sliding_mode import (
+    SlidingOptions,
+    Switching,
+    _coefficients,
+    _peak_gain,
+    _require_decay,
+    _weigh,
+)
+from gnc_opt.control.super_twisting import (
     SuperTwistingObserver,
     _lyapunov,
     check_gains,
     convergence_time,
     sampled_band,
 )
-from gnc_opt.control.sliding.surface import _peak_gain, _require_decay, _weigh
-from gnc_opt.control.sliding.switching import SlidingOptions, Switching
+from gnc_opt.control.tvlqr_gains import SampledGains
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 
 INF = np.inf
 SIGN, SAT, TANH = Sign(), SaturationLayer(0.5), TanhLayer(0.5)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.lie import (
+from gnc_opt.control.input_output_linearization import (
     Pair,
     decoupling_matrix,
     error_expressions,

@@ -6,8 +6,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.control import Reference
-from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.linear.linearization_table import LinearizationTable
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.tvlqr_gains import LinearizationTable
 
 
 def pendulum() -> go.Model:

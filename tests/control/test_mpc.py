@@ -8,12 +8,12 @@ import pytest
 from scipy.optimize import LinearConstraint, minimize
 
 import gnc_opt as go
-from gnc_opt.control.linear.lqr import design_lqr
-from gnc_opt.control.linear.riccati import steady
-from gnc_opt.control.linear.tvlqr import design_tvlqr
-from gnc_opt.control.predictive.mpc import design_mpc
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import design_mpc
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampling import sample
+from gnc_opt.control.riccati import steady
+from gnc_opt.control.sampled_data import sample
+from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import ArgumentError, DesignError, ProblemWarning, UnknownNameError
 
 DT = 0.1
@@ -224,7 +224,7 @@ def test_many_steps_are_one_function():
 
 
 def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
-    import gnc_opt.control.predictive.mpc as module
+    import gnc_opt.control.mpc as module
 
     starved = {"verbose": False, "max_iter": 1, "polish": False, "check_termination": 1}
     monkeypatch.setitem(module._OPTIONS, "osqp", {"osqp": starved})

@@ -9,8 +9,9 @@ from test_flight_code import COMPILER, FLAGS, compiled, needs_compiler, sanitize
 from test_mpc import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control import Measurement, bridge_dropouts
+from gnc_opt.control import bridge_dropouts
 from gnc_opt.errors import ArgumentError
+from gnc_opt.estimation import Measurement
 
 DRIVER = """
 #include <stdio.h>

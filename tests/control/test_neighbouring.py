@@ -10,20 +10,12 @@ import pytest
 from test_flight_code import needs_compiler, python, run, sanitized
 
 import gnc_opt as go
-from gnc_opt.control import (
-    GuidanceOptions,
-    bryson,
-    design_lqr,
-    design_neighbouring_optimal,
-    design_tvlqr,
-    export_c,
-)
-from gnc_opt.control.neighbouring.design import _accurate
-from gnc_opt.control.neighbouring.optimum import find_optimum
-from gnc_opt.control.neighbouring.prediction import Prediction, RegulatedEnd
-from gnc_opt.control.neighbouring.switching_plan import SwitchingPlan
+from gnc_opt.control import bryson, design_lqr, design_tvlqr, export_c
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
+from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
+from gnc_opt.guidance.neighbouring_bang_bang import _accurate, find_optimum
 from gnc_opt.simulation import ClosedLoop, Constant, Lag, Normal, Saturation
 
 DT = 0.05

@@ -9,10 +9,10 @@ import scipy
 from test_flight_code import compiled, needs_compiler, python, run
 
 import gnc_opt as go
-from gnc_opt.control import design_neighbouring_extremal, export_c
-from gnc_opt.control.neighbouring.accessory import conjugate_time, feedback
-from gnc_opt.control.neighbouring.smooth_plan import SmoothPlan
+from gnc_opt.control import export_c
 from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.guidance import design_neighbouring_extremal
+from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.simulation import ClosedLoop
 
 DT = 0.01

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import matrix_balance
 
-from gnc_opt.control.linear.riccati import require_stabilizable, steady
+from gnc_opt.control.riccati import require_stabilizable, steady
 
 ALMOST = np.array([[0.0, 1.0], [1e-40, 0.0]])
 LABELS = ("angle", "rate")

@@ -9,8 +9,10 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import FilterOptions, Measurement, Reference, UnscentedOptions, design_scheduled_ekf
-from gnc_opt.simulation import Noise, Normal, RandomHold, consistency
+from gnc_opt.analysis import consistency
+from gnc_opt.control import Reference
+from gnc_opt.estimation import FilterOptions, Measurement, UnscentedOptions, design_scheduled_ekf
+from gnc_opt.simulation import Noise, Normal, RandomHold
 from gnc_opt.spacecraft import quaternion_difference, quaternion_rate, quaternion_retraction
 
 DT = 0.1

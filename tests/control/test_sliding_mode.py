@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from stepping import step_through
 
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding.reaching import (
+from gnc_opt.control.reaching_laws import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -18,8 +17,9 @@ from gnc_opt.control.sliding.reaching import (
     SuperTwisting,
     TanhLayer,
 )
-from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
-from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding_mode import design_sliding_mode
+from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.tolerances import LARGEST

@@ -26,10 +26,10 @@ from test_mpc import DT, A, B, tracker
 
 import gnc_opt as go
 from gnc_opt.control import CodeOptions
-from gnc_opt.control.c_numbers import DOUBLE, FLOAT
-from gnc_opt.control.flight_table import FlightTable, flight_table
+from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT
+from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
 
 SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]
 

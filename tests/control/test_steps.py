@@ -3,7 +3,7 @@
 import casadi as ca
 import pytest
 
-from gnc_opt.control.steps import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.control.sampled_data import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.errors import ArgumentError
 
 

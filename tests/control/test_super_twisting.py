@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver, check_gains, convergence_time
+from gnc_opt.control.super_twisting import SuperTwistingObserver, check_gains, convergence_time
 from gnc_opt.errors import DesignError
 
 

@@ -10,7 +10,7 @@ import pytest
 from pages import ROOT
 
 from benchmarks.performance import page
-from gnc_opt.examples import examples
+from gnc_opt.problem_file import examples
 
 
 def test_the_page_shows_the_kept_numbers() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pages import PAGES, README, ROOT
 
-from gnc_opt.examples import examples
+from gnc_opt.problem_file import examples
 
 pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
 pytest.importorskip("latex2mathml")

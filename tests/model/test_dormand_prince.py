@@ -4,9 +4,8 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.model.dormand_prince import STAGES, carried, step_function
 from gnc_opt.model.evaluation import fast_call
-from gnc_opt.model.integration import Budget, Tolerance
+from gnc_opt.model.integration import STAGES, Budget, Tolerance, carried, step_function
 
 PLACES = scipy.integrate.DOP853.C[1:STAGES]
 

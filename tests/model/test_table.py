@@ -10,7 +10,7 @@ import pytest
 import scipy.interpolate as reference
 
 import gnc_opt as go
-from gnc_opt.model.pieces import Method
+from gnc_opt.model.interpolation import Method
 from gnc_opt.report import summary_dict
 
 RNG = np.random.default_rng(3)

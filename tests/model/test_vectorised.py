@@ -4,8 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.model.evaluation import evaluate, evaluate_columns
-from gnc_opt.model.vectorised import LONGEST, Operations
+from gnc_opt.model.evaluation import LONGEST, Operations, evaluate, evaluate_columns
 
 COLUMNS = 200
 

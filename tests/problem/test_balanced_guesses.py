@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.guess.trajectory import SUSTAINED, start_phase
+from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, start_phase
 
 GRAVITY, MASS, LENGTH = 1.62, 2000.0, 3.0
 

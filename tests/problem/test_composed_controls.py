@@ -12,7 +12,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
 
 DURATION, LEAST = 3.0, 0.5
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)

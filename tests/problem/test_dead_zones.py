@@ -12,7 +12,7 @@ import scipy.integrate
 import scipy.optimize
 
 import gnc_opt as go
-from gnc_opt.problem.norms import restated
+from gnc_opt.planning.problem.reformulation import restated
 
 Law = Callable[[Any], Any]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.guess import simulate
-from gnc_opt.problem.guess.bent import bent
-from gnc_opt.problem.guess.flown import with_flown_guess
-from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.planning.problem.guess import simulation as simulate
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.guess.simulation import with_flown_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.kept_norm import idle_bounds
+from gnc_opt.planning.problem.redundant_bounds import idle_bounds
 
 ANGLE, TIME = 1.2, 3.0
 

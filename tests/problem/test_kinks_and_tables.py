@@ -10,7 +10,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.problem.norms import restated
+from gnc_opt.planning.problem.reformulation import restated
 
 
 def costing(table: Any, bounds: tuple[float, float]) -> Any:

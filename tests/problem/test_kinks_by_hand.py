@@ -12,7 +12,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.problem.norms import restated
+from gnc_opt.planning.problem.reformulation import restated
 
 DURATION = 2.0
 
@@ -149,7 +149,7 @@ def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
 
 
 def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
-    from gnc_opt.problem.guess.trajectory import start_phase
+    from gnc_opt.planning.problem.guess.initial_guess import start_phase
 
     problem = cart(lambda x, v, a: a**2 + ca.fabs(a + v))
     problem.phases["leg"].guess(v=(1.0, -2.0), a=-0.5)

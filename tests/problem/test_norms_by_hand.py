@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.model.norms import NormNodes, degree_in
-from gnc_opt.problem.norms import restated
+from gnc_opt.model.expressions import NormNodes, degree_in
+from gnc_opt.planning.problem.reformulation import restated
 
 DURATION = 3.0
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)
@@ -254,7 +254,7 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
     solved = restated(problem).phases["leg"]
-    from gnc_opt.problem.guess.trajectory import start_phase
+    from gnc_opt.planning.problem.guess.initial_guess import start_phase
 
     start = start_phase(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.problem.one_way import one_way_states
-from gnc_opt.problem.ranges import ranges_of
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.redundant_bounds import one_way_states
 
 X = ca.SX.sym("x", 2)
 EXPRESSIONS = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.norms import restated
+from gnc_opt.planning.problem.reformulation import restated
 
 
 def _cart() -> tuple[go.Problem, go.Phase, Any, Any, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.guess.ends import end_values, guess_times
+from gnc_opt.planning.problem.guess.initial_guess import end_values, guess_times
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:

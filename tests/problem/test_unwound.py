@@ -12,9 +12,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.problem.angles import unwound
-from gnc_opt.problem.functions import phase_functions
-from gnc_opt.problem.interval import Interval, free
+from gnc_opt.planning.problem.functions import phase_functions
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.solution.unwrap import unwound
 
 T = np.linspace(0.0, 1.0, 41)
 

@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from benchmarks.validation.engine import group_of
 from gnc_opt import cli
-from gnc_opt.examples import example, examples
+from gnc_opt.problem_file import example, examples
 from problems._example import TOLERANCE, Reference, comparison, run
 from problems.ascent import delta3, goddard
 from problems.attitude import bilimoria_wie

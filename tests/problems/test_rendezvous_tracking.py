@@ -11,9 +11,10 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from benchmarks.performance.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
+from gnc_opt.analysis import consistency
 from gnc_opt.arrays import Array
 from gnc_opt.control import feedforward
-from gnc_opt.simulation import Quantisation, Run, consistency
+from gnc_opt.simulation import Quantisation, Run
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mrp_to_dcm
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import (

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from nonlinear import SCHEMES
 
 import gnc_opt as go
-from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 
 MESHES = {
     "first": go.Mesh((0.0, 0.3, 0.5, 1.0), (2, 4, 3)),

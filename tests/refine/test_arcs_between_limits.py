@@ -15,10 +15,10 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt import ArcKind
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.pinned import unpinned
-from gnc_opt.refine.structure.plan import Plan
-from gnc_opt.refine.structure.switching import optimise_switches, structures_of
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.loop import optimise_switches, structures_of
+from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 TAU = 0.1
 FREE, LOW, HIGH = ArcKind.INTERIOR, ArcKind.LOWER, ArcKind.UPPER

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.nlp import Status
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.refine.passes import FEWEST, PassLimits
-from gnc_opt.refine.refine import _work
-from gnc_opt.refine.structure import switching
-from gnc_opt.solution.history import work_of
-from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
-from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import Status
+from gnc_opt.planning.refinement.arcs import loop as switching
+from gnc_opt.planning.refinement.engine import _work
+from gnc_opt.planning.refinement.iterations import FEWEST, PassLimits
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution.history import work_of
+from gnc_opt.planning.transcription.mesh import Mesh
 
 CRAWLING = go.SolverOptions(
     mu_init=1e-2,
@@ -153,7 +153,7 @@ def test_what_does_not_converge_costs_little_more_than_fifteen_first_solves(
     corner_turn: go.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Half of what it may cost for the structure, half of that for others, half for meshes, half more for the last."""
-    monkeypatch.setattr(sys.modules["gnc_opt.refine.refine"], "LITTLE", 0.0)
+    monkeypatch.setattr(sys.modules["gnc_opt.planning.refinement.engine"], "LITTLE", 0.0)
     refined = go.refine(corner_turn, tol=1e-6)
     assert refined.history is not None
     points = corner_turn.phases["turn"].mesh.size
@@ -165,7 +165,7 @@ def test_what_does_not_converge_costs_little_more_than_fifteen_first_solves(
 def test_what_has_cost_little_begins_again_where_its_error_fell(
     corner_turn: go.Solution, fell: float, again: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    refining = sys.modules["gnc_opt.refine.refine"]
+    refining = sys.modules["gnc_opt.planning.refinement.engine"]
     monkeypatch.setattr(refining, "FELL", fell)
     monkeypatch.setattr(refining, "LITTLE", 1e5)  # of four variables: one round costs 23 000
     monkeypatch.setattr(refining, "LEAST_WORK", 4e3)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.refine.structure.collocated import collocated
-from gnc_opt.refine.structure.detect import detect
-from gnc_opt.refine.structure.newton import settle
-from gnc_opt.refine.structure.plan import Plan
-from gnc_opt.transcription.scheme import Scheme
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.switching.collocated_flight import collocated
+from gnc_opt.planning.refinement.switching.newton import settle
+from gnc_opt.planning.transcription.scheme import Scheme
 
 
 def pulled() -> go.Problem:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.constraint_order import constraint_order
-from gnc_opt.problem.held import Junction
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.solution.program_point import ProgramPoint
-from gnc_opt.solution.touches import with_touches
+from gnc_opt.planning.optimality.active_set import with_touches
+from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.problem.arcs import ArcKind, Junction
+from gnc_opt.planning.problem.state_constraints import constraint_order
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 

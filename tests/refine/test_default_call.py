@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solve import TOLERANCE
-from gnc_opt.verify.kept import kept_verdict
-from gnc_opt.verify.verify import TOLERANCE as JUDGED
+from gnc_opt.planning.solver import TOLERANCE
+from gnc_opt.planning.verification.engine import TOLERANCE as JUDGED
+from gnc_opt.planning.verification.verify import kept_verdict
 
 
 def dash(limit: float = 1.0) -> go.Problem:

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.optimize import fsolve
 
 import gnc_opt as go
-from gnc_opt.problem.rooted import reachable_bounds
-from gnc_opt.refine.error import estimate_errors
+from gnc_opt.planning.problem.redundant_bounds import reachable_bounds
+from gnc_opt.planning.refinement.error import estimate_errors
 
 TIME, DISTANCE, WEIGHT, SPEED = 4.0, 0.7, 0.5, 1.0
 

@@ -11,14 +11,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from gnc_opt.refine.error import estimate_errors, largest_error
-from gnc_opt.refine.hp.coarsen import Piece, trial_errors
-from gnc_opt.refine.hp.kinks import SHARPENING, _closed_in
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.refine.hp.remesh import UNRESOLVED, Remesh
-from gnc_opt.refine.passes import PATIENCE, PassLimits, crawls
-from gnc_opt.solution.history import SETTING_UP, History, RefinementStatus
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.refinement.error import estimate_errors, largest_error
+from gnc_opt.planning.refinement.iterations import PATIENCE, PassLimits, crawls
+from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
+from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED, Remesh
+from gnc_opt.planning.solution.history import SETTING_UP, History, RefinementStatus
 
 
 def regulator(duration: float = 10.0) -> go.Problem:
@@ -345,7 +345,7 @@ def test_an_error_that_falls_too_slowly_is_told_from_one_that_gets_there(
 
 def test_passes_that_are_given_up_are_solved_to_fewer_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tenth of the error that the pass aims at; the options of a user are left alone."""
-    module = importlib.import_module("gnc_opt.refine.hp.mesh_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.mesh.refinement")
     asked: list[float] = []
 
     def solve(*args: Any, options: go.SolverOptions, **more: Any) -> go.Solution:

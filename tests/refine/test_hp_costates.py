@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.refine.adjoint import WORTH, adjoint_density, unconstrained
-from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.hp import coarsen
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.refinement.costate_error import WORTH, adjoint_density, unconstrained
+from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.mesh import coarsen
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 
 def exact_states(duration: float) -> go.Problem:

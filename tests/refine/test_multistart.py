@@ -28,11 +28,10 @@ from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.problem.guess.random import with_random_guess
-from gnc_opt.refine.search.multistart import _answer, _Coarse, _Start
-from gnc_opt.refine.search.refining import Refining
-from gnc_opt.refine.search.reflection import Reflection, Reflections, bent, parts
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.problem.guess.perturbation import with_random_guess
+from gnc_opt.planning.study.minima import Reflection, Reflections, bent, parts
+from gnc_opt.planning.study.multistart import Refining, _answer, _Coarse, _Start
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
 from problems.rendezvous import search as minima_of

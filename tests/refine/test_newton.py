@@ -9,14 +9,14 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure import switching
-from gnc_opt.refine.structure.detect import detect
-from gnc_opt.refine.structure.newton import settle, settle_flow
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import Plan
-from gnc_opt.refine.structure.switch_step import chord_step, independent, newton_step
-from gnc_opt.verify.switches import Switches
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs import loop as switching
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
+from gnc_opt.planning.refinement.switching.step import chord_step, independent, newton_step
 from problems.rendezvous import SWITCHES, build
 
 LOWER, UPPER, INTERIOR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.ends import with_ends_met
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.ends import with_ends_met
 
 DRAG, TOP = 0.1, 0.6
 COAST = 0.3

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.refine.indirect.polish import polish
+from gnc_opt.planning.refinement.indirect.solve_indirect import polish
 from tests.properties.nonlinear import orbit_raising, reorientation, van_der_pol
 
 VERDICT = 1e-9

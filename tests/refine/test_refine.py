@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.refine import RefinementStatus
-from gnc_opt.refine.attempt import RefinementAttempt, _least_wrong
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.refine.passes import PassLimits
-from gnc_opt.solution.history import History
-from gnc_opt.verify.verdict import Condition, Verdict
+from gnc_opt.planning.refinement.attempt import RefinementAttempt, _least_wrong
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution import RefinementStatus
+from gnc_opt.planning.solution.history import History
+from gnc_opt.planning.solution.verdict import Condition, Verdict
 from problems.classics import van_der_pol
 
 
@@ -73,7 +73,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Return a list that grows by an entry whenever a verdict is computed."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.verify.verify")
+    module = importlib.import_module("gnc_opt.planning.verification.engine")
     real, calls = module._judge, []
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
@@ -106,7 +106,7 @@ def test_a_verdict_that_fails_is_no_convergence(
     """Whichever way it went, the ending and what is printed name the condition and its place."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.verify.verify")
+    module = importlib.import_module("gnc_opt.planning.verification.engine")
     real = module._judge
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
@@ -137,7 +137,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     """The verdict is ok, but the error is above what was asked for: the message gives both."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     real: Callable[..., Any] = module.optimise_switches
 
     def coarse(*args: Any, **more: Any) -> Any:
@@ -213,10 +213,10 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
 @pytest.mark.parametrize(
     ("module", "name", "count"),
     [
-        ("gnc_opt.refine.hp.mesh_refinement", "solve_mesh", 2),
-        ("gnc_opt.refine.hp.mesh_refinement", "estimate_errors", 2),
-        ("gnc_opt.refine.refine", "structures_of", 1),
-        ("gnc_opt.refine.attempt", "verify", 1),
+        ("gnc_opt.planning.refinement.mesh.refinement", "solve_mesh", 2),
+        ("gnc_opt.planning.refinement.mesh.refinement", "estimate_errors", 2),
+        ("gnc_opt.planning.refinement.engine", "structures_of", 1),
+        ("gnc_opt.planning.refinement.attempt", "verify", 1),
     ],
 )
 def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
@@ -234,10 +234,10 @@ def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
 def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     """No mesh is refined afterwards, and what is returned is no worse than what was given."""
     start = go.solve(van_der_pol.build(), tol=None)  # three passes
-    interrupt_after(count, monkeypatch, "gnc_opt.refine.structure.switching", "estimate_errors")
+    interrupt_after(count, monkeypatch, "gnc_opt.planning.refinement.arcs.loop", "estimate_errors")
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
     history = told(go.refine(start, tol=1e-9))
     assert history.status is RefinementStatus.INTERRUPTED
@@ -282,7 +282,7 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
     """A structure that does not convince leaves its passes in the record, before those of the mesh."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     real: Callable[..., Any] = module.optimise_switches
 
     def unconvincing(*args: Any, **more: Any) -> Any:
@@ -303,7 +303,7 @@ def test_a_structure_without_any_solution_is_not_what_is_kept(
     """It hands back what it was given, with no structure: the mesh that was refined is better."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     real: Callable[..., Any] = module.optimise_switches
 
     def hopeless(start: go.Solution, **more: Any) -> Any:
@@ -320,7 +320,7 @@ def test_a_structure_without_any_solution_is_not_what_is_kept(
 def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     monkeypatch.setattr(module, "LEAST_WORK", 1.0)
     refined = go.refine(cart, structure="none", limits=go.RefinementLimits(max_work=1e-9))
     history = told(refined)
@@ -334,7 +334,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
     """A structure that had a solution and did not convince is not begun again after the mesh."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.refine.refine")
+    module = importlib.import_module("gnc_opt.planning.refinement.engine")
     real, begun = module.optimise_switches, []
 
     def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:
@@ -452,7 +452,7 @@ def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:
 
 
 def test_meshes_without_anything_to_spare_are_told_by_their_errors() -> None:
-    module = importlib.import_module("gnc_opt.refine.hp.mesh_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.mesh.refinement")
 
     def phase(worst: list[float]) -> Any:
         mesh = go.Mesh.at_times(range(len(worst) + 1), range(2, 2 + len(worst)))

@@ -13,17 +13,17 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.nlp.solver import NlpSolver
-from gnc_opt.refine.following import KnownArcs, _without_slivers
-from gnc_opt.refine.passes import PassLimits
-from gnc_opt.refine.structure.detect import structures_of
-from gnc_opt.refine.structure.plan import Plan, points_of
-from gnc_opt.refine.structure.switching import optimise_switches
-from gnc_opt.resolve import Resolver, Way
-from gnc_opt.solution.rest import rest_of
-from gnc_opt.solution.solve_mesh import solve_mesh
-from gnc_opt.verify.kept import kept_verdict
-from gnc_opt.verify.verify import TOLERANCE
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp.solver import NlpSolver
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, points_of
+from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.loop import optimise_switches
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.solution.tail import rest_of
+from gnc_opt.planning.solver import Resolver, Way
+from gnc_opt.planning.verification.engine import TOLERANCE
+from gnc_opt.planning.verification.verify import kept_verdict
 
 
 def cart(cost: str = "time") -> go.Problem:

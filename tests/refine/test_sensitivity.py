@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.refine.refine import refine
+from gnc_opt.planning.refinement.engine import refine
 from problems.classics import bryson_denham
 from tests.properties.nonlinear import orbit_raising, reorientation, van_der_pol
 

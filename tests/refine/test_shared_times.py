@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.held import Junction, Smooth
-from gnc_opt.refine.structure.apart import INSTANT, POINTS, _Cuts, shared
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
+from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.transcription.mesh import Mesh
 
 LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
 

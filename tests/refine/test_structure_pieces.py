@@ -12,11 +12,11 @@ import pytest
 from scipy.special import spherical_in
 
 import gnc_opt as go
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.refine.structure.detect import detect, switching
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
-from gnc_opt.refine.structure.resolved import FEWEST
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from gnc_opt.planning.refinement.arcs.detection import detect, switching
+from gnc_opt.planning.refinement.arcs.resolution import FEWEST
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from problems.classics import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER

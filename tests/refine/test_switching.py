@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.mending import collapsed
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import Plan
-from gnc_opt.refine.structure.switching import _best, optimise_switches
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.loop import _best, optimise_switches
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.update import collapsed
+from gnc_opt.planning.solution.samples import PhaseSamples
 from problems import rendezvous
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
@@ -292,7 +292,9 @@ def test_a_structure_that_cannot_be_met_is_sought_once_more_on_a_finer_mesh(
         wrong = {"leg": PhaseStructure((0.0, 2.0), ((UP,),))}
         return optimise_switches(start, **{**options, **({"structures": wrong} if len(meshes) == 1 else {})})
 
-    monkeypatch.setattr(sys.modules["gnc_opt.refine.refine"], "optimise_switches", infeasible_at_first)
+    monkeypatch.setattr(
+        sys.modules["gnc_opt.planning.refinement.engine"], "optimise_switches", infeasible_at_first
+    )
     refined = go.refine(solution, structure="bang-bang")
     assert meshes == ["5x3", "5x4"]
     assert refined.history is not None and refined.history.converged

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.explanation import Explanation
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.control.design_report import Explanation
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 
 NONE = Layout("entry")
 

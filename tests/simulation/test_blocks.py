@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation import (
     Allocation,
     Bias,
@@ -43,9 +43,9 @@ from gnc_opt.simulation import (
 from gnc_opt.simulation.actuators.on_off import trigger
 from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
 from gnc_opt.simulation.block import POSITIVE, Block, Tick, clip, differs, rows, scalar, values
+from gnc_opt.simulation.intersample_input import Wave
 from gnc_opt.simulation.signals import chain, kinds, put, take
 from gnc_opt.simulation.thrusters import NonNegativeAllocation
-from gnc_opt.simulation.wave import Wave
 
 INF = np.inf
 H, DT = 0.1, 0.4

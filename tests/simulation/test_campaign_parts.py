@@ -14,24 +14,29 @@ import pytest
 from loops import double_integrator, feedback
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus
-from gnc_opt.simulation.criteria import Criteria, read_criteria
-from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
-from gnc_opt.simulation.gathering import gathered
-from gnc_opt.simulation.metrics import rotation_angle, settling_time
-from gnc_opt.simulation.mission import (
+from gnc_opt.simulation.campaign_batch import (
     BATCHES,
     MOST_PER_BATCH,
     Flown,
     Mission,
     batches,
     flown_parts,
+    gathered,
     halves,
 )
-from gnc_opt.simulation.monte_carlo import _refuse_total_loss, _shared, _tally, _with_parameters
-from gnc_opt.simulation.run import Logged
-from gnc_opt.simulation.statistics import pass_rate, percentile, share_below_maximum
+from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
+from gnc_opt.simulation.dispersions import Ball, Choice, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.monte_carlo import (
+    Criteria,
+    _refuse_total_loss,
+    _shared,
+    _tally,
+    _with_parameters,
+    read_criteria,
+)
+from gnc_opt.simulation.run import Logged, rotation_angle, settling_time
 from gnc_opt.spacecraft.quaternion import quaternion_product
 from gnc_opt.workers import Done, WorkerDied
 

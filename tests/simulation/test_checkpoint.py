@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from loops import double_integrator, feedback
 
-import gnc_opt.simulation.mission as mission_module
+import gnc_opt.simulation.campaign_batch as mission_module
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Normal, Quantity, Saturation, monte_carlo
 

@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.linear.lqr import design_lqr
+from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation import (
     Bias,
     ClosedLoop,

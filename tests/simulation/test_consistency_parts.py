@@ -9,9 +9,9 @@ import pytest
 from scipy.special import gammainc, gammaincinv
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable
 
-c = importlib.import_module("gnc_opt.simulation.consistency")  # the package gives its function
+c = importlib.import_module("gnc_opt.analysis.filter_consistency")  # the package gives its function
 
 STATES = Layout("state", (Variable("q", 2), Variable("v"), Variable("inner")))
 PLANT = Layout("state", (Variable("v"), Variable("other"), Variable("q", 2)))

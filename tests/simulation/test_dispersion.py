@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, truncnorm, uniform
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.simulation.dispersion import (
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.simulation.dispersions import (
     Ball,
     Choice,
     Normal,

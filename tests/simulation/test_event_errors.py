@@ -10,8 +10,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Event, Flight
-from gnc_opt.simulation.event import Events
-from gnc_opt.simulation.instant import instant_error
+from gnc_opt.simulation.event_error import instant_error
+from gnc_opt.simulation.events import Events
 
 G, DRAG, BACK = 1.6, 0.5, 0.5
 """Gravity (m/s^2), drag (1/s) and what is left of the speed after a bounce."""

@@ -7,7 +7,7 @@ from loops import double_integrator, feedback
 
 import gnc_opt as go
 from gnc_opt.simulation import Normal, Uniform
-from gnc_opt.simulation.integrate import ERROR_WEIGHTS, NODES, STAGES, dormand_prince, linear_error
+from gnc_opt.simulation.dormand_prince import ERROR_WEIGHTS, NODES, STAGES, dormand_prince, linear_error
 
 
 def _advance(f, x0, length, steps):

@@ -8,7 +8,7 @@ import pytest
 from loops import double_integrator
 
 import gnc_opt as go
-import gnc_opt.simulation.flight as flight_module
+import gnc_opt.simulation.compiled_loop as flight_module
 from gnc_opt.control import design_lqr
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation import ClosedLoop, Lag, Noise, RandomHold

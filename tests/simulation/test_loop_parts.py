@@ -11,8 +11,9 @@ import pytest
 from loops import controller, double_integrator, feedback, memory_of_impulse, scheduled
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.guidance import Replanner
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation import (
     Bias,
     ClosedLoop,
@@ -21,7 +22,6 @@ from gnc_opt.simulation import (
     Mixer,
     RandomHold,
     RandomWalk,
-    Replanner,
     RunStatus,
     Sampling,
     Saturation,
@@ -29,8 +29,8 @@ from gnc_opt.simulation import (
 )
 from gnc_opt.simulation.block import Block, Step
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.places import Places
+from gnc_opt.simulation.dormand_prince import dormand_prince
+from gnc_opt.simulation.signals import Places
 
 DT = 0.1
 TWO = Layout("command", (Variable("a", 1, "N"), Variable("b", 2, "N m")))

@@ -5,8 +5,8 @@ import pytest
 from loops import memory_of_impulse, scheduled
 
 from gnc_opt.simulation import ClosedLoop, Saturation
-from gnc_opt.simulation.metrics import rotation_angle, settling_time
-from gnc_opt.simulation.statistics import pass_rate
+from gnc_opt.simulation.confidence_intervals import pass_rate
+from gnc_opt.simulation.run import rotation_angle, settling_time
 
 DT = 0.25
 COMMANDS = np.array([3.0, 3.0, -1.0, 2.0, 2.0, 0.5, -4.0, 0.0])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy
 
-from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.modes import MAX_SUBSTEPS, steps_for_modes, steps_for_run
+from gnc_opt.simulation.dormand_prince import dormand_prince
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,10 @@ from scipy.signal import cont2discrete
 from scipy.stats import chi2
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
-from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
-from gnc_opt.report.progress import campaign_meter
+from gnc_opt.progress import campaign_meter
 from gnc_opt.simulation import (
     ClosedLoop,
     Constant,
@@ -37,9 +37,9 @@ from gnc_opt.simulation import (
     Saturation,
 )
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.dispersion import Choice, Dispersion, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
+from gnc_opt.simulation.dispersions import Choice, Dispersion, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.monte_carlo import monte_carlo
-from gnc_opt.simulation.statistics import pass_rate, percentile, share_below_maximum
 from gnc_opt.workers import pool
 from gnc_opt.workers.processes import processes_fork
 from problems.rendezvous import chaser_model

@@ -15,15 +15,26 @@ import numpy as np
 import pytest
 from loops import double_integrator
 
-import gnc_opt.simulation.flight as flight_module
+import gnc_opt.simulation.compiled_loop as flight_module
 from gnc_opt.control import design_lqr, design_mpc
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.model import Model
-from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, lanes, monte_carlo
-from gnc_opt.simulation import native as module
-from gnc_opt.simulation.folded import Folded
-from gnc_opt.simulation.lanes import in_lanes
+from gnc_opt.simulation import (
+    ClosedLoop,
+    Event,
+    Flight,
+    Lag,
+    Noise,
+    RandomHold,
+    monte_carlo,
+)
+from gnc_opt.simulation import compiled_step as module
+from gnc_opt.simulation import (
+    simd_kernel as lanes,
+)
+from gnc_opt.simulation.compiled_step import Folded
+from gnc_opt.simulation.simd_kernel import in_lanes
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

@@ -9,18 +9,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control import FilterOptions, Measurement, bridge_dropouts, design_ekf, output_feedback
-from gnc_opt.simulation import (
-    Campaign,
-    Noise,
-    Normal,
-    Outage,
-    RandomHold,
-    Run,
-    RunStatus,
-    Sampling,
-    consistency,
-)
+from gnc_opt.analysis import consistency
+from gnc_opt.control import bridge_dropouts
+from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, output_feedback
+from gnc_opt.simulation import Campaign, Noise, Normal, Outage, RandomHold, Run, RunStatus, Sampling
 
 DT = 0.1
 COMPILER = shutil.which("cc")

@@ -6,7 +6,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import Measurement
+from gnc_opt.estimation import Measurement
 from gnc_opt.simulation import fly_plant
 
 DT = 0.1

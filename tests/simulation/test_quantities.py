@@ -23,8 +23,8 @@ from gnc_opt.simulation import (
     RunStatus,
     Uniform,
 )
-from gnc_opt.simulation.envelope import envelope
-from gnc_opt.simulation.quantity import SAMPLES, sample_steps
+from gnc_opt.simulation.measures import envelope
+from gnc_opt.simulation.quantities import SAMPLES, sample_steps
 
 MISSION = {"x0": [1.0, 0.0], "tf": 30.0}
 SPREAD = {"initial.q": Normal(0.2), "plant.m": Uniform(-0.1, 0.1)}
@@ -333,7 +333,7 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
 @pytest.mark.parametrize("leg", [1000, 4])
 def test_one_that_is_not_a_number_is_told(leg, monkeypatch):
     """sqrt(q) of what falls from 1 to -1 at 1 unit/s is none from 1.1 s on; runs that end before are ok."""
-    monkeypatch.setattr("gnc_opt.simulation.flight.LEG", leg)
+    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.LEG", leg)
     plant = go.Model("even motion")
     q, u = plant.state("q"), plant.control("u")
     plant.ode({q: u})

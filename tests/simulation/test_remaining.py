@@ -16,8 +16,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.control import Reference, feedforward
-from gnc_opt.simulation import ClosedLoop, Replanner
-from gnc_opt.simulation.remaining import check_remaining, remaining
+from gnc_opt.guidance import Replanner
+from gnc_opt.guidance.replanning import check_remaining, remaining
+from gnc_opt.simulation import ClosedLoop
 
 DT = 0.01
 

@@ -14,9 +14,11 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.analysis import linear_covariance
-from gnc_opt.control import Controller, Measurement, Reference, design_ekf, feedforward, output_feedback
-from gnc_opt.resolve import Resolver
-from gnc_opt.simulation import ClosedLoop, Constant, Noise, Replanner, Run, Uniform, monte_carlo
+from gnc_opt.control import Controller, Reference, feedforward
+from gnc_opt.estimation import Measurement, design_ekf, output_feedback
+from gnc_opt.guidance import Replanner
+from gnc_opt.planning.solver import Resolver
+from gnc_opt.simulation import ClosedLoop, Constant, Noise, Run, Uniform, monte_carlo
 
 DT = 0.01
 LATENCY = 0.035

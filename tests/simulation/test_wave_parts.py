@@ -11,8 +11,8 @@ from loops import controller, feedback, scheduled
 
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
-from gnc_opt.simulation.accuracy import grown
-from gnc_opt.simulation.wave import Part, Wave, cut, stacked
+from gnc_opt.simulation.intersample_input import Part, Wave, cut, stacked
+from gnc_opt.simulation.step_selection import grown
 
 H = 2.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)

@@ -7,7 +7,7 @@ import scipy
 from loops import memory_of_impulse, scheduled
 
 import gnc_opt as go
-from gnc_opt.control.steps import in_order
+from gnc_opt.control.sampled_data import in_order
 from gnc_opt.simulation import (
     ClosedLoop,
     Delay,
@@ -18,7 +18,7 @@ from gnc_opt.simulation import (
     Saturation,
     ScaleFactor,
 )
-from gnc_opt.simulation.wave import projection
+from gnc_opt.simulation.intersample_input import projection
 
 DT = 0.05
 START = [0.4, -0.2]

@@ -7,7 +7,7 @@ import pytest
 from families import rest_to_rest, stiff
 
 import gnc_opt as go
-from gnc_opt.study.prediction import predict
+from gnc_opt.planning.study.kkt_sensitivity import predict
 
 
 def closed_form(k: float) -> float:

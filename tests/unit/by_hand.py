@@ -10,16 +10,16 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.nlp import Status
-from gnc_opt.problem.functions import PhaseFunctions, phase_functions
-from gnc_opt.problem.interval import Interval, free
-from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.statistics import Statistics
-from gnc_opt.transcription.quadrature import collocation_rule
-from gnc_opt.transcription.scheme import Scheme
+from gnc_opt.planning.nlp import Status
+from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.quadrature import collocation_rule
+from gnc_opt.planning.transcription.scheme import Scheme
 
 Signal = Callable[[Array, int], Any]
 """Rows at times (m,) of a segment."""

@@ -223,7 +223,7 @@ def test_exit_code_of_an_interrupted_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The solver hands back the iterate; anywhere else Ctrl-C is a KeyboardInterrupt."""
-    from gnc_opt.nlp import NlpSolver
+    from gnc_opt.planning.nlp import NlpSolver
 
     original = NlpSolver.solve
 

@@ -12,14 +12,14 @@ from by_hand import functions, interval, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure import contacts as c
-from gnc_opt.refine.structure import junctions as j
-from gnc_opt.refine.structure import pushes as p
-from gnc_opt.refine.structure import state_constraints as sc
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.optimality import state_constraints as sc
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs import contact_detection as p
+from gnc_opt.planning.refinement.arcs import contacts as c
+from gnc_opt.planning.refinement.arcs import junctions as j
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))

@@ -13,10 +13,10 @@ from by_hand import cart, phase, solution
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.nlp import SolverOptions
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.solution.attempt import Attempt
-from gnc_opt.solution.covector import (
+from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.nlp import SolverOptions
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
     _CostatePieces,
@@ -27,25 +27,25 @@ from gnc_opt.solution.covector import (
     point_multipliers,
     settle_doubled_paths,
 )
-from gnc_opt.solution.extract import (
+from gnc_opt.planning.solution.extract import (
     _mesh_in_time,
     _point_times,
     _time_multipliers,
     extract_phases,
     model_parameters,
 )
-from gnc_opt.solution.spans import control_spans
-from gnc_opt.solution.start import (
+from gnc_opt.planning.solution.scales import control_spans
+from gnc_opt.planning.solution.warm_start import (
     _put_end_rows,
     guess_from_solution,
     start_from_guess,
     start_from_solution,
     with_integrals,
 )
-from gnc_opt.transcription.collocation import PhaseCollocation
-from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.scheme import SCHEMES, Scheme
-from gnc_opt.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.planning.transcription.transcription import transcribe
 
 UNEVEN = Mesh((0.0, 0.3, 1.0), (3, 4))
 

@@ -13,7 +13,7 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.columns import read_columns
+from gnc_opt.model.tabular import read_columns
 from gnc_opt.simulation import Uniform
 from tests.simulation.loops import scheduled
 

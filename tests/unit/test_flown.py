@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.flown import FlownControl
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.saturated_control import FlownControl
+from gnc_opt.planning.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([0.0, 1.0, 3.0])
 

@@ -10,9 +10,8 @@ from by_hand import functions, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.held import Held
-from gnc_opt.solution.held_paths import settle_held_paths
+from gnc_opt.planning.problem.arcs import ArcKind, Held
+from gnc_opt.planning.solution.costates import settle_held_paths
 
 LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 

@@ -11,8 +11,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.problem.functions import phase_functions
-from gnc_opt.solution.idle import without_effect
+from gnc_opt.planning.problem.functions import phase_functions
+from gnc_opt.planning.solution.scales import without_effect
 
 N = 8
 T, OFF = np.linspace(0.0, 1.0, N), np.arange(N) < 3

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solution.attempt import Attempt
-from gnc_opt.solution.least_multipliers import least_multipliers
-from gnc_opt.transcription.scheme import GAUSS
+from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.direct.minimum_norm_multipliers import least_multipliers
+from gnc_opt.planning.transcription.scheme import GAUSS
 
 
 def turn(components: int) -> go.Problem:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from by_hand import interval
 
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.mixed import LinearLimits
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 X = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from by_hand import cart, interval, phase, samples, solution
 
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure import newton as n
-from gnc_opt.refine.structure import switch_step
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switch_flight import (
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.switching import newton as n
+from gnc_opt.planning.refinement.switching import step as switch_step
+from gnc_opt.planning.refinement.switching.flight import (
     INSET,
     WRONG_SIGN,
     SwitchFlight,
@@ -22,8 +23,7 @@ from gnc_opt.refine.structure.switch_flight import (
     forgive,
     wrong_interval,
 )
-from gnc_opt.refine.structure.switch_step import SwitchStep, model_minimum
-from gnc_opt.verify.switches import Switches
+from gnc_opt.planning.refinement.switching.step import SwitchStep, model_minimum
 
 RNG = np.random.default_rng(4)
 

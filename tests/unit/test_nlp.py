@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.nlp import (
+from gnc_opt.planning.nlp import (
     IterationInfo,
     NlpPoint,
     NlpProblem,

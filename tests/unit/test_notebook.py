@@ -10,7 +10,7 @@ import pytest
 import rich.console
 
 import gnc_opt as go
-from gnc_opt.report.progress import campaign_meter
+from gnc_opt.progress import campaign_meter
 
 HOSTILE = "<script>alert('a')</script> & <b>"
 TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}

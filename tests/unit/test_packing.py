@@ -15,9 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gnc_opt.archive import FileFormat
+from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.errors import GncOptError
-from gnc_opt.packing import Packing
 
 
 class Colour(Enum):

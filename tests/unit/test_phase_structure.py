@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.problem.held import Junction
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import COARSE, MAX_DEGREE, Plan, Resolution
+from gnc_opt.planning.problem.arcs import Arc, ArcKind, Junction
+from gnc_opt.planning.refinement.arcs.arc_mesh import COARSE, MAX_DEGREE, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 NAMES = {"l": LOW, "i": FREE, "u": UP, "s": SING}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from gnc_opt.planning.solution import Condition, Result, Verdict
 from gnc_opt.plot import plot_verdict
-from gnc_opt.plot.verdict import _offence
-from gnc_opt.verify import Condition, Result, Verdict
+from gnc_opt.plot.refinement import _offence
 
 
 def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:

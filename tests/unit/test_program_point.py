@@ -10,15 +10,15 @@ import scipy
 from by_hand import interval
 
 import gnc_opt as go
-from gnc_opt.solution.program_point import (
+from gnc_opt.planning.optimality.program_point import (
     WEAK,
     ProgramLimits,
     ProgramPoint,
     quadrature_weights,
     saddle_matrix,
 )
-from gnc_opt.transcription.scheme import SCHEMES, Scheme
-from gnc_opt.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.planning.transcription.transcription import transcribe
 
 INF, NAN = np.inf, np.nan
 

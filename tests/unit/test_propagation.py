@@ -8,8 +8,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.model import integration
-from gnc_opt.problem.functions import phase_functions
-from gnc_opt.solution.propagation import Propagation, propagate
+from gnc_opt.planning.problem.functions import phase_functions
+from gnc_opt.planning.solution.propagation import Propagation, propagate
 
 
 def fall(rate_of_v: Any = lambda x, v, u: u) -> go.Problem:

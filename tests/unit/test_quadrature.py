@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import legendre
 
-from gnc_opt.transcription.quadrature import (
+from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     Array,
     _decimal_points_and_weights,
@@ -26,7 +26,7 @@ from gnc_opt.transcription.quadrature import (
     points,
     weights,
 )
-from gnc_opt.transcription.scheme import Scheme
+from gnc_opt.planning.transcription.scheme import Scheme
 
 SCHEMES: tuple[Scheme, ...] = ("LG", "LGR", "LGL")
 FEWEST = {"LG": 1, "LGR": 1, "LGL": 2}

@@ -15,11 +15,11 @@ from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
+from gnc_opt.planning.solution import Condition, Result, Verdict
+from gnc_opt.planning.solution.summary import overshooting_controls
+from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.progress import solve_meter
-from gnc_opt.report.summary import overshooting_controls
 from gnc_opt.report.verdict_table import verdict_text
-from gnc_opt.verify import Condition, Result, Verdict
 
 VERDICT = Verdict(
     "cart",

@@ -10,10 +10,10 @@ import pytest
 from by_hand import cart, phase, samples, solution
 from numpy.polynomial import legendre
 
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure import resolved as r
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs import resolution as r
+from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, UP, FREE = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
 MOST = 1e-9

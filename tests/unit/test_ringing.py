@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.phase_structure import Kinds, PhaseStructure
-from gnc_opt.refine.structure.ringing import without_ringing
-from gnc_opt.refine.structure.state_constraints import StateConstraints
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.control_oscillation import without_ringing
+from gnc_opt.planning.refinement.arcs.structure import Kinds, PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 

@@ -9,8 +9,8 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.solution import saddle
-from gnc_opt.solution.saddle import FREE, SaddlePoint
+from gnc_opt.planning.optimality import kkt as saddle
+from gnc_opt.planning.optimality.kkt import FREE, SaddlePoint
 
 RNG = np.random.default_rng(3)
 

@@ -13,30 +13,30 @@ from by_hand import cart, costates, functions, interval, phase, push, rest, samp
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.problem.interval import Interval, free
-from gnc_opt.solution import limits
-from gnc_opt.solution.distance import (
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.solution import quality as limits
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
+from gnc_opt.planning.solution.quality import (
     FINEST,
+    NOTHING,
     WIDTHS,
+    Limits,
+    Violations,
+    Worst,
     _to_nearest_allowed,
     _unit,
     bound_offences,
-    path_offences,
-)
-from gnc_opt.solution.limits import Limits, Violations, violations
-from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.propagation import propagate, state_magnitudes
-from gnc_opt.solution.quality import (
-    NOTHING,
-    Worst,
     measure_quality,
+    path_offences,
+    violations,
     worst_bound_violation,
     worst_defect,
     worst_index,
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.solution.samples import EDGE, EXTRA, EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import EDGE, EXTRA, EdgeSegment, PhaseSamples, sampling_rule
 
 CART = cart()
 

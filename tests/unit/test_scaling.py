@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.magnitudes import FARTHEST, phase_magnitudes
-from gnc_opt.solution.start import start_from_guess
-from gnc_opt.transcription.quadrature import Scheme
-from gnc_opt.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.planning.problem.magnitudes import FARTHEST, phase_magnitudes
+from gnc_opt.planning.solution.warm_start import start_from_guess
+from gnc_opt.planning.transcription.quadrature import Scheme
+from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
+from gnc_opt.planning.transcription.transcription import Transcription
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:

@@ -11,12 +11,12 @@ import pytest
 from browser import BROWSER, PHONE, browser
 
 import gnc_opt as go
-from gnc_opt.examples import example, examples
 from gnc_opt.plot import Thruster, View
-from gnc_opt.plot.dispersion_tube import tube
+from gnc_opt.plot.campaign import tube
 from gnc_opt.plot.scene import scene_html
+from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report, write_run_report
-from gnc_opt.report.document import document
+from gnc_opt.report.page import document
 from gnc_opt.simulation import Normal
 from gnc_opt.spacecraft import mrp_rate
 

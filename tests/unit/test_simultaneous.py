@@ -12,8 +12,8 @@ from by_hand import interval, phase, solution
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.refine.structure.simultaneous import _backwards, settle_costates
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.refinement.switching.costates import _backwards, settle_costates
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 WORTH = np.array([1.0, 2.0, 3.0])
 

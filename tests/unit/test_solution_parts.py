@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solution.diagnosis import _running_off
-from gnc_opt.solution.history import History, Pass, RefinementStatus
-from gnc_opt.solution.statistics import Statistics
-from gnc_opt.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.planning.solution.diagnosis import _running_off
+from gnc_opt.planning.solution.history import History, Pass, RefinementStatus, Statistics
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 
 
 def test_costs_of_tries_add_up() -> None:

@@ -11,10 +11,17 @@ from by_hand import cart, functions, interval, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.problem.interval import Interval, free
-from gnc_opt.solution import spans
-from gnc_opt.solution.spans import RESOLUTION, STEERED, control_spans, end_spans, shared, state_spans
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.solution import scales as spans
+from gnc_opt.planning.solution.scales import (
+    RESOLUTION,
+    STEERED,
+    control_spans,
+    end_spans,
+    shared,
+    state_spans,
+)
 
 CART = cart()
 BREAKS = (1.0, 2.0, 3.0, 5.0)  # middles at 1.5, 2.5 and 4

@@ -15,7 +15,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.solution.solution import SOLUTION_FILES
+from gnc_opt.planning.solution.solution import SOLUTION_FILES
 
 
 def pendulum(gravity: float = 9.81, reach: float = 1.0) -> go.Problem:

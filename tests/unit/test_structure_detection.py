@@ -12,13 +12,13 @@ from by_hand import cart, interval, samples
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure import curvature as b
-from gnc_opt.refine.structure import detect as d
-from gnc_opt.refine.structure.contacts import Determined
-from gnc_opt.refine.structure.phase_structure import choose, signs_of
-from gnc_opt.refine.structure.switching import optimise_switches
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs import curvature as b
+from gnc_opt.planning.refinement.arcs import detection as d
+from gnc_opt.planning.refinement.arcs.contacts import Determined
+from gnc_opt.planning.refinement.arcs.loop import optimise_switches
+from gnc_opt.planning.refinement.arcs.structure import choose, signs_of
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 LETTERS = {"l": LOW, "i": FREE, "u": UP, "s": SING, "r": ArcKind.RELEASED}

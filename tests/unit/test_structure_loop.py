@@ -12,16 +12,14 @@ import pytest
 from by_hand import cart, interval, phase, samples, solution
 
 import gnc_opt as go
-from gnc_opt.nlp import SolverOptions, Status
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.problem.held import Smooth
-from gnc_opt.refine.passes import PassLimits
-from gnc_opt.refine.structure import finer as f
-from gnc_opt.refine.structure import junctions as j
-from gnc_opt.refine.structure import mending as m
-from gnc_opt.refine.structure import switching as s
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import (
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.problem.arcs import Arc, ArcKind, Smooth
+from gnc_opt.planning.refinement.arcs import arc_refinement as f
+from gnc_opt.planning.refinement.arcs import junctions as j
+from gnc_opt.planning.refinement.arcs import loop as s
+from gnc_opt.planning.refinement.arcs import update as m
+from gnc_opt.planning.refinement.arcs.arc_mesh import (
     COARSE,
     FIRST_DEGREE,
     HELPED,
@@ -34,9 +32,10 @@ from gnc_opt.refine.structure.plan import (
     Plan,
     Resolution,
 )
-from gnc_opt.refine.structure.state_constraints import StateConstraints
-from gnc_opt.solution.history import Pass, RefinementStatus
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.solution.history import Pass, RefinementStatus
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 RELEASED = ArcKind.RELEASED

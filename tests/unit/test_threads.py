@@ -8,7 +8,7 @@ import scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import gnc_opt as go
-from gnc_opt.threads import one_thread
+from gnc_opt.environment import one_thread
 
 
 def counts() -> set[int]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.tidy import with_possible_ends, without_overlaps
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 

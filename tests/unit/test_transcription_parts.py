@@ -12,11 +12,11 @@ from by_hand import cart, interval
 
 import gnc_opt as go
 from gnc_opt.errors import ArgumentError, ProblemError, UnknownNameError
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.held import Held, Smooth
-from gnc_opt.problem.interval import Interval
-from gnc_opt.transcription.collocation import PhaseCollocation, weight_matrix
-from gnc_opt.transcription.holding import (
+from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
+from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.problem.arcs import ArcKind, Held, Smooth
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
     hold_controls,
     hold_paths,
@@ -24,13 +24,12 @@ from gnc_opt.transcription.holding import (
     smooth_entries,
     smooth_rows,
 )
-from gnc_opt.transcription.mesh import DEFAULT_MESH, Mesh, read_meshes
-from gnc_opt.transcription.nonlinear_program import NlpProblem, full_hessian, joint_jacobian
-from gnc_opt.transcription.quadrature import collocation_rule
-from gnc_opt.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.transcription.scheme import SCHEMES, Scheme, family_of
-from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.transcription.transcription import KEPT, Transcription, transcribe
+from gnc_opt.planning.transcription.collocation import PhaseCollocation, weight_matrix
+from gnc_opt.planning.transcription.mesh import DEFAULT_MESH, Mesh, read_meshes
+from gnc_opt.planning.transcription.quadrature import collocation_rule
+from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
+from gnc_opt.planning.transcription.transcription import KEPT, Transcription, transcribe
 
 LOW, FREE, UP, RELEASED = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))

@@ -11,9 +11,9 @@ import pytest
 from by_hand import cart, costates, interval, phase, solution
 
 import gnc_opt as go
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.refine.structure import collocated as c
-from gnc_opt.refine.structure import variation as v
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.refinement.switching import collocated_flight as c
+from gnc_opt.planning.refinement.switching import warm_start as v
 
 KNOWN = solution(cart(), phase(cart(), integrals=np.array([12.0])))
 

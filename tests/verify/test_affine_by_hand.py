@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.verify.judged import from_problem
+from gnc_opt.planning.verification.recomputed import from_problem
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ import pytest
 
 import gnc_opt as go
 from benchmarks.performance.scale import RADIUS, THRUST, spiral
-from gnc_opt.problem.interval import Interval
-from gnc_opt.problem.turns import Turns
+from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.interval import Interval
 
 
 def shear(**bounds: tuple[float, float]) -> go.Problem:

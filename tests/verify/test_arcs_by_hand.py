@@ -11,12 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification import control_conditions as controls
+from gnc_opt.planning.verification import singular_arcs as singular
+from gnc_opt.planning.verification.singular_arcs import SingularArc, singular_arcs
 from gnc_opt.tolerances import ACTIVE
-from gnc_opt.verify import Result, controls, singular
-from gnc_opt.verify.held import left_free
-from gnc_opt.verify.singular import SingularArc, singular_arcs
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
+from gnc_opt.planning.optimality.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
+from gnc_opt.planning.solution.samples import PhaseSamples
 from problems import rendezvous
 
 DIFFERENCES = {

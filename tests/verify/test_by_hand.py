@@ -13,28 +13,39 @@ import scipy
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.solution.accessory import AccessoryEquations
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.transcription.transcription import transcribe
-from gnc_opt.verify import Result, feasibility
-from gnc_opt.verify.brief import lasting
-from gnc_opt.verify.conjugate_points import _free, _system, _worth
-from gnc_opt.verify.controls import undetermined
-from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
-from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
-from gnc_opt.verify.induced import InducedProblem, Unknowns
-from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
-from gnc_opt.verify.kept import keep_verdict, kept_verdict
-from gnc_opt.verify.magnitude import Magnitudes, integral_spans, parameter_scale
-from gnc_opt.verify.multipliers import _quadrature, _ranges, _state_rows, _variables
-from gnc_opt.verify.null_space import variation_weights
-from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, jumps_explained, pushed_beside
-from gnc_opt.verify.reduced_hessian import Curvature, _doubt, _place
-from gnc_opt.verify.second_order import least_squares
-from gnc_opt.verify.singular import generalised_legendre_clebsch, singular_arcs
-from gnc_opt.verify.switches import Switches
-from gnc_opt.verify.trajectory_fit import Samples, fit
-from gnc_opt.verify.verdict import Verdict
+from gnc_opt.planning.optimality.accessory import AccessoryEquations
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
+from gnc_opt.planning.optimality.costate_jumps import (
+    Pushers,
+    _responses,
+    _without_pushes,
+    jumps_explained,
+    pushed_beside,
+)
+from gnc_opt.planning.optimality.kkt import variation_weights
+from gnc_opt.planning.optimality.multiplier_estimate import _quadrature, _ranges, _state_rows, _variables
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification import feasibility
+from gnc_opt.planning.verification.bang_bang_second_order import least_squares
+from gnc_opt.planning.verification.conjugate_points import _free, _system, _worth
+from gnc_opt.planning.verification.control_conditions import undetermined
+from gnc_opt.planning.verification.costate_conditions import (
+    _slack_offence,
+    _time_transversality,
+    _unexplained,
+    hamiltonian,
+)
+from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
+from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
+from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
+from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
+from gnc_opt.planning.verification.verify import keep_verdict, kept_verdict
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.solution.accessory import on_free
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, CONVEX
-from gnc_opt.verify import Result, conjugate_points
-from gnc_opt.verify.conjugate_points import (
+from gnc_opt.planning.optimality.accessory import on_free
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification import conjugate_points
+from gnc_opt.planning.verification.conjugate_points import (
     END,
     START,
     _angles,
@@ -25,6 +25,7 @@ from gnc_opt.verify.conjugate_points import (
     _only_adds,
     _worth,
 )
+from gnc_opt.tolerances import AT_LIMIT, CONVEX
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.verify import Condition, Result
-from gnc_opt.verify.conjugate_points import conjugate_points
-from gnc_opt.verify.judged import from_problem
-from gnc_opt.verify.verify import _agreed
+from gnc_opt.planning.solution import Condition, Result
+from gnc_opt.planning.verification.conjugate_points import conjugate_points
+from gnc_opt.planning.verification.engine import _agreed
+from gnc_opt.planning.verification.recomputed import from_problem
 from tests.verify.test_reduced_hessian import great_circle, regulator
 
 

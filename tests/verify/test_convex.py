@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify.convex import is_convex
-from gnc_opt.verify.uniqueness import has_one_solution
-from gnc_opt.verify.verify import _of_convex
+from gnc_opt.planning.verification.engine import _of_convex
+from gnc_opt.planning.verification.sufficiency import has_one_solution, is_convex
 
 
 def stated(change: Any = None, rate: Any = None, cost: Any = None, final: Any = 2.0) -> go.Problem:

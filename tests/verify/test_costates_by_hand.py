@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
-from gnc_opt.verify.costates import (
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.costate_conditions import (
     _impulses,
     _time_transversality,
     adjoint,
@@ -21,7 +20,8 @@ from gnc_opt.verify.costates import (
     parameters,
     transversality,
 )
-from gnc_opt.verify.judged import ends_of
+from gnc_opt.planning.verification.recomputed import ends_of
+from gnc_opt.tolerances import AT_LIMIT
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -10,13 +10,23 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solution.accessory import fine_times
-from gnc_opt.solution.propagation import state_magnitudes
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import Result, conjugate_points, reduced_hessian, second_order, singular
-from gnc_opt.verify.reduced_hessian import Curvature
-from gnc_opt.verify.second_order import SecondOrder
-from gnc_opt.verify.singular import SingularArc
+from gnc_opt.planning.optimality.accessory import fine_times
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.propagation import state_magnitudes
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification import (
+    bang_bang_second_order as second_order,
+)
+from gnc_opt.planning.verification import (
+    conjugate_points,
+    reduced_hessian,
+)
+from gnc_opt.planning.verification import (
+    singular_arcs as singular,
+)
+from gnc_opt.planning.verification.bang_bang_second_order import SecondOrder
+from gnc_opt.planning.verification.reduced_hessian import Curvature
+from gnc_opt.planning.verification.singular_arcs import SingularArc
 from tests.unit import by_hand
 
 PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL

@@ -14,24 +14,13 @@ import scipy
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.quality import Worst
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.transcription.transcription import transcribe
-from gnc_opt.verify import Result, conjugate_points, controls, feasibility, null_space, singular
-from gnc_opt.verify.brief import lasting
-from gnc_opt.verify.critical_cone import _close_arcs
-from gnc_opt.verify.feasibility import _worst_miss
-from gnc_opt.verify.goh import straight
-from gnc_opt.verify.induced import Unknowns
-from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number
-from gnc_opt.verify.magnitude import Magnitudes, integral_spans
-from gnc_opt.verify.multipliers import _or_one, estimate
-from gnc_opt.verify.null_space import FOUND, SETTLED, NullSpace, _settled, lanczos
-from gnc_opt.verify.reduced_hessian import _least_direction
-from gnc_opt.verify.second_order import _on_bound, _precedences, _worst_crossing, least_squares
-from gnc_opt.verify.switches import GRAZES, Switches, _vanishing
-from gnc_opt.verify.trajectory_fit import (
+from gnc_opt.planning.optimality import kkt as null_space
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
+from gnc_opt.planning.optimality.kkt import FOUND, SETTLED, NullSpace, _settled, lanczos
+from gnc_opt.planning.optimality.multiplier_estimate import _or_one, estimate
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, _vanishing
+from gnc_opt.planning.optimality.switching_problem import Unknowns
+from gnc_opt.planning.optimality.trajectory_fit import (
     Samples,
     _Controls,
     _interpolants,
@@ -41,7 +30,33 @@ from gnc_opt.verify.trajectory_fit import (
     _unmarked_jumps,
     fit,
 )
-from gnc_opt.verify.verify_trajectory import _shaped, _solution
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.quality import Worst
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification import (
+    conjugate_points,
+    feasibility,
+)
+from gnc_opt.planning.verification import (
+    control_conditions as controls,
+)
+from gnc_opt.planning.verification import (
+    singular_arcs as singular,
+)
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    _on_bound,
+    _precedences,
+    _worst_crossing,
+    least_squares,
+)
+from gnc_opt.planning.verification.critical_cone import _close_arcs
+from gnc_opt.planning.verification.feasibility import _worst_miss
+from gnc_opt.planning.verification.goh import straight
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem, has_costates, missing_number
+from gnc_opt.planning.verification.reduced_hessian import _least_direction
+from gnc_opt.planning.verification.verify_trajectory import _shaped, _solution
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]
@@ -527,7 +542,9 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
 def test_variations_are_judged_only_with_all_numbers(
     monkeypatch: pytest.MonkeyPatch, told: bool, missing: float, judged: bool
 ) -> None:
-    module = importlib.import_module("gnc_opt.verify.verify")  # the name is that of the function, too
+    module = importlib.import_module(
+        "gnc_opt.planning.verification.engine"
+    )  # the name is that of the function, too
     problem = by_hand.cart()
     leg = by_hand.phase(problem)
     asked = []

@@ -27,8 +27,8 @@ from wrong import (
 )
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.transcription.quadrature import collocation_rule
 
 E = 1e-3
 Q, V, A = 0, 1, 0

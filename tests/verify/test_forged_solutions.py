@@ -24,8 +24,8 @@ from wrong import (
 )
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 Q, V, A = 0, 1, 0
 

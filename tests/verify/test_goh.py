@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify.goh import CUTS, LEAST_DEGREE, cut, singular_segments
-from gnc_opt.verify.reduced_hessian import _partly_singular
+from gnc_opt.planning.verification.goh import CUTS, LEAST_DEGREE, cut, singular_segments
+from gnc_opt.planning.verification.reduced_hessian import _partly_singular
 from tests.unit import by_hand
 
 NAME = "second order"

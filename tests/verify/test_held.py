@@ -7,8 +7,8 @@ import pytest
 from wrong import scaled, with_leg
 
 import gnc_opt as go
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.held import left_free
+from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 PASS, UNTOLD = go.Result.PASS, go.Result.CANNOT_TELL
 

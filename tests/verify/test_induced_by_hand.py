@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import Result, second_order
-from gnc_opt.verify.induced import Conditions
-from gnc_opt.verify.second_order import EXACT, SecondOrder, obstacle
+from gnc_opt.planning.optimality.switching_problem import Conditions
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification import bang_bang_second_order as second_order
+from gnc_opt.planning.verification.bang_bang_second_order import EXACT, SecondOrder, obstacle
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify.least_cost import _addends, least_cost
-from gnc_opt.verify.verdict import Verdict
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning.verification.sufficiency import _addends, least_cost
 
 
 def tracking(most: float, controls: int = 1, sense: float = 1.0) -> go.Problem:

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from wrong import double_integrator, energy, with_leg
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.verify.feasibility import paths
-from gnc_opt.verify.judged import from_problem
-from gnc_opt.verify.verify import TOLERANCE
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.verification.engine import TOLERANCE
+from gnc_opt.planning.verification.feasibility import paths
+from gnc_opt.planning.verification.recomputed import from_problem
 
 RADIUS = 10.0
 FREE = -1e30

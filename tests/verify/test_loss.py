@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.cost_unit import cost_unit
-from gnc_opt.report.summary_json import summary_dict
+from gnc_opt.planning.optimality.cost_scale import cost_unit
+from gnc_opt.report.json_output import summary_dict
 from gnc_opt.report.verdict_table import verdict_text
 from tests.unit import by_hand
 

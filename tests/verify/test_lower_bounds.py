@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.relaxation import relaxations
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning.study.lower_bound import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
+from gnc_opt.planning.study.relaxation import relaxations
 from gnc_opt.report import summary_dict
-from gnc_opt.verify.global_minimum import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
-from gnc_opt.verify.verdict import Verdict
 
 
 def two_carts(first: float, second: float, drag: float = 0.2) -> go.Problem:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
+from gnc_opt.planning.problem.interval import Interval
 
 
 def idle(n: int, integrand: Callable[[Any], Any], *paths: tuple[Callable[[Any], Any], float]) -> go.Solution:

@@ -11,16 +11,16 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.program_point import ProgramLimits, ProgramPoint
-from gnc_opt.verify import null_space
-from gnc_opt.verify.bang_bang_flow import ORDER
-from gnc_opt.verify.critical_cone import CriticalCone
-from gnc_opt.verify.multipliers import _least_squares, _Limits, _sort_out
-from gnc_opt.verify.normality import _least_dependent, _may_push, normality
-from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
-from gnc_opt.verify.reduced_hessian import least_curvature
-from gnc_opt.verify.second_order import _explained, _extrapolated, _null_space
+from gnc_opt.planning.optimality import kkt as null_space
+from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
+from gnc_opt.planning.optimality.multiplier_estimate import _least_squares, _Limits, _sort_out
+from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.verification.bang_bang_second_order import _explained, _extrapolated, _null_space
+from gnc_opt.planning.verification.critical_cone import CriticalCone
+from gnc_opt.planning.verification.normality import _least_dependent, _may_push, normality
+from gnc_opt.planning.verification.reduced_hessian import least_curvature
 
 Array = NDArray[np.float64]
 RANDOM = np.random.default_rng(5)

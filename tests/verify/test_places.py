@@ -10,8 +10,8 @@ import pytest
 from wrong import bang_bang, moved, with_leg
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 E = 1e-2
 

@@ -11,13 +11,8 @@ import scipy
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.samples import EdgeSegment, PhaseSamples
-from gnc_opt.tolerances import ACTIVE
-from gnc_opt.transcription.transcription import transcribe
-from gnc_opt.verify import pushes
-from gnc_opt.verify.multipliers import estimate
-from gnc_opt.verify.pushes import (
+from gnc_opt.planning.optimality import costate_jumps as pushes
+from gnc_opt.planning.optimality.costate_jumps import (
     Pushers,
     _integrate_anew,
     _reached_or_left,
@@ -26,7 +21,12 @@ from gnc_opt.verify.pushes import (
     path_gradients,
     settle_edges,
 )
-from gnc_opt.verify.trajectory_fit import Samples, fit
+from gnc_opt.planning.optimality.multiplier_estimate import estimate
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.samples import EdgeSegment, PhaseSamples
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.tolerances import ACTIVE
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify import Result
-from gnc_opt.verify.reduced_hessian import lanczos
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.verification.reduced_hessian import lanczos
 
 PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
 

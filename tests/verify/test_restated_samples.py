@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.norms import restated
-from gnc_opt.verify.restated_samples import restated_samples
-from gnc_opt.verify.trajectory_fit import Samples
+from gnc_opt.planning.optimality.trajectory_fit import Samples
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.verification.verify_trajectory import restated_samples
 
 _TIME = 2.5
 _COSTS = {

@@ -10,9 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import least_hamiltonian
-from gnc_opt.verify.least_hamiltonian import _ON_LIMIT, POINTS, _Search, coupled_gains, lattice, limits
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
+from gnc_opt.planning.verification.hamiltonian_minimum import (
+    _ON_LIMIT,
+    POINTS,
+    _Search,
+    coupled_gains,
+    lattice,
+    limits,
+)
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]

@@ -11,16 +11,16 @@ import pytest
 from wrong import one_switch
 
 import gnc_opt as go
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.problem.functions import PhaseFunctions
-from gnc_opt.refine.refine import refine
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import Result
-from gnc_opt.verify.induced import InducedProblem, Unknowns
-from gnc_opt.verify.judged import ends_of, from_problem
-from gnc_opt.verify.second_order import second_order, strict_switches
-from gnc_opt.verify.switches import Switches
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.refinement.engine import refine
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.bang_bang_second_order import second_order, strict_switches
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:

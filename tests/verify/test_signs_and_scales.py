@@ -9,7 +9,7 @@ import pytest
 from wrong import added, double_integrator, failed, free_time, with_leg
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
+from gnc_opt.planning.problem.interval import Interval
 
 # --- multipliers push one way ---------------------------------------------------------------------------
 

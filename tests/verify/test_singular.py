@@ -10,9 +10,9 @@ import pytest
 from wrong import singular_problem
 
 import gnc_opt as go
-from gnc_opt.verify.brief import least_for_long, without_switches
-from gnc_opt.verify.reduced_hessian import critical_cone, flown_spans, rounding_of_cost
-from gnc_opt.verify.singular import chatters
+from gnc_opt.planning.optimality.cost_scale import least_for_long, without_switches
+from gnc_opt.planning.verification.reduced_hessian import critical_cone, flown_spans, rounding_of_cost
+from gnc_opt.planning.verification.singular_arcs import chatters
 from tests.unit import by_hand
 
 NAME = "generalised Legendre-Clebsch"

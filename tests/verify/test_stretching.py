@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from gnc_opt.verify.stretching import DENSE, factorised
+from gnc_opt.planning.optimality.kkt import DENSE, factorised
 
 N = 900
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import Result
-from gnc_opt.verify.reduced_hessian import _jumping_control, _partly_singular, _rich
-from gnc_opt.verify.second_order import is_bang_bang, obstacle, strict_switches
-from gnc_opt.verify.switches import GRAZES, Switches, _joined
-from gnc_opt.verify.verify_trajectory import _arcs
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, _joined
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang, obstacle, strict_switches
+from gnc_opt.planning.verification.reduced_hessian import _jumping_control, _partly_singular, _rich
+from gnc_opt.planning.verification.verify_trajectory import _arcs
 from tests.unit import by_hand
 
 Slopes = tuple[Callable[[Any], Any], ...]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gnc_opt.verify.trajectory_fit import (
+from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     Samples,
     _carried,

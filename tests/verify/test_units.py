@@ -11,8 +11,8 @@ import pytest
 from wrong import with_leg
 
 import gnc_opt as go
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.verify.judged import from_problem
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.verification.recomputed import from_problem
 
 
 @dataclass(frozen=True)

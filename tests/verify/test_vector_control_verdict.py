@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.solution.program_point import ProgramPoint
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.aim import aimed_gradient, lone_vector, without_idle_directions
-from gnc_opt.verify.critical_cone import CriticalCone
-from gnc_opt.verify.least_hamiltonian import _Search, limits
+from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.critical_cone import (
+    CriticalCone,
+    aimed_gradient,
+    lone_vector,
+    without_idle_directions,
+)
+from gnc_opt.planning.verification.hamiltonian_minimum import _Search, limits
 
 MAGNITUDE, DIRECTION = 0, slice(1, 3)
 

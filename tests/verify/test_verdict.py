@@ -10,9 +10,9 @@ import pytest
 from wrong import added, with_leg
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.verify import Result
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 
 def double_integrator() -> go.Model:
@@ -291,10 +291,10 @@ def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_a
     right = go.solve(minimum_energy(), mesh="4x3", tol=None)
     leg = right.phases["leg"]
     wrong = with_leg(right, lam=scaled(leg.lam, 1.1))
-    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3)
+    monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3)
     assert go.verify(replace(right))["second order"].result is Result.PASS
     assert "not looked at" not in go.verify(replace(wrong))["second order"].where
-    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3 - 1)
+    monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3 - 1)
     assert go.verify(replace(right)).minimum
     verdict = go.verify(replace(wrong))
     assert not verdict.ok and verdict["second order"].where.startswith("not looked at")

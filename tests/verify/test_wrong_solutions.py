@@ -34,11 +34,11 @@ from wrong import (
 )
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.propagation import propagate
-from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.controls import singular_arcs, undetermined
-from gnc_opt.verify.pushes import jumps_explained, settle_edges
+from gnc_opt.planning.optimality.costate_jumps import jumps_explained, settle_edges
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.propagation import propagate
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.control_conditions import singular_arcs, undetermined
 
 SMALL = 1e-3
 

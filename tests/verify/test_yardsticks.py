@@ -11,8 +11,8 @@ import pytest
 from wrong import added, double_integrator, failed, scaled, shifted, with_leg
 
 import gnc_opt as go
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.samples import PhaseSamples
 
 Q, V, A = 0, 1, 0
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.transcription.scheme import Scheme
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.transcription.scheme import Scheme
 
 Array = NDArray[np.float64]
 Piece = Literal["x", "u", "lam"]

@@ -17,8 +17,8 @@ from benchmarks.validation.verdict.non_minimal_extremals import (
     repelled,
 )
 from benchmarks.validation.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
-from gnc_opt.examples import example
-from gnc_opt.solution.history import RefinementStatus
+from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.problem_file import example
 from problems import rendezvous
 
 FILES = (

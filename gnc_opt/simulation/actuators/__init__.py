@@ -1,19 +1,19 @@
 """Actuators: what becomes of a command on its way to the plant.
 
 A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it
-(`gnc_opt.simulation.wave`), blocks without memory act at every time, and all others are devices that work once per
+(`gnc_opt.simulation.intersample_input`), blocks without memory act at every time, and all others are devices that work once per
 minor step, with the mean of what they get.
 """
 
-from gnc_opt.simulation.actuators.following import Delay, Hold, Lag, RateLimit
-from gnc_opt.simulation.actuators.instant import (
+from gnc_opt.simulation.actuators.dynamic import Delay, Hold, Lag, RateLimit
+from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
+from gnc_opt.simulation.actuators.static import (
     Deadband,
     MinimumImpulse,
     Quantisation,
     Saturation,
     ScaleFactor,
 )
-from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
 
 __all__ = [
     "Deadband",

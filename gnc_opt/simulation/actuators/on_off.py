@@ -10,9 +10,9 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.steps import is_first, next_phase, whole_steps
+from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.actuators.following import INSTANT
+from gnc_opt.simulation.actuators.dynamic import INSTANT
 from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, scalar, values
 
 

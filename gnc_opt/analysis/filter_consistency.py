@@ -1,0 +1,273 @@
+r"""Consistency: whether an estimator's errors are as large as it says.
+
+The normalised estimation error squared, :math:`\text{NEES} = e^T P^{-1} e`, of a right filter of a linear system is
+chi-square distributed with as many degrees of freedom as e has components, and so is the normalised innovation squared
+(NIS) with those of its measurement m. Behind a gate at :math:`c` it is so given that it is not above c,
+
+.. math:: E = m \frac{F_{m+2}(c)}{F_m(c)}, \qquad E^{(2)} = m (m + 2) \frac{F_{m+4}(c)}{F_m(c)},
+
+:math:`F_k` the distribution function of chi-square with k degrees of freedom: less than m. The band of its mean is that
+of the chi-square distribution scaled to this mean and variance. Innovations are independent of each other; estimation
+errors are so only between runs.
+
+Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gnc_opt.arguments import Strict, expect, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.estimation.chi_square import chi_square
+from gnc_opt.estimation.estimator import Estimator
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.run import Run
+from gnc_opt.tolerances import ROUNDING
+
+Band = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class InnovationTest(Strict):
+    """The innovations of one measurement.
+
+    Attributes
+    ----------
+    average : float
+        Mean NIS of the samples taken, over all runs; not-a-number if none was.
+    band : tuple of two floats
+        Between which that mean is with the confidence asked for, if the filter is right; behind a gate, that of what
+        passes it.
+    taken, refused : int
+        Samples used, and refused by the gate.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> from gnc_opt.analysis import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-4)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> told = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf).innovations["q"]
+    >>> print(told.taken, told.ok)  # the gauge is ten times worse than the filter was told
+    80 False
+    """
+
+    average: float
+    band: Band
+    taken: int
+    refused: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether the mean is within its band."""
+        return self.band[0] <= self.average <= self.band[1]
+
+
+@dataclass(frozen=True)
+class Consistency(Strict):
+    """Errors and innovations of an estimator against its covariances.
+
+    Attributes
+    ----------
+    nees : array (n_times,) or (m,)
+        Of the predictions at the control steps and the end of a run, or at the ends of the m runs of a campaign;
+        not-a-number where a run has no such end.
+    average : float
+        Mean of ``nees``.
+    band : tuple of two floats
+        Of a campaign: between which that mean is with the confidence asked for, if the filter is right. Of a run: that
+        of each single value, whose successive ones depend on each other.
+    components : int
+        Of the error, the mean to be expected.
+    independent : bool
+        Whether the values of ``nees`` are (campaigns).
+    confidence : float
+    innovations : mapping of str to InnovationTest
+        By measurement.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> from gnc_opt.analysis import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> judged = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
+    >>> print(judged.nees.shape, f"{judged.within:.0%} within {np.round(judged.band, 2)}")
+    (81,) 91% within [0.05 7.38]
+    """
+
+    nees: Array
+    average: float
+    band: Band
+    components: int
+    independent: bool
+    confidence: float
+    innovations: Mapping[str, InnovationTest]
+
+    @property
+    def ok(self) -> bool:
+        """Whether all means are within their bands; of a run, those of the innovations."""
+        inside = not self.independent or self.band[0] <= self.average <= self.band[1]
+        return inside and all(test.ok for test in self.innovations.values())
+
+    @property
+    def within(self) -> float:
+        """Share of the values of ``nees`` within the band of single values; the confidence is to be expected."""
+        low, high = _band(self.components, 1, self.confidence)
+        known = self.nees[np.isfinite(self.nees)]
+        return float(np.mean((known >= low) & (known <= high))) if known.size else float("nan")
+
+    def __str__(self) -> str:
+        low, high = self.band
+        where = "mean over the runs" if self.independent else "mean over the run, band of single values"
+        lines = [
+            f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"
+        ]
+        for name, test in self.innovations.items():
+            if not test.taken:
+                lines.append(f"NIS of {name}: no sample taken ({test.refused} refused)")
+                continue
+            low, high = test.band
+            lines.append(
+                f"NIS of {name} {test.average:.4g}, {low:.4g} to {high:.4g} expected "
+                f"({test.taken} samples, {test.refused} refused)"
+            )
+        return "\n".join([*lines, f"bands: {100 * self.confidence:g} %"])
+
+
+def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: float = 0.95) -> Consistency:
+    """Return how the errors and innovations of an estimator compare with what it says of them.
+
+    Parameters
+    ----------
+    flown : Run or Campaign
+        Of a loop with that estimator.
+    estimator : Estimator
+    confidence : float
+        In (0, 1).
+
+    Returns
+    -------
+    Consistency
+
+    Raises
+    ------
+    ArgumentError
+        The loop had another estimator, the plant has none of its states, or a state is known exactly.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> from gnc_opt.analysis import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> flown = filtered.simulate([1.05, 0.01], tf=8.0)
+    >>> judged = consistency(flown, ekf)
+    >>> print(judged.components, judged.innovations["q"].ok)
+    2 True
+    """
+    expect(estimator, Estimator, "what consistency() got", "give the estimator of the loop")
+    level = read_positive(confidence, "the confidence of consistency()")
+    if level >= 1:
+        raise ArgumentError(f"the confidence of consistency() is {level:g}: give a number in (0, 1).")
+    if not isinstance(flown, (Run, Campaign)):
+        expect(flown, Run, "what consistency() got", "give a run or a campaign")
+    layout = flown.layouts.get("memory")
+    missing = [
+        v.name
+        for v in estimator.memory.variables
+        if layout is None or v.name not in layout or layout[v.name].size != v.size
+    ]
+    if missing or layout is None or not flown.memory.size:
+        raise ArgumentError(
+            f"the loop remembers no '{missing[0] if missing else 'state'}' like it: it had no '{estimator.name}'."
+        )
+    memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
+    independent = isinstance(flown, Campaign)
+    nees, components = _nees(flown, estimator, memory)
+    known = nees[np.isfinite(nees)]
+    ends = memory if independent else memory[:, -1:]
+    return Consistency(
+        nees=nees,
+        average=float(np.mean(known)) if known.size else float("nan"),
+        band=_band(components, known.size if independent else 1, level),
+        components=components,
+        independent=independent,
+        confidence=level,
+        innovations={name: _innovations(estimator, name, ends, level) for name in estimator.sizes},
+    )
+
+
+def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
+    """Return the NEES of all columns, and of how many components."""
+    there = flown.layouts["state"]
+    shared = [name for name in estimator.states.names if name in there]
+    if not shared:
+        raise ArgumentError(
+            f"the plant has no state that '{estimator.name}' estimates: there is nothing to compare with."
+        )
+    estimate = estimator.estimate(memory)
+    truth = estimate.copy()
+    for name in shared:
+        truth[estimator.states.slice(name)] = flown.states[there.slice(name)]
+    rows = np.concatenate([np.r_[estimator.errors.slice(name)] for name in shared])
+    errors = np.asarray(estimator.error(truth, estimate).full())[rows]
+    P = estimator.covariance(memory)[:, rows][:, :, rows]
+    sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    # what is known better than a state can be computed says nothing of the filter
+    least = np.concatenate([
+        np.tile(ROUNDING * np.max(np.abs(truth[estimator.states.slice(name)]), axis=0), (size, 1))
+        for name, size in ((name, estimator.errors[name].size) for name in shared)
+    ])  # fmt: skip
+    exact = sigma <= np.nan_to_num(least.T, posinf=0.0)
+    if np.any(exact):
+        label = estimator.errors.labels[rows[int(np.flatnonzero(np.any(exact, axis=0))[0])]]
+        raise ArgumentError(
+            f"'{estimator.name}' holds '{label}' for exactly known, to rounding: give sigma0 > 0, and process_noise "
+            "where it decays, to compare errors."
+        )
+    found = np.full(errors.shape[1], np.nan)
+    good = np.all(np.isfinite(errors), axis=0) & np.all(np.isfinite(P), axis=(1, 2))
+    scaled = errors.T[good] / sigma[good]
+    correlation = P[good] / (sigma[good][:, :, None] * sigma[good][:, None, :])
+    found[good] = np.sum(scaled * np.linalg.solve(correlation, scaled[:, :, None])[:, :, 0], axis=1)
+    return found, rows.size
+
+
+def _innovations(estimator: Estimator, name: str, ends: Array, confidence: float) -> InnovationTest:
+    total, taken, refused = (
+        float(np.nansum(ends[estimator.memory.slice(f"{name}_{what}")]))
+        for what in ("nis", "taken", "refused")
+    )
+    return InnovationTest(
+        average=total / taken if taken else float("nan"),
+        band=_band(estimator.sizes[name], int(taken), confidence, estimator.gates.get(name)),
+        taken=int(taken),
+        refused=int(refused),
+    )
+
+
+def _band(components: int, values: int, confidence: float, gate: float | None = None) -> Band:
+    """Return the interval that the mean of independent chi-square values is in with a confidence, equal tails.
+
+    Of those that pass the gate, if there is one.
+    """
+    if values < 1:
+        return float("nan"), float("nan")
+    mean, freedom = (components, components) if gate is None else _gated(components, gate)
+    low, high = (chi_square(freedom * values, p) for p in (0.5 - confidence / 2, 0.5 + confidence / 2))
+    return mean * low / (freedom * values), mean * high / (freedom * values)
+
+
+def _gated(components: int, gate: float) -> tuple[float, float]:
+    """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
+    half, limit = components / 2, chi_square(components, gate) / 2
+    first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))
+    mean = components * first
+    return mean, 2 * mean**2 / (components * (components + 2) * second - mean**2)

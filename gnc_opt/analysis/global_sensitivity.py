@@ -1,0 +1,341 @@
+r"""Drivers: which dispersion drives which measure.
+
+*Sobol' indices* divide the variance V of a measure f among the factors, the dispersions and the noise. With rows of
+two independent campaigns A and B, and A with one factor taken from B, :math:`AB_i`,
+
+.. math::
+    S_i = \frac{1}{V} \overline{f_B\,(f_{AB_i} - f_A)}, \qquad T_i = \frac{1}{2 V} \overline{(f_A - f_{AB_i})^2}:
+
+the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are percentiles
+of the same from rows drawn with replacement (bootstrap).
+
+*Correlations* need no runs of their own: Spearman's, of the ranks, from a campaign that is there.
+
+References
+----------
+A. Saltelli, P. Annoni, I. Azzini, F. Campolongo, M. Ratto, S. Tarantola, Variance based sensitivity analysis of model
+output, Computer Physics Communications 181 (2010), table 2. E. C. Fieller, H. O. Hartley, E. S. Pearson, Tests for rank
+correlation coefficients I, Biometrika 44 (1957).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import scipy
+
+from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.arguments import expect, read_integer
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE
+from gnc_opt.simulation.dispersions import dispersed
+from gnc_opt.workers import Shared, WorkerPool
+
+NOISE = "noise"
+"""The factor that all random numbers of the control steps are."""
+
+_ROWS = 25
+"""Rows that a process flies at a time."""
+
+_RESAMPLED = 1000
+"""Samples of the bootstrap."""
+
+_OTHER = 1
+"""Added to the seed: campaign B."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A number with its interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> share = correlations(campaign, "max(overshoot)").ranks["initial.q"]
+    >>> print(share.low <= share.value <= share.high)
+    True
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
+
+
+@dataclass(frozen=True, eq=False)
+class SobolIndices:
+    """Shares of the variance of a measure; see `sobol_indices`.
+
+    Attributes
+    ----------
+    measure : str
+    mean, variance : float
+        Of the measure.
+    first, total : mapping of str to Share
+        S and T by factor: dispersions by their names, and "noise".
+    confidence : float
+        Of each interval.
+    rows, lost : int
+        Rows that were used, and those that were left out since a run of theirs failed.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import sobol_indices
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
+    >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
+    ('initial.q', 'initial.v', 'noise') 50 -0.13
+    """
+
+    measure: str
+    mean: float
+    variance: float
+    first: Mapping[str, Share]
+    total: Mapping[str, Share]
+    confidence: float
+    rows: int
+    lost: int
+
+    def __str__(self) -> str:
+        width = max(map(len, self.total))
+        lines = [
+            f"what drives '{self.measure}' (mean {self.mean:.4g}, standard deviation {np.sqrt(self.variance):.3g})",
+            f"  {'':{width}}  first order              total",
+        ]
+        for name in sorted(self.total, key=lambda n: -self.total[n].value):
+            lines.append(f"  {name:{width}}  {self.first[name]!s:23}  {self.total[name]}")
+        without = f", {self.lost} left out: their runs failed" if self.lost else ""
+        lines.append(f"  {self.rows} rows{without}; intervals: {100 * self.confidence:g} %")
+        return "\n".join(lines)
+
+
+def sobol_indices(
+    experiment: Experiment,
+    measure: str,
+    *,
+    n: int = 500,
+    confidence: float = CONFIDENCE,
+    executor: Executor | Literal["serial"] | None = None,
+) -> SobolIndices:
+    """Divide the variance of a measure among the dispersions and the noise.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        A vector that is dispersed is one factor.
+    measure : str
+        As in `Campaign.measure`, or one of the experiment's ``judge``.
+    n : int
+        Rows; a row takes two runs and one more for each factor.
+    confidence : float
+        Of each interval, in (0, 1).
+    executor : concurrent.futures.Executor or "serial", optional
+        As in `monte_carlo`.
+
+    Returns
+    -------
+    SobolIndices
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit, or the measure does not vary; the message names it.
+    GncOptError
+        Runs could not be flown, or hardly a row is without a failed one.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import sobol_indices
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
+    >>> print(max(shares.total, key=lambda name: shares.total[name].value))
+    initial.q
+    """
+    name = "sobol_indices()"
+    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    experiment.require(measure)
+    count = read_integer(n, f"the number of rows of {name}", 10)
+    level = _confidence(confidence, name)
+    design = _Design(experiment, measure)
+    shared = Shared.picklable(
+        design, name, 'define judge= functions at the top of a module, or use executor="serial"'
+    )
+    chunks = [range(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
+    with WorkerPool(shared, executor, name) as pool:
+        done = pool.run(_Design.rows, chunks, lambda _: None)
+    errors = [each.error for each in done if each.answer is None]
+    if errors or len(done) < len(chunks):
+        raise GncOptError(
+            f"{name} could not fly all its runs: {errors[0] if errors else 'it was interrupted'}."
+        )
+    f = np.hstack([each.answer for each in done if each.answer is not None])
+    usable = np.isfinite(f).all(axis=0)
+    if np.sum(usable) < max(10, count // 2):
+        raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
+    return _indices(measure, design.factors, f[:, usable], count, level, experiment.seed)
+
+
+def _indices(
+    measure: str, factors: tuple[str, ...], f: Array, asked: int, level: float, seed: int
+) -> SobolIndices:
+    mean, variance = float(f[:2].mean()), float(f[:2].var())
+    if not variance > (np.finfo(float).eps * mean) ** 2:
+        raise ArgumentError(f"'{measure}' does not vary: disperse something that moves it.")
+    first, total = estimates(f)
+    rows = f.shape[1]
+    generator = np.random.default_rng([seed, rows])
+    again = [estimates(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
+    ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
+
+    def shares(values: Array, which: int) -> dict[str, Share]:
+        return {
+            name: Share(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
+            for i, name in enumerate(factors)
+        }
+
+    return SobolIndices(
+        measure, mean, variance, shares(first, 0), shares(total, 1), level, rows, asked - rows
+    )
+
+
+def estimates(f: Array) -> tuple[Array, Array]:
+    """Return S and T (n_factors,) from values (2 + n_factors, n_rows) of A, B and AB_i."""
+    centred = f - f[:2].mean()
+    a, b, mixed = centred[0], centred[1], centred[2:]
+    variance = centred[:2].var()
+    return (b * (mixed - a)).mean(axis=1) / variance, ((a - mixed) ** 2).mean(axis=1) / (2 * variance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """The runs of rows."""
+
+    experiment: Experiment
+    measure: str
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        noise = (NOISE,) if self.experiment.noise_size else ()
+        return (*self.experiment.dispersions, *noise)
+
+    def rows(self, rows: range) -> Array:
+        """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
+        flight, dispersions = self.experiment.flight, self.experiment.dispersions
+        a, b = (
+            np.stack([dispersed(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1)
+            for s in (2 * self.experiment.seed, 2 * self.experiment.seed + _OTHER)
+        )
+        numbers = [[[2 * self.experiment.seed + k, i] for i in rows] for k in (0, _OTHER)]
+        found = [self._values(a, numbers[0]), self._values(b, numbers[1])]
+        for name in dispersions:
+            mixed, place = a.copy(), flight.layout.slice(name)
+            mixed[place] = b[place]
+            found.append(self._values(mixed, numbers[0]))
+        if self.experiment.noise_size:
+            found.append(self._values(a, numbers[1]))
+        return np.stack(found)
+
+    def _values(self, P: Array, seeds: list[list[int]]) -> Array:
+        return self.experiment.values(self.measure, P, seeds)
+
+
+@dataclass(frozen=True, eq=False)
+class Correlations:
+    """Rank correlations of what was drawn with a measure; see `correlations`.
+
+    Attributes
+    ----------
+    measure : str
+    ranks : mapping of str to Share
+        Spearman's coefficient by component of what was dispersed, the strongest first.
+    confidence : float
+        Of each interval.
+    runs : int
+        That have a value.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> strongest = next(iter(correlations(campaign, "max(overshoot)").ranks))
+    >>> print(strongest)
+    initial.q
+    """
+
+    measure: str
+    ranks: Mapping[str, Share] = field(repr=False)
+    confidence: float
+    runs: int
+
+    def __str__(self) -> str:
+        width = max([1, *map(len, self.ranks)])
+        lines = [
+            f"rank correlation with '{self.measure}', {self.runs} runs, intervals {100 * self.confidence:g} %"
+        ]
+        return "\n".join([*lines, *(f"  {name:{width}}  {share}" for name, share in self.ranks.items())])
+
+
+def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFIDENCE) -> Correlations:
+    """Return how what was drawn is correlated with a measure, by rank, from the runs of a campaign.
+
+    It sees what rises or falls with a dispersion; what is least in the middle (a norm of errors with the mean zero) it
+    does not: `sobol_indices` does.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    measure : str
+        See `Campaign.measure`.
+    confidence : float
+        Of each interval, in (0, 1).
+
+    Returns
+    -------
+    Correlations
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        There is no such measure, or fewer than five runs have a value.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> print(correlations(campaign, "max(overshoot)"))
+    rank correlation with 'max(overshoot)', 20 runs, intervals 95 %
+      initial.q  0.932 (0.829 to 0.974)
+      initial.v  -0.194 (-0.595 to 0.285)
+    """
+    expect(campaign, Campaign, "what correlations() got", "give what monte_carlo() returned")
+    level = _confidence(confidence, "correlations()")
+    values = campaign.measure(measure)
+    known = np.isfinite(values)
+    runs = int(np.sum(known))
+    if runs < 5:
+        raise ArgumentError(f"{runs} runs have a value of '{measure}': fly at least five.")
+    half = -scipy.special.ndtri(0.5 - level / 2) * 1.03 / np.sqrt(runs - 3)  # Fieller, Hartley and Pearson
+    found = {}
+    for label, row in zip(campaign.layouts["parameter"].labels, campaign.parameters[:, known], strict=True):
+        if np.ptp(row) > 0 and np.ptp(values[known]) > 0:
+            r = float(scipy.stats.spearmanr(row, values[known])[0])
+            z = np.arctanh(np.clip(r, -1 + 1e-12, 1 - 1e-12))
+            found[label] = Share(r, float(np.tanh(z - half)), float(np.tanh(z + half)))
+    ordered = dict(sorted(found.items(), key=lambda item: -abs(item[1].value)))
+    return Correlations(measure, ordered, level, runs)
+
+
+def _confidence(value: float, caller: str) -> float:
+    if not 0 < value < 1:
+        raise ArgumentError(f"the confidence of {caller} is {value!r}: give a number between 0 and 1.")
+    return float(value)

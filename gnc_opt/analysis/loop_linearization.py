@@ -1,0 +1,249 @@
+r"""Linearization: the derivatives of a closed loop's control steps along its nominal run.
+
+The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) holds everything: plant,
+sensors, estimator, controller, actuators. About the nominal run, the one without noise,
+
+.. math::
+    \delta X_{k+1} = A_k\, \delta X_k + G_k\, n_k + H_k\, \delta P, \qquad
+    \delta y_k = C_k\, \delta X_k + D_k\, n_k + E_k\, \delta P,
+
+n the standard normal numbers of the step, y what is logged. The derivatives are those of the compiled functions
+themselves; what only keeps the books (times of faults, say) is left out of X.
+
+The covariance P of a filter weighs innovations, and these are small on the nominal run. Where what it carries is much
+(a thousand entries for late samples) it may be *held*: taken as it is there. What that leaves out is told step by step,
+as the derivative by a common factor of P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.estimation.kalman_filter import COVARIANCE
+from gnc_opt.simulation.compiled_loop import LEG, Flight
+from gnc_opt.simulation.signals import Places
+from gnc_opt.simulation.wiring import Wiring
+
+OUTPUTS = ("commands", "applied")
+"""Parts of the log that are differentiated."""
+
+_CARRIED = ("plant", "sensor", "actuator", "push", "memory")
+"""First words of the parts of X that are differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearStep:
+    """One control step, see the module.
+
+    Attributes
+    ----------
+    X_next : array (n_X,)
+        Nominal column after it.
+    y : array (n_y,)
+        Nominal `OUTPUTS`.
+    a, g, h : array
+        Derivatives of the next column by X, noise and parameters.
+    c, d, e : array
+        The same of `OUTPUTS`.
+    by_held : array (n,)
+        Derivatives of the carried part of the next column by a common factor of what is held.
+    """
+
+    X_next: Array
+    y: Array
+    a: Array
+    g: Array
+    h: Array
+    c: Array
+    d: Array
+    e: Array
+    by_held: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A loop along its nominal run.
+
+    Parameters
+    ----------
+    flight : Flight
+    wiring : Wiring
+        Of the loop.
+    columns : sequence of int
+        Places in P by which is differentiated.
+    hold : bool
+        Whether the covariance of a filter is held.
+
+    Raises
+    ------
+    ArgumentError
+        The loop has events, whose instants scatter, or re-plans: neither has a derivative at a fixed time.
+    """
+
+    flight: Flight
+    wiring: Wiring
+    columns: Sequence[int]
+    hold: bool = False
+
+    def __post_init__(self) -> None:
+        if self.flight.replanner is not None:
+            raise ArgumentError(
+                "the loop re-plans in flight, which has no derivative: leave the replanner out, or fly monte_carlo()."
+            )
+        if self.flight.events.size:
+            raise ArgumentError(
+                f"the loop has events ('{self.flight.events.names[0]}'), whose instants scatter: a linearization knows "
+                "fixed times alone; leave the events out, or fly monte_carlo()."
+            )
+
+    @cached_property
+    def state(self) -> Places:
+        """Names and sizes of what is differentiated of X."""
+        parts = self.flight.kernel.state.parts
+        held = {"memory": len(self.held)}
+        return Places(
+            tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
+        )
+
+    @property
+    def output(self) -> Places:
+        """Names and sizes of what is differentiated of the log."""
+        sizes = dict(self.flight.kernel.log.parts)
+        return Places(tuple((name, sizes[name]) for name in OUTPUTS))
+
+    @cached_property
+    def noises(self) -> dict[str, slice]:
+        """Places in n of the blocks that draw random numbers, by their names."""
+        blocks = {
+            f"{kind} {i}": link.block.name
+            for kind, links in (
+                ("sensor", self.wiring.sensors),
+                ("actuator", self.wiring.actuators),
+                ("push", self.wiring.disturbances),
+            )
+            for i, link in enumerate(links)
+        }
+        found, at = {}, 0
+        for name, size in self.flight.kernel.known.parts:
+            if name in blocks:
+                if size:
+                    found[blocks[name]] = slice(at, at + size)
+                at += size
+        return found
+
+    def start(self) -> tuple[Array, Array, Array]:
+        """Return the nominal first column X (n_X,) and its derivatives by the first step's noise and the parameters."""
+        kernel, P = self.flight.kernel, self.flight.nominal
+        w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
+        first = kernel.start(w, p)
+        parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
+        row = next(self._rows())
+        X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
+        keep = self.carried
+        return X[:, 0], by_w[keep][:, self.drawn], by_p[keep][:, self.columns]
+
+    def steps(self, X: Array) -> Iterator[LinearStep]:
+        """Yield the control steps of the nominal run that begins with the column X (n_X,).
+
+        Raises
+        ------
+        ArgumentError
+            The run or its derivatives are not finite.
+        """
+        constants = self.flight.kernel.constants
+        C = np.asarray(constants(self.flight.nominal).full()[:, 0])
+        by_P = self._by_constants
+        n = self.state.size
+        for k, row in enumerate(self._rows()):
+            after, y, *jacobians = self._function(X[self.carried], X[self._rest], row, C)
+            by_X, by_w, by_C, by_held = (np.asarray(j.full()) for j in jacobians)
+            by_P_now = by_C @ by_P
+            self._require_finite(k, np.hstack([by_X, by_w, by_P_now]))
+            X = np.asarray(after.full()[:, 0])
+            outputs = np.asarray(y.full()[:, 0])
+            derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
+            yield LinearStep(X, outputs, *derivatives, by_held[:n, 0])
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    @cached_property
+    def carried(self) -> list[int]:
+        """Places in X of what is differentiated."""
+        held = set(self.held)
+        return [int(i) for name, _ in self.state.parts for i in self._places[name] if i not in held]
+
+    @cached_property
+    def held(self) -> list[int]:
+        """Places in X of what is taken as it is on the nominal run."""
+        memory = self.wiring.controller.memory
+        if not self.hold or COVARIANCE not in memory:
+            return []
+        return [int(i) for i in self._places["memory"][memory.slice(COVARIANCE)]]
+
+    @cached_property
+    def _rest(self) -> list[int]:
+        carried = set(self.carried)
+        return [i for i in range(self.flight.kernel.state.size) if i not in carried]
+
+    @property
+    def _places(self) -> dict[str, Array]:
+        kernel_state = self.flight.kernel.state
+        return kernel_state.split(np.arange(kernel_state.size))
+
+    @cached_property
+    def drawn(self) -> list[int]:
+        """Places of the random numbers in w."""
+        return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
+
+    @cached_property
+    def _function(self) -> Any:
+        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC, d/dfactor)``.
+
+        The derivatives are those of the carried part of X_next and below it of y.
+        """
+        step = self.flight.kernel.step
+        kind = ca.SX if step.is_a("SXFunction") else ca.MX
+        places, rest = self.carried, self._rest
+        x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
+        w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
+        after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
+        told = self.flight.kernel.log.split(log)
+        y = ca.vertcat(*[told[name] for name in OUTPUTS])
+        column = ca.vertcat(after[places], y)
+        by_factor = ca.jtimes(column, others, others * ca.DM(np.isin(rest, self.held)))
+        jacobians = [ca.jacobian(column, x), ca.jacobian(column, w)[:, self.drawn], ca.jacobian(column, C)]
+        return ca.Function("linear", [x, others, w, C], [after, y, *jacobians, by_factor])
+
+    @cached_property
+    def _by_constants(self) -> Array:
+        """Derivatives of the constants C by the chosen columns of P."""
+        constants = self.flight.kernel.constants
+        p = ca.SX.sym("P", constants.size1_in(0))
+        jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
+        return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
+
+    def _rows(self) -> Iterator[Array]:
+        """Yield what is known for each step, without noise."""
+        for _, rows in self.flight.legs(
+            0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
+        ):
+            rows[:, self.drawn] = 0.0
+            yield from rows
+
+    def _require_finite(self, k: int, derivatives: Array) -> None:
+        bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
+        if bad.size:
+            sizes = (*self.state.parts[1:], *self.output.parts)
+            names = [*self.flight.states.labels, *(name for name, size in sizes for _ in range(size))]
+            raise ArgumentError(
+                f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at {self.flight.times[k]:g} s "
+                "of the nominal run: choose another nominal run, or fly monte_carlo()."
+            )

@@ -1,0 +1,291 @@
+r"""Frequency domain: what a closed loop as a whole does to frequencies, at instants along its nominal run.
+
+The loop is cut where the commands leave the controller. With v what the actuators get and u what the controller asks
+for, the linearized step (`Linearization`) of the closed loop, with d added to the command (v = u + d), is
+
+.. math:: \delta X^+ = A\, \delta X + B\, d, \qquad u = C\, \delta X,
+
+without direct way from d to u, since the controller has measured before. So the open loop is
+:math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}`, its complement :math:`T = L S`, with
+all of it inside: sampling, holding, sensors, estimator, delays, lags. Each instant is taken by itself ("frozen"): what
+is periodic or changes within the times of the loop, such as sensors read every few steps, is not described.
+
+Margins are those of `gnc_opt.control.loop_margins`, one command at a time and all at once (disk).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.analysis.linear_covariance import PlantModes
+from gnc_opt.analysis.loop_linearization import Linearization
+from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.control.loop_margins import Margins, linked, margins
+from gnc_opt.control.sampled_data import continuous_poles
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.variables import Layout
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
+from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.simulation.sensors import Sampling
+
+_PROBE = "probe of the command"
+
+_STABLE = 1.0 + 1e-9
+"""Size of a pole up to which a frozen loop counts as stable: integrals of what no control moves stay where they are."""
+
+_LOOKS = np.array([0.01, 0.1, 0.5])
+"""Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
+
+_NOTHING_LEFT = 1e-14
+"""Of a disturbance: less of it is rounding, and the open loop infinite."""
+
+_NOTHING = 1e-12
+"""Responses to a command that are rounding."""
+
+
+@dataclass(frozen=True)
+class _Probe(Block):
+    """Adds d to the command."""
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"d": (np.zeros(size), unit)}
+
+    @property
+    def memoryless(self) -> bool:
+        return True
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(signal + p["d"], state)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopResponse(Strict):
+    """A loop cut at its commands, at some instants; see `loop_response`. Frequencies are in rad/s.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+        s.
+    a, b, c : array
+        (n_times, n, n), (n_times, n, m), (n_times, m, n): the closed loop from d to u.
+    dt : float
+        Control step, s.
+    commands : Layout
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import loop_response
+    >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
+    >>> print(f"|S| at 1 rad/s: {abs(response.sensitivity([1.0])).item():.2f}")
+    |S| at 1 rad/s: 0.63
+    """
+
+    times: Array
+    a: Array
+    b: Array
+    c: Array
+    dt: float
+    commands: Layout = field(repr=False)
+
+    def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
+        """Return L, (n_omega, m, m) complex, at one of the instants."""
+        closed = self._closed(omega, index)
+        left = np.eye(closed.shape[1]) + closed
+        if np.any(
+            np.linalg.norm(left, -2, axis=(1, 2)) <= _NOTHING_LEFT * np.linalg.norm(closed, 2, axis=(1, 2))
+        ):
+            raise _at_a_pole()
+        return _solved(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
+
+    def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
+        """Return S, (n_omega, m, m) complex: what of d is left in what the actuators get."""
+        closed = self._closed(omega, index)
+        return np.asarray(np.eye(closed.shape[1]) + closed)
+
+    def channel(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
+        """Return the open loop of one command, (n_omega,) complex, the others closed."""
+        i = self.commands.labels.index(self._label(command))
+        return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)
+
+    def poles(self, index: int = 0) -> Array:
+        """Return the poles z of the closed loop, (n,) complex."""
+        return np.asarray(np.linalg.eigvals(self.a[self._instant(index)]).astype(complex))
+
+    def stable(self, index: int = 0) -> bool:
+        """Whether the frozen loop is."""
+        return bool(np.all(np.abs(self.poles(index)) <= _STABLE))
+
+    def margins(self, index: int = 0) -> Margins:
+        """Return gain, phase, delay and disk margins at one of the instants.
+
+        Raises
+        ------
+        ArgumentError
+            The frozen loop is not stable there, or open: no command moves anything, for all are at their limits.
+        """
+        if not self.stable(index):
+            z = max(self.poles(index), key=abs)
+            raise ArgumentError(
+                f"the loop frozen at {self.times[index]:g} s is not stable (pole {z:.6g}), so it has no margins: "
+                "look at poles()."
+            )
+        if self._open(index):
+            raise ArgumentError(
+                f"the loop frozen at {self.times[index]:g} s is open: it feeds back, but its commands move nothing "
+                "(they are at their limits), so it has no margins; choose other instants (at=)."
+            )
+        a, b, c = self.a[index], self.b[index], self.c[index]
+        return margins(a - b @ c, b, -c, self.dt)
+
+    @property
+    def disk_margins(self) -> Array:
+        """Disk margins over the instants, (n_times,); 0 where the frozen loop is not stable, NaN where it is open."""
+
+        def disk(k: int) -> float:
+            if not self.stable(k):
+                return 0.0
+            return np.nan if self._open(k) else float(self.margins(k).disk)
+
+        return np.array([disk(k) for k in range(self.times.size)])
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies worth looking at, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
+        poles = np.concatenate([self.poles(k) for k in range(self.times.size)])
+        sizes = np.abs(continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
+        top = np.pi / self.dt
+        low = 0.01 * min(float(np.min(sizes[sizes > 1e-6 * top], initial=top)), 0.1 * top)
+        return np.logspace(np.log10(low), np.log10(top), 400)
+
+    def _open(self, index: int) -> bool:
+        """Whether the law feeds back, but nothing that it commands comes through."""
+        fed_back = bool(np.any(self.c[index]))
+        return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
+
+    @one_thread()
+    def _closed(self, omega: ArrayLike, index: int) -> Array:
+        """Return the way from d to u, (n_omega, m, m)."""
+        w = read_numbers(omega, "the frequencies").reshape(-1)
+        if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
+            raise ArgumentError(
+                f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: give such."
+            )
+        k = self._instant(index)
+        within = linked(self.a[k], self.b[k], self.c[k])
+        a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
+        z = np.exp(1j * w * self.dt)[:, None, None]
+        return np.asarray(c @ _solved(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape))))
+
+    def _instant(self, index: int) -> int:
+        k = read_integer(index, "the index of an instant", 0)
+        if k >= self.times.size:
+            raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
+        return k
+
+    def _label(self, command: str) -> str:
+        labels = self.commands.labels
+        if command not in labels:
+            raise ArgumentError(f"there is no command '{command}': give one of {', '.join(labels)}.")
+        return command
+
+
+def _solved(matrices: Array, columns: Array) -> Array:
+    """Return the solutions of systems at some frequencies, (n_omega, n, m)."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, columns))
+    except np.linalg.LinAlgError:
+        raise _at_a_pole() from None
+
+
+def _at_a_pole() -> ArgumentError:
+    return ArgumentError(
+        "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
+        "ask beside it, at 1e-6 rad/s, say."
+    )
+
+
+@one_thread()
+def loop_response(
+    loop: ClosedLoop,
+    *,
+    x0: ArrayLike | Mapping[str, ArrayLike],
+    tf: float,
+    t0: float = 0.0,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    at: Sequence[float] | None = None,
+) -> LoopResponse:
+    """Linearize a loop, cut at its commands, at instants of its nominal run.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        Without events and without sensors that are read every few control steps.
+    x0, t0, tf, parameters
+        The nominal run, as in `ClosedLoop.simulate`.
+    at : sequence of float, optional
+        Times, s; the control steps in which they lie are taken. Default the first control step.
+
+    Returns
+    -------
+    LoopResponse
+
+    Raises
+    ------
+    ArgumentError
+        Times outside the run, events, slow sensors, or derivatives that are not finite.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import loop_response
+    >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
+    >>> print(response.stable(), f"{response.disk_margins[0]:.2f}")
+    True 1.24
+    """
+    expect(loop, ClosedLoop, "what loop_response() got", "give a ClosedLoop")
+    for sensor in loop.sensors:
+        if isinstance(sensor, Sampling) and round(sensor.period / loop.dt) > 1:
+            raise ArgumentError(
+                f"'{sensor.name}' is read every {sensor.period:g} s: a loop of two rates has no frequency response; "
+                "leave it out, or give the loop its period as dt."
+            )
+    opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
+    run: dict[str, Any] = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
+    response, needed = _along(opened, run, at)
+    if needed and loop.substeps is None:
+        response, _ = _along(replace(opened, substeps=needed), run, at)
+    return response
+
+
+def _along(
+    opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
+) -> tuple[LoopResponse, int]:
+    """Return the response of a loop with its probe, and the integration steps per minor step that its modes ask for; 0
+    if it has as many."""
+    flight = opened.flight(**run)
+    times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
+    begin, end = flight.times[[0, -1]]
+    if not times.size or not np.all((times >= begin) & (times < end)):
+        raise ArgumentError(f"the run lasts from {begin:g} s to {end:g} s: give times of it, before its end.")
+    wanted = np.unique(np.searchsorted(flight.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
+    columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
+    linearization = Linearization(flight, opened.wiring, columns)
+    rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
+    found, needed, resolution = [], 0, PlantModes(linearization, flight.accuracy)
+    X = linearization.start()[0]
+    for k, step in enumerate(linearization.steps(X)):
+        if k in wanted:
+            found.append((step.a, step.h, step.c[rows]))
+            needed = max(needed, resolution.needed(flight.times[k], X, step.y))
+        if k == wanted[-1]:
+            break
+        X = step.X_next
+    a, b, c = (np.stack(parts) for parts in zip(*found, strict=True))
+    response = LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)
+    return response, needed if needed > flight.substeps else 0

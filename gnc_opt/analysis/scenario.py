@@ -1,0 +1,207 @@
+"""Experiment: runs of a loop with chosen random numbers, and what is measured of them.
+
+All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the other, then
+those of the control steps. Whoever knows them can fly the run again, change some of them, or look for bad ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.campaign_batch import Flown, gathered
+from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_dispersions
+from gnc_opt.simulation.monte_carlo import Criteria, Judge, read_criteria
+from gnc_opt.simulation.outcome import RunStatus
+
+_FLOWN = (RunStatus.OK, RunStatus.INACCURATE)
+"""How runs end that have not failed."""
+
+_LEAST = 1e-300
+"""Of uniform numbers whose normal quantile is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A closed loop on one flight, how its runs differ, and what is measured of them.
+
+    The words are those of `monte_carlo`, the random numbers those of ``seed``.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    x0 : array (n_states,) or mapping by name
+        Nominal initial state.
+    tf, t0 : float
+        Last and first time, s.
+    dispersions : mapping
+        By dotted name of ``loop.layout``.
+    parameters : mapping, optional
+        Nominal changes of parameters by dotted name.
+    target : mapping, optional
+        What states are compared with at the end, by name; default the reference at the end.
+    judge : mapping, optional
+        Measures of one's own: functions of the campaign that return a number per run, by name.
+    seed : int
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+
+    Examples
+    --------
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> print(experiment.size, experiment.noise_size)  # random numbers of a run, and of each of its control steps
+    2 1
+    """
+
+    loop: ClosedLoop
+    x0: ArrayLike | Mapping[str, ArrayLike] = field(kw_only=True)
+    tf: float = field(kw_only=True)
+    t0: float = field(default=0.0, kw_only=True)
+    dispersions: Dispersions = field(default_factory=dict, kw_only=True)
+    parameters: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
+    target: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
+    judge: Mapping[str, Judge] | None = field(default=None, kw_only=True)
+    seed: int = field(default=0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        expect(self.loop, ClosedLoop, "what an experiment flies", "give a ClosedLoop")
+        set_ = object.__setattr__
+        set_(self, "seed", read_integer(self.seed, "the seed of an experiment", 0))
+        check_dispersions(self.dispersions, self.flight.layout, self.flight.nominal)
+        set_(self, "dispersions", dict(self.dispersions))
+        self.criteria.goal(self.flight)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            name: value for name, value in vars(self).items() if name != "loop"
+        }  # the flight is enough to fly
+
+    @cached_property
+    def flight(self) -> Flight:
+        """What is flown, numeric."""
+        return self.loop.flight(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
+
+    @cached_property
+    def criteria(self) -> Criteria:
+        """What runs are compared with, and one's own measures."""
+        return read_criteria(self.target, self.judge)
+
+    def require(self, measure: str) -> None:
+        """Refuse what is no measure of the runs.
+
+        Raises
+        ------
+        UnknownNameError, ArgumentError
+            There is none of this name, or the error is relative to nothing.
+        """
+        if measure not in self.criteria.judge:
+            self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
+
+    # --- numbers ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """How many numbers each dispersion takes."""
+        return {name: self._count(name, dispersion) for name, dispersion in self.dispersions.items()}
+
+    @property
+    def size(self) -> int:
+        """Number of numbers that the dispersions take."""
+        return sum(self.counts.values())
+
+    @property
+    def noise_size(self) -> int:
+        """Number of numbers of a control step."""
+        return int(self.flight.kernel.known.size - 1 - self.flight.schedule.shape[0])
+
+    def columns(self, z: Array) -> Array:
+        """Return the columns P (n_parameters, n) of standard normal numbers (size, n)."""
+        columns = []
+        for numbers in z.T:
+            P, at = self.flight.nominal.copy(), 0
+            for name, dispersion in self.dispersions.items():
+                place, count = self.flight.layout.slice(name), self.counts[name]
+                generator = GivenNumbers(numbers[at : at + count])
+                P[place] = dispersion.draw(generator, self.flight.nominal[place])  # type: ignore[arg-type]
+                at += count
+            columns.append(P)
+        return np.reshape(columns, (z.shape[1], self.flight.layout.size)).T
+
+    def _count(self, name: str, dispersion: Dispersion) -> int:
+        counter = GivenNumbers(None)
+        try:
+            dispersion.draw(counter, self.flight.nominal[self.flight.layout.slice(name)])  # type: ignore[arg-type]
+        except AttributeError as error:
+            raise ArgumentError(
+                f"the dispersion of '{name}' draws otherwise than by standard_normal(), random() and integers(): use "
+                "these."
+            ) from error
+        return counter.taken
+
+    # --- runs ---------------------------------------------------------------------------------------------
+
+    def campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
+        """Fly runs with these columns P (n_parameters, n) and seeds, or numbers, and return them as a campaign."""
+        runs = range(P.shape[1])
+        flown = [Flown(runs, P, self.flight.final(P, seeds))] if runs else []
+        goal = self.criteria.goal(self.flight)
+        campaign = gathered(self.flight, flown, seed=0, asked=len(runs), goal=goal)
+        return self.criteria.applied(campaign) if runs else campaign
+
+    def values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
+        """Return a measure of runs, (n,), as `campaign`; infinite for those that fail or have none.
+
+        Runs that are merely inaccurate count with what they measure.
+        """
+        campaign = self.campaign(P, seeds)
+        flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
+        values = campaign.measure(measure)
+        return np.where(flown & ~np.isnan(values), values, np.inf)
+
+
+class GivenNumbers:
+    """Stands for a random generator, but draws from given standard normal numbers; without any, it counts.
+
+    Parameters
+    ----------
+    numbers : array (n,) or None
+    """
+
+    def __init__(self, numbers: Array | None) -> None:
+        self._numbers, self.taken = numbers, 0
+
+    def standard_normal(self, size: int | None = None) -> Any:
+        """Return the next numbers."""
+        count = 1 if size is None else int(np.prod(size))
+        first, self.taken = self.taken, self.taken + count
+        # counting, any numbers will do that are no limit of anything
+        found = np.full(count, 0.5) if self._numbers is None else self._numbers[first : self.taken]
+        return float(found[0]) if size is None else found.reshape(size)
+
+    def random(self, size: int | None = None) -> Any:
+        """Return uniform numbers in [0, 1)."""
+        return np.minimum(scipy.special.ndtr(self.standard_normal(size)), 1 - np.finfo(float).epsneg)
+
+    def integers(self, high: int) -> int:
+        """Return one of the integers from 0 to below ``high``."""
+        return int(self.random() * high)
+
+
+def normal_numbers(uniform: Array) -> Array:
+    """Return the standard normal numbers at which uniform ones are the quantiles."""
+    return np.asarray(scipy.special.ndtri(np.clip(uniform, _LEAST, 1 - np.finfo(float).epsneg)))

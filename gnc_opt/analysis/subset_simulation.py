@@ -1,0 +1,304 @@
+r"""Failure probability by subset simulation: rare failures, step by step through less rare ones.
+
+The probability of a rare failure is a product of conditional ones that are not rare,
+:math:`p = P(F_1) P(F_2 | F_1) \ldots`, where F_i is what exceeds a level that a tenth of the runs before exceeded. Runs
+within a level are made from those that exceeded the last one by a Markov chain over all standard normal numbers of a
+run (`Experiment`), dispersions and noise alike,
+
+.. math:: z' = \sqrt{1 - s^2}\, z + s\, \xi, \qquad \xi \sim N(0, 1),
+
+which leaves the normal distribution as it is; z' is taken if its run exceeds the level as well. The number of
+dimensions does not matter for it. s is adapted from level to level, never within one.
+
+Runs of one chain depend on each other, and so do levels; no formula for the error of one estimate is trusted here. The
+whole is repeated independently, and the interval is that of Student's t over the repetitions.
+
+References
+----------
+S.-K. Au, J. L. Beck, Estimation of small failure probabilities in high dimensions by subset simulation, Probabilistic
+Engineering Mechanics 16 (2001). I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub, MCMC algorithms for subset
+simulation, Probabilistic Engineering Mechanics 41 (2015), section 3.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import scipy
+
+from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.arguments import expect, read_integer, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
+from gnc_opt.workers import Shared, WorkerPool
+
+SHARE = 0.1
+"""Share of the runs of a level that exceed the next one."""
+
+MOST_LEVELS = 12
+"""After so many, failures are rarer than one in 10^12, which nobody's dispersions describe."""
+
+_STEP = 0.6
+"""First standard deviation s of the chains' steps."""
+
+_ACCEPTED = 0.44
+"""Share of accepted steps that is aimed at."""
+
+Value = Callable[[Array], Array]
+"""A measure (n,) of standard normal numbers (n_numbers, n)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FailureProbability:
+    """How probable it is that a run fails or a measure exceeds its limit; see `failure_probability`.
+
+    Attributes
+    ----------
+    measure : str
+    limit : float
+    probability : float
+        Mean of the repetitions.
+    low, high : float
+        Interval with ``confidence``: Student's t over the repetitions, on the logarithmic scale; that of Clopper and
+        Pearson for failures so frequent that no repetition needed a second level.
+    confidence : float
+    estimates : array (repetitions,)
+    levels : array (n_levels,)
+        Levels of the measure of the first repetition, the limit last.
+    runs : int
+        Flown in all.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import failure_probability
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
+    >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
+    P(max(overshoot) > 0.006) = 0.000229 (3e-05 to 0.0017, 95 %), 638 runs in 3 repetitions
+    """
+
+    measure: str
+    limit: float
+    probability: float
+    low: float
+    high: float
+    confidence: float
+    estimates: Array
+    levels: Array
+    runs: int
+
+    def __str__(self) -> str:
+        return (
+            f"P({self.measure} > {self.limit:g}) = {self.probability:.3g} ({self.low:.2g} to {self.high:.2g}, "
+            f"{100 * self.confidence:g} %), {self.runs} runs in {self.estimates.size} repetitions"
+        )
+
+
+def failure_probability(
+    experiment: Experiment,
+    measure: str,
+    limit: float,
+    *,
+    n: int = 500,
+    repetitions: int = 10,
+    confidence: float = CONFIDENCE,
+    executor: Executor | Literal["serial"] | None = None,
+) -> FailureProbability:
+    """Estimate how probable it is that a run is not OK or a measure exceeds its limit, however rare.
+
+    A campaign needs some 100 / p runs to know a probability p to 10 %; this takes about ``repetitions * n *
+    log10(1 / p)`` to know it to some 20 %.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Noise is part of what is drawn.
+    measure : str
+        As in `Campaign.measure`, or one of the experiment's ``judge``.
+    limit : float
+        Largest permitted value.
+    n : int
+        Runs of a level, a multiple of ten.
+    repetitions : int
+        Independent ones, at least 3.
+    confidence : float
+        Of the interval, in (0, 1).
+    executor : concurrent.futures.Executor or "serial", optional
+        As in `monte_carlo`.
+
+    Returns
+    -------
+    FailureProbability
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+    GncOptError
+        Failures are rarer than one in 10^12 or there are none, or a repetition could not be flown.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import failure_probability
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
+    >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
+    >>> print(rare.low < rare.probability < rare.high, rare.runs)
+    True 638
+    """
+    name = "failure_probability()"
+    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    experiment.require(measure)
+    bound = float(read_numbers(limit, f"the limit of '{measure}'").reshape(-1)[0])
+    if not np.isfinite(bound):
+        raise ArgumentError(f"the limit of '{measure}' is {bound:g}: give a finite number.")
+    count = read_integer(n, f"the number of runs of a level of {name}", 10)
+    if count % round(1 / SHARE):
+        raise ArgumentError(f"a level of {name} has {count} runs: give a multiple of {round(1 / SHARE)}.")
+    repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
+    if not 0 < confidence < 1:
+        raise ArgumentError(f"the confidence of {name} is {confidence!r}: give a number between 0 and 1.")
+    search = _Search(experiment, measure, bound, count)
+    shared = Shared.picklable(
+        search, name, 'define judge= functions at the top of a module, or use executor="serial"'
+    )
+    with WorkerPool(shared, executor, name) as pool:
+        done = pool.run(_Search.repetition, range(repetitions), lambda _: None)
+    answers = []
+    for each in done:
+        if each.answer is None:
+            raise GncOptError(f"a repetition of {name} ended without an answer: {each.error}")
+        answers.append(each.answer)
+    if len(answers) < repetitions:
+        raise GncOptError(
+            f"{name} was interrupted after {len(answers)} of {repetitions} repetitions: let it end."
+        )
+    estimates = np.array([answer.probability for answer in answers])
+    if not np.all(estimates > 0):
+        told, largest = _told_apart(bound, max(float(answer.levels[-1]) for answer in answers))
+        raise GncOptError(
+            f"'{measure}' exceeds {told} less often than once in 10^{MOST_LEVELS} runs, or never: the largest value "
+            f"found is {largest}; give a limit within reach."
+        )
+    mean, low, high = repeated_mean(estimates, confidence)
+    if all(answer.levels.size == 1 for answer in answers):  # no chains: all runs are independent
+        counted = pass_rate(round(float(estimates.sum()) * count), repetitions * count, confidence)
+        low, high = counted.low, counted.high
+    return FailureProbability(
+        measure,
+        bound,
+        mean,
+        low,
+        high,
+        confidence,
+        estimates,
+        answers[0].levels,
+        sum(a.runs for a in answers),
+    )
+
+
+def repeated_mean(estimates: Array, confidence: float) -> tuple[float, float, float]:
+    """Return the mean of independent estimates > 0 and its interval, by Student's t on the logarithmic scale."""
+    n, mean = estimates.size, float(estimates.mean())
+    share = float(estimates.std(ddof=1)) / (mean * np.sqrt(n))
+    factor = float(np.exp(scipy.stats.t.ppf(0.5 + confidence / 2, n - 1) * share))
+    return mean, mean / factor, min(mean * factor, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """One subset simulation; probability 0 if the limit was not reached."""
+
+    probability: float
+    levels: Array
+    runs: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What every repetition needs."""
+
+    experiment: Experiment
+    measure: str
+    limit: float
+    count: int
+
+    def repetition(self, index: int) -> Estimate:
+        """Return the estimate of a repetition."""
+        generator = np.random.Generator(
+            np.random.Philox(np.random.SeedSequence([self.experiment.seed, index]))
+        )
+        noise = self.experiment.flight.n_steps * self.experiment.noise_size
+        return subset_simulation(self.value, self.experiment.size + noise, self.limit, self.count, generator)
+
+    def value(self, z: Array) -> Array:
+        size = self.experiment.size
+        shape = (self.experiment.flight.n_steps, self.experiment.noise_size)
+        numbers: list[Any] = [column.reshape(shape) for column in z[size:].T]
+        return self.experiment.values(self.measure, self.experiment.columns(z[:size]), numbers)
+
+
+def subset_simulation(
+    value: Value, size: int, limit: float, count: int, generator: np.random.Generator
+) -> Estimate:
+    """Estimate the probability that ``value`` of so many standard normal numbers exceeds a limit.
+
+    Parameters
+    ----------
+    value : callable
+        See `Value`.
+    size : int
+        Number of numbers.
+    limit : float
+    count : int
+        Runs of a level, a multiple of ten.
+    generator : numpy.random.Generator
+    """
+    z = generator.standard_normal((size, count))
+    y = value(z)
+    probability, step, runs = 1.0, _STEP, count
+    levels: list[float] = []
+    for _ in range(MOST_LEVELS):
+        level = float(np.sort(y)[-round(SHARE * count)])
+        if level > limit:
+            break
+        above = y >= level
+        if np.all(above):  # a plateau: nothing leads on from here
+            return Estimate(0.0, np.array([*levels, level]), runs)
+        probability *= float(np.mean(above))
+        levels.append(level)
+        z, y, accepted = _chains(value, z[:, above], y[above], level, count, step, generator)
+        runs += count - int(np.sum(above))
+        step = float(np.clip(step * np.exp(accepted - _ACCEPTED), 0.05, 1.0))
+    share = float(np.mean(y > limit))
+    return Estimate(probability * share, np.array([*levels, limit if share > 0 else float(np.max(y))]), runs)
+
+
+def _chains(
+    value: Value, z: Array, y: Array, level: float, count: int, step: float, generator: np.random.Generator
+) -> tuple[Array, Array, float]:
+    """Return ``count`` columns above a level, from those that are, their values, and the share of accepted steps."""
+    found_z, found_y, taken, tried = [z], [y], 0, 0
+    while sum(part.size for part in found_y) < count:
+        moved = np.sqrt(1 - step**2) * z + step * generator.standard_normal(z.shape)
+        values = value(moved)
+        better = values >= level
+        z, y = np.where(better, moved, z), np.where(better, values, y)
+        taken, tried = taken + int(np.sum(better)), tried + better.size
+        found_z.append(z)
+        found_y.append(y)
+    return np.hstack(found_z)[:, :count], np.concatenate(found_y)[:count], taken / max(tried, 1)
+
+
+def _told_apart(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with so many digits, six at least, that they read different if they are."""
+    for digits in range(6, 18):
+        texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
+        if texts[0] != texts[1] or one == other:
+            break
+    return texts

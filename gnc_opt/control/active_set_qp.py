@@ -1,0 +1,218 @@
+"""The programme of a horizon as C: its tables, and what stands in ``programme.c``.
+
+A controller whose law solves a quadratic programme has a second form for flight code (`Controller.flight`): the law
+around the programme as elementary operations, with the programme as one call, which this module writes as C. There it
+is condensed and solved by an active-set method of fixed memory; the sparse solver of the simulations stays outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.c_export.c_writer import CNumbers
+from gnc_opt.control.control_limits import clip
+from gnc_opt.control.controller import Controller, FlightLaw, first_memory, law
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.horizon_qp import Rows
+from gnc_opt.model.variables import Layout, Variable
+
+_SOURCE = Path(__file__).with_name("programme.c")
+_NONE = 1e30
+"""Stands for a limit that is none."""
+_MOST = 20
+"""Iterations per unknown before a programme counts as unsolved; random ones took up to nine."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProgrammeCode:
+    """The C of a programme.
+
+    Attributes
+    ----------
+    rows : Rows
+        Limits of a step.
+    roots : array (n_soft,)
+        Of the prices of the soft limits.
+    matrices : tuple of arrays (n_tables, ., .)
+        A - B K, B L^-T, K and L^-T.
+    sliding : bool
+        Whether the j-th step from a row k takes table k + j; else k N + j.
+    count : int
+        Steps N.
+    n_states : int
+        Where the feedforward begins in a row of the schedule.
+    """
+
+    rows: Rows
+    roots: Array
+    matrices: tuple[Array, ...]
+    sliding: bool
+    count: int
+    n_states: int
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.count * (self.rows.lower.size + self.roots.size)
+
+    @property
+    def limits(self) -> int:
+        """Number of limits."""
+        return self.count * self._kinds
+
+    @property
+    def operations(self) -> int:
+        """Arithmetic operations and comparisons of a call, at most."""
+        m, size = self.rows.lower.size, self.unknowns
+        n = self.matrices[0].shape[1]
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._kinds + n + m))
+        row = 2 * sweep + size * (size + 3)
+        iteration = 2 * sweep + 6 * self.limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        return int(self._most * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
+
+    @property
+    def stack(self) -> int:
+        """Numbers (and, counted as such, whole numbers) on the stack of a call, at most."""
+        m, size = self.rows.lower.size, self.unknowns
+        n = self.matrices[0].shape[1]
+        active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
+        return int(active + 4 * self.limits + 6 * (size + 1) + 2 * n + 3 * m)
+
+    def text(self, numbers: CNumbers) -> str:
+        """Return the C, after a table ``schedule[N_ROWS][.]``."""
+        rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
+        slack = [rows.soft.index(i) if i in rows.soft else -1 for i in range(len(rows.states))]
+        sizes = {
+            "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),
+            "N_S": self.roots.size, "RATES": int(rows.change is not None), "N_TABLES": len(self.matrices[0]),
+            "MOST": self._most, "NONE": numbers(_NONE), "TOLERANCE": numbers(numbers.solved),
+            "DEPENDENT": numbers(numbers.dependent),
+        }  # fmt: skip
+        scale = 1 / rows.state_scale
+        change = np.ones(m) if rows.change is None else rows.change
+        arrays = {
+            "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
+            "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
+            "state_lower": _finite(rows.state_lower), "state_upper": _finite(rows.state_upper),
+            "row_lower": self._row_limits[0], "row_upper": self._row_limits[1],
+        }  # fmt: skip
+        places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
+        lines = [f"#define {name} {value}" for name, value in sizes.items()]
+        lines += [
+            "",
+            "typedef struct {",
+            f"    {numbers.type} a[N_E][N_E], f[N_E][N_U], k[N_U][N_E], g[N_U][N_U];",
+        ]
+        lines += ["} matrices;", ""]
+        lines += [
+            numbers.table(name, values if values.size else np.zeros(1)) for name, values in arrays.items()
+        ]
+        for name, entries in places.items():
+            lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
+        steps = [
+            "{" + ", ".join(numbers.nested(table[k]) for table in self.matrices) + "}"
+            for k in range(len(self.matrices[0]))
+        ]
+        lines += ["static const matrices steps[N_TABLES] = {", ",\n".join(steps), "};", ""]
+        place = "first + j" if self.sliding else "first * HORIZON + j"
+        lines += [
+            "static const matrices *matrices_of(long first, int j)",
+            "{",
+            f"    const long k = {place};",
+            f"    return &steps[k < N_TABLES ? k : {'N_TABLES - 1' if self.sliding else 'N_TABLES - HORIZON + j'}];",
+            "}",
+            "",
+        ]
+        return "\n".join([*lines, numbers.typed(_SOURCE.read_text(encoding="ascii"))])
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    @property
+    def _kinds(self) -> int:
+        rows = self.rows
+        return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
+
+    @property
+    def _most(self) -> int:
+        return _MOST * (self.unknowns + 1)
+
+    @property
+    def _row_limits(self) -> tuple[Array, Array]:
+        """Limits of the scaled rows of a step."""
+        rows, soft = self.rows, self.roots.size
+        m = rows.lower.size * (1 + (rows.change is not None))
+        states = len(rows.states)
+        none = np.full(states, _NONE)
+        below = np.where(np.isfinite(rows.state_lower), 0.0, -_NONE)
+        above = np.where(np.isfinite(rows.state_upper), 0.0, _NONE)
+        low = np.concatenate([np.full(m, -1.0), below, -none, np.zeros(soft)])
+        high = np.concatenate([np.full(m, 1.0), none, above, np.full(soft, _NONE)])
+        return low, high
+
+
+def flight_law(
+    code: ProgrammeCode, deviation: Deviation, controller: Controller, reference: Any
+) -> FlightLaw:
+    """Return the form of a predictive controller for flight code: its memory is the last command and the alarm."""
+    model, m, rows = deviation.model, code.rows.lower.size, code.rows
+    signals = reference_signals(reference, Variable("row", 1))
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
+    r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", m + 1)
+    x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
+    previous, alarm = ca.vertsplit(z, [0, m, m + 1])
+    e = deviation.expression(x, x_ref)
+    v, solved = _call(e.numel(), m)(number, e, previous)
+    lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
+    if rows.change is not None:
+        lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
+    u = clip(u_ff + v, lower, upper)
+    first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
+    parts = (Variable("previous_command", m), Variable("qp_alarm", 1))
+    assert controller.dt is not None and controller.span is not None
+    form = Controller(
+        name=controller.name,
+        step=law(t, x, r, z, u, ca.vertcat(u, ca.if_else(solved, alarm, 1))),
+        start=first_memory(t, x, r, first),
+        states=controller.states,
+        commands=controller.commands,
+        signals=signals,
+        memory=Layout("memory", parts, "the memory of the controller"),
+        schedule=_Numbered(ReferenceSchedule(reference), controller.span),
+        explanation=controller.explanation,
+        dt=controller.dt,
+        alarms=controller.alarms,
+        span=controller.span,
+    )
+    return FlightLaw(form, code)
+
+
+@dataclass(frozen=True, eq=False)
+class _Numbered:
+    """Rows of a reference, and below them their number in the table of flight code."""
+
+    reference: ReferenceSchedule
+    span: tuple[float, float]
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        first, last = self.span
+        numbers = np.clip(np.floor((times - first) / dt + 1e-6), 0, np.ceil((last - first) / dt - 1e-9))
+        return np.vstack([self.reference(times, dt), numbers])
+
+
+def _call(n: int, m: int) -> Any:
+    """Return what stands for the programme in the law; it has no numbers, only C."""
+    inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
+    nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
+    return ca.Function("programme", inputs, nothing, {"never_inline": True})
+
+
+def _finite(limits: Array) -> Array:
+    """Limits with numbers in place of none, whose rows are never outside."""
+    return np.where(np.isfinite(limits), limits, 0.0)

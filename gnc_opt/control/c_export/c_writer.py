@@ -1,0 +1,249 @@
+"""C statements of a CasADi function of scalar operations, one line for each operation.
+
+The numbers of flight code: their type in C, how they are written, and what they are good for.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+
+_LINE = 8
+"""Numbers on a line of a table."""
+_LITERAL = re.compile(r"(?<![\w.\[])(\d+\.\d+)(?![\w.])")
+_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
+
+
+@dataclass(frozen=True)
+class CNumbers:
+    """A floating-point type of C.
+
+    Attributes
+    ----------
+    type : str
+        ``"double"`` or ``"float"``.
+    suffix : str
+        Of literals and of the functions of <math.h>.
+    dtype : type
+        The same in NumPy.
+    solved : float
+        How far scaled rows of a quadratic programme may be outside.
+    dependent : float
+        Share of a row's square below which it depends on others.
+    """
+
+    type: str
+    suffix: str
+    dtype: Any
+    solved: float
+    dependent: float
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return int(np.dtype(self.dtype).itemsize)
+
+    def __call__(self, value: float) -> str:
+        """Return a literal, shortest that is read as the same number."""
+        if np.isnan(value):
+            return "NAN"
+        if np.isinf(value):
+            return "INFINITY" if value > 0 else "-INFINITY"
+        with np.errstate(over="ignore"):
+            rounded = self.dtype(value)
+        if not np.isfinite(rounded):
+            raise ArgumentError(f"{value:g} is beyond the numbers of the type '{self.type}': write double.")
+        text = repr(float(value)) if self.dtype is np.float64 else str(rounded)
+        return text + self.suffix
+
+    def entry(self, value: float) -> str:
+        """Return a literal of a table, which has to be finite."""
+        if not np.isfinite(value):
+            raise ArgumentError(
+                f"the flight code would hold the number {value!r}: a schedule must be finite."
+            )
+        return self(value)
+
+    def expression(self, text: str) -> str:
+        """Return an expression with its literals and its calls of <math.h> in this type."""
+        if not self.suffix:
+            return text
+        return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
+
+    def typed(self, text: str) -> str:
+        """Return C with the type in place of ``real_t``."""
+        return re.sub(r"\breal_t\b", self.type, text)
+
+    def nested(self, values: Array) -> str:
+        """Return the initializer of an array of any dimension."""
+        if np.ndim(values) == 1:
+            return "{" + wrapped(self.entry(float(v)) for v in values) + "}"
+        return "{" + ",\n".join(self.nested(row) for row in values) + "}"
+
+    def table(self, name: str, values: Array) -> str:
+        """Return the definition of a constant array."""
+        shape = "".join(f"[{n}]" for n in np.shape(values))
+        return f"static const {self.type} {name}{shape} = {self.nested(np.asarray(values))};"
+
+
+DOUBLE = CNumbers("double", "", np.float64, 1e-9, 1e-11)
+FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
+
+
+def wrapped(entries: Iterable[str]) -> str:
+    """Return entries of an initializer over lines."""
+    texts = list(entries)
+    lines = [", ".join(texts[i : i + _LINE]) for i in range(0, len(texts), _LINE)]
+    return ",\n    ".join(lines)
+
+
+_FORMS: dict[str, str] = {
+    "ASSIGN": "{0}",
+    "ADD": "{0} + {1}",
+    "SUB": "{0} - {1}",
+    "MUL": "{0} * {1}",
+    "DIV": "{0} / {1}",
+    "NEG": "-{0}",
+    "INV": "1.0 / {0}",
+    "SQ": "{0} * {0}",
+    "TWICE": "2.0 * {0}",
+    "SQRT": "sqrt({0})",
+    "POW": "pow({0}, {1})",
+    "CONSTPOW": "pow({0}, {1})",
+    "EXP": "exp({0})",
+    "EXPM1": "expm1({0})",
+    "LOG": "log({0})",
+    "LOG1P": "log1p({0})",
+    "SIN": "sin({0})",
+    "COS": "cos({0})",
+    "TAN": "tan({0})",
+    "ASIN": "asin({0})",
+    "ACOS": "acos({0})",
+    "ATAN": "atan({0})",
+    "ATAN2": "atan2({0}, {1})",
+    "SINH": "sinh({0})",
+    "COSH": "cosh({0})",
+    "TANH": "tanh({0})",
+    "ASINH": "asinh({0})",
+    "ACOSH": "acosh({0})",
+    "ATANH": "atanh({0})",
+    "HYPOT": "hypot({0}, {1})",
+    "ERF": "erf({0})",
+    "FABS": "fabs({0})",
+    "FLOOR": "floor({0})",
+    "CEIL": "ceil({0})",
+    "FMOD": "fmod({0}, {1})",
+    "REMAINDER": "remainder({0}, {1})",
+    "COPYSIGN": "copysign({0}, {1})",
+    "FMIN": "fmin({0}, {1})",
+    "FMAX": "fmax({0}, {1})",
+    # the sign of 0 is 0, that of what is not a number is itself
+    "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
+    "LT": "{0} < {1} ? 1.0 : 0.0",
+    "LE": "{0} <= {1} ? 1.0 : 0.0",
+    # not by == and !=, which compilers can warn of; what is not a number equals nothing, and is not zero
+    "EQ": "{0} >= {1} && {0} <= {1} ? 1.0 : 0.0",
+    "NE": "{0} >= {1} && {0} <= {1} ? 0.0 : 1.0",
+    "NOT": "{0} >= 0 && {0} <= 0 ? 1.0 : 0.0",
+    "AND": "({0} >= 0 && {0} <= 0) || ({1} >= 0 && {1} <= 0) ? 0.0 : 1.0",
+    "OR": "{0} >= 0 && {0} <= 0 && {1} >= 0 && {1} <= 0 ? 0.0 : 1.0",
+    "IF_ELSE_ZERO": "{0} >= 0 && {0} <= 0 ? 0.0 : {1}",
+}
+_OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
+_NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
+
+
+def c_statements(
+    function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
+) -> list[str]:
+    """Return the body of a C function that evaluates a CasADi function.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of class SXFunction.
+    inputs, outputs : list of str
+        C names: a scalar for the first input, pointers for the others.
+    numbers : CNumbers
+        Their type.
+
+    Raises
+    ------
+    ArgumentError
+        An operation has no form in C.
+    """
+    dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
+    read = _input_names(function, inputs)
+    body, used_inputs, written = [], set(), set()
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        source, target = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            body.append(f"w[{target[0]}] = {numbers(function.instruction_constant(k))};")
+        elif operation == ca.OP_INPUT:
+            used_inputs.add(source[0])
+            body.append(f"w[{target[0]}] = {read[source[0]][source[1]]};")
+        elif operation == ca.OP_OUTPUT:
+            row = dense[target[0]][target[1]]
+            written.add((target[0], row))
+            body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
+        elif operation in _OPERATIONS:
+            form = numbers.expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
+            body.append(f"w[{target[0]}] = {form};")
+        elif operation == ca.OP_CALL:
+            body += _call(function, source, target, numbers)
+        else:
+            raise ArgumentError(
+                f"operation '{_NAMES[operation]}' of function '{function.name()}' has no form in C: "
+                "write the law with elementary functions."
+            )
+    zeros = [
+        f"{outputs[k]}[{row}] = {numbers(0.0)};"
+        for k in range(function.n_out())
+        for row in range(function.size1_out(k))
+        if (k, row) not in written
+    ]
+    touched = {k for k, _ in written} | {k for k in range(function.n_out()) if function.size1_out(k)}
+    unused = [f"(void){inputs[k]};" for k in range(function.n_in()) if k not in used_inputs]
+    unused += [f"(void){outputs[k]};" for k in range(function.n_out()) if k not in touched]
+    work = [f"{numbers.type} w[{function.sz_w()}];"] if body else []
+    return [*work, *unused, *body, *zeros]
+
+
+def _input_names(function: Any, inputs: list[str]) -> list[list[str]]:
+    """The C expression of each nonzero of each input."""
+    names = []
+    for k, name in enumerate(inputs):
+        rows = function.sparsity_in(k).row()
+        names.append([name] if k == 0 else [f"{name}[{row}]" for row in rows])
+    return names
+
+
+def _call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
+    """The call of the only function that a law calls: copies in and out, for its arguments are arrays."""
+    (name,) = function.get_function()
+    called = function.get_function(name)
+    lines, arguments = ["{"], []
+    for kind, places, count, size in (
+        ("in", source, called.n_in(), called.nnz_in),
+        ("out", target, called.n_out(), called.nnz_out),
+    ):
+        left = list(places)
+        for k in range(count):
+            own, left = left[: size(k)], left[size(k) :]
+            given = f" = {{{', '.join(f'w[{i}]' for i in own)}}}" if kind == "in" else ""
+            const = "const " if kind == "in" else ""
+            lines.append(f"    {const}{numbers.type} {kind}_{k}[{size(k)}]{given};")
+            arguments.append((f"{kind}_{k}", own))
+    lines.append(f"    {name}({', '.join(array for array, _ in arguments)});")
+    for array, own in arguments[called.n_in() :]:
+        lines += [f"    w[{i}] = {array}[{j}];" for j, i in enumerate(own) if i >= 0]
+    return [*lines, "}"]

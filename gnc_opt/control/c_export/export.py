@@ -1,0 +1,556 @@
+"""The files of flight code: header, source and driver of a law, its schedule and, if it calls one, its solver.
+
+Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
+
+Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
+``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, and no memory is allocated. The
+order of operations is that of the symbolic law, so results agree to rounding, and no loop depends on data; but for the
+quadratic programme of `design_mpc`, which is solved by a method of its own with a bounded number of iterations.
+
+Flight code compared with its law: compiled, and run over the samples of a flight.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_name, read_numbers, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, c_statements
+from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
+from gnc_opt.control.controller import Controller, FlightLaw
+from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
+from gnc_opt.model.variables import Layout
+
+_NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
+_C_HEADERS = frozenset({
+    "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646",
+    "limits", "locale", "math", "setjmp", "signal", "stdarg", "stdbool",
+    "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
+})  # fmt: skip
+"""Standard headers of C99, without suffix (ISO/IEC 9899:1999, 7.1.2)."""
+
+
+@dataclass(frozen=True)
+class FlightCode:
+    """Where the code was written.
+
+    Attributes
+    ----------
+    header, source, driver : Path
+    name : str
+        Prefix of every C identifier.
+    rows : int
+        Of the schedule's table.
+    dt : float
+        Control step, s.
+    table_bytes : int
+        Of the schedule.
+    table_error : float
+        Of the schedule between its knots, relative to the largest number of each column; 0 if every row is kept.
+    command_error : array (n_commands,) or None
+        Largest difference of the compiled code's commands from the law's over the given samples.
+
+    Examples
+    --------
+    >>> code = go.export_c(regulator, "flight")
+    >>> print(code.header.name, code.source.name, code.rows, code.dt)
+    lqr.h lqr.c 1 0.1
+    """
+
+    header: Path
+    source: Path
+    driver: Path
+    name: str
+    rows: int
+    dt: float
+    table_bytes: int
+    table_error: float
+    command_error: Array | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CodeOptions:
+    """How flight code is made smaller, and what it is then compared on.
+
+    Attributes
+    ----------
+    precision : {"float64", "float32"}
+        Of all numbers but times, which stay double: a clock in single precision would lose the row of the schedule.
+    table_tolerance : float
+        Largest error of interpolated gains, relative to the largest of each; 0: no interpolation. References and
+        feedforwards are kept row by row.
+    samples : (times (n,), measured (n_states, n)), optional
+        A flight, of one control step after the other: ``(run.times[:-1], run.measured)``. The code is compiled
+        (``cc``) and run over it, and what its commands miss the law's by is told.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import CodeOptions
+    >>> code = go.export_c(regulator, "small", options=CodeOptions(precision="float32"))
+    >>> print(code.table_bytes)
+    12
+    """
+
+    precision: Literal["float64", "float32"] = "float64"
+    table_tolerance: float = 0.0
+    samples: tuple[ArrayLike, ArrayLike] | None = None
+
+
+def export_c(
+    controller: Controller,
+    directory: str | Path,
+    *,
+    dt: float | None = None,
+    name: str | None = None,
+    span: tuple[float, float] | None = None,
+    options: CodeOptions | None = None,
+) -> FlightCode:
+    """Write a controller as C99 into a directory.
+
+    ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
+    command and updates the memory. The row of the schedule is that of the control step that t (s) lies in: rows at
+    multiples of dt from the beginning of the controller's span; after the last row, that row.
+
+    Parameters
+    ----------
+    controller : Controller
+        What a design function or `output_feedback` returned.
+    directory : path
+        Made if it is not there.
+    dt : float, optional
+        Control step, s; by default the controller's own.
+    name : str, optional
+        Prefix of the C identifiers, by default the controller's name in small letters.
+    span : (initial_time, final_time), optional
+        Times between which the schedule changes, if the controller does not tell.
+    options : CodeOptions, optional
+        Single precision, interpolated gains, and a flight over which the code is compared with the law.
+
+    Returns
+    -------
+    FlightCode
+        Where the files are, and what they hold.
+
+    Raises
+    ------
+    ArgumentError
+        The law holds operations that have no C, the schedule still changes after the span, nobody knows dt or
+        the span, or the files would be called like a header of C; options that do not fit.
+    GncOptError
+        Samples, and no C compiler, or it failed.
+
+    Examples
+    --------
+    >>> code = go.export_c(go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1), "flight")
+    >>> print(sorted(path.suffix for path in Path("flight").iterdir())[:2])
+    ['.c', '.c']
+    """
+    expect(controller, Controller, "what export_c() got", "give what a design function returned")
+    dt = controller.step_length(dt)
+    prefix = _read_prefix(_identifier(controller.name) if name is None else name)
+    form = flight_form(controller)
+    if form.solver is not None and span is not None:
+        raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
+    told = _read_options(options, form)
+    step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
+    table = flight_table(form.controller, dt, span, float(told.table_tolerance))
+    files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[told.precision])
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
+    header.write_text(files.header(), encoding="ascii")
+    source.write_text(files.source(), encoding="ascii")
+    driver.write_text(files.driver(), encoding="ascii")
+    size = table.size(files.numbers)
+    code = FlightCode(header, source, driver, prefix, len(table.rows), dt, size, table.error)
+    if told.samples is None:
+        return code
+    missed = command_error(controller, source, driver, told.samples, dt)
+    header.write_text(files.header(_remarks(code, told, missed)), encoding="ascii")
+    return replace(code, command_error=missed)
+
+
+def _read_options(options: CodeOptions | None, form: FlightLaw) -> CodeOptions:
+    told = CodeOptions() if options is None else options
+    expect(told, CodeOptions, "the options of export_c()", "give CodeOptions(...)")
+    if told.precision not in _NUMBERS:
+        raise ArgumentError(
+            f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
+        )
+    tolerance = read_positive(told.table_tolerance, "the table tolerance of export_c()", or_zero=True)
+    if tolerance >= 1:
+        raise ArgumentError(f"the table tolerance of export_c() is {tolerance:g}: give a share below 1.")
+    if tolerance and form.solver is not None:
+        raise ArgumentError(
+            f"the schedule of '{form.controller.name}' has no gains to interpolate: leave table_tolerance out."
+        )
+    return told
+
+
+def _remarks(code: FlightCode, options: CodeOptions, missed: Array) -> tuple[str, ...]:
+    """What the options cost, for the header."""
+    count = np.size(options.samples[0]) if options.samples is not None else 0
+    by = ", ".join(f"{v:.2g}" for v in missed)
+    told = [
+        f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
+    ]
+    if options.table_tolerance:
+        told.append(f"interpolated gains: off by at most {code.table_error:.2g} of the largest of each")
+    return tuple(told)
+
+
+def _read_prefix(name: str) -> str:
+    prefix = read_name(name, "C function")
+    if not prefix.isascii():
+        raise ArgumentError(
+            f"'{prefix}' cannot be the name of flight code: use letters of C, A to Z and a to z."
+        )
+    if prefix.lower() in _C_HEADERS:  # file systems may not tell capitals apart
+        raise ArgumentError(
+            f"'{prefix}' cannot be the name of flight code: its files would hide the header '{prefix.lower()}.h' of C; "
+            f"give export_c(..., name='{prefix}_law')."
+        )
+    return prefix
+
+
+def flight_form(controller: Controller) -> FlightLaw:
+    """Return the controller as flight code has it: itself, unless it solves a problem at every step."""
+    return FlightLaw(controller) if controller.flight is None else controller.flight
+
+
+def _elementary(function: Any, form: FlightLaw) -> Any:
+    """The function as scalar operations."""
+    what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
+    remedy = "write it with functions of its own symbols, or take a law of a design function."
+    try:
+        scalar = function if function.is_a("SXFunction") else function.expand()
+    except RuntimeError as error:
+        raise ArgumentError(f"{what}: {remedy}") from error
+    # CasADi may keep a solver as one call among scalar operations
+    calls = any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions()))
+    if calls and form.solver is None:
+        raise ArgumentError(f"{what}: {remedy}")
+    return scalar
+
+
+def _identifier(name: str) -> str:
+    text = "".join(c.lower() if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
+    return f"law_{text}" if not text or text[0].isdigit() else text
+
+
+_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
+
+
+def command_error(
+    controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
+) -> Array:
+    """Return the largest difference (n_commands,) of the compiled code's commands from the law's over a flight.
+
+    Parameters
+    ----------
+    controller : Controller
+        The law.
+    source, driver : Path
+        Its flight code.
+    samples : (times (n,), measured (n_states, n))
+        One control step after the other.
+    dt : float
+        Control step, s.
+
+    Raises
+    ------
+    ArgumentError
+        Samples of another shape.
+    GncOptError
+        There is no C compiler, or it failed.
+    """
+    times, measured = _read(controller, samples)
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise GncOptError(
+            "no C compiler (cc) is found to compare flight code with its law: install one, or leave samples out."
+        )
+    expected, z = np.empty((controller.commands.size, times.size)), None
+    for k, t in enumerate(times):
+        expected[:, k], z = controller(t, measured[:, k], z, dt)
+    with tempfile.TemporaryDirectory() as folder:
+        program = str(Path(folder, "driver"))
+        command = [compiler, *_FLAGS, "-o", program, str(source), str(driver), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise GncOptError(f"{compiler} could not compile the flight code: {done.stderr.strip()[:500]}")
+        lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, measured.T, strict=True)]
+        told = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
+    found = np.array([[float(v) for v in line.split()] for line in told.stdout.splitlines()]).T
+    return np.asarray(np.max(np.abs(found - expected), axis=1))
+
+
+def _read(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+    remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
+    if not isinstance(samples, tuple) or len(samples) != 2:
+        raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
+    times, measured = (read_numbers(s, "the samples of export_c()", ArgumentError) for s in samples)
+    if times.ndim != 1 or times.size == 0 or measured.shape != (controller.states.size, times.size):
+        raise ArgumentError(
+            f"the samples of export_c() have the shapes {times.shape} and {measured.shape}, and "
+            f"'{controller.name}' measures {controller.states.size} states: {remedy}."
+        )
+    return times, measured
+
+
+_MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
+"""Instructions that compute nothing."""
+
+_NEEDS_NAN = (
+    "/* A lost sample is told by comparisons, which have to be those of IEC 60559. */",
+    "#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__",
+    '#error "lost samples would pass: compile without -ffinite-math-only, which -ffast-math implies"',
+    "#endif",
+    "",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightFiles:
+    """A law as text.
+
+    Attributes
+    ----------
+    form : FlightLaw
+    start, step : casadi.Function
+        Its functions as scalar operations.
+    table : FlightTable
+    prefix : str
+        Of every C identifier.
+    dt : float
+        Control step, s.
+    numbers : CNumbers
+        Type of all but times.
+    """
+
+    form: FlightLaw
+    start: Any
+    step: Any
+    table: FlightTable
+    prefix: str
+    dt: float
+    numbers: CNumbers
+
+    @property
+    def operations(self) -> int:
+        """Of how many operations a step consists, at most: arithmetic, comparisons, calls."""
+        own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
+        return own + self.table.operations + (0 if self.form.solver is None else self.form.solver.operations)
+
+    @property
+    def stack(self) -> int:
+        """How many bytes the local arrays of the larger of both functions take, with those of its caller."""
+        controller, solver = self.form.controller, self.form.solver
+        row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
+        own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)
+        return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
+
+    def header(self, remarks: tuple[str, ...] = ()) -> str:
+        """Return the header; remarks are lines of comment at its top."""
+        upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
+        bounded = "at most" if self.form.solver is not None else "the same at every step, whatever the data"
+        sizes = {
+            "N_STATES": controller.states.size,
+            "N_COMMANDS": controller.commands.size,
+            "N_SIGNALS": controller.signals.size,
+            "N_MEMORY": controller.memory.size,
+            "N_ROWS": len(self.table.rows),
+        }
+        lines = [
+            f"/* {_plain(controller.name)}: discrete-time control law, written by gnc_opt. */",
+            *(f"/* {_plain(remark)} */" for remark in remarks),
+            f"#ifndef {upper}_H",
+            f"#define {upper}_H",
+            "",
+            *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
+            f"#define {upper}_DT {DOUBLE(self.dt)} /* control step, s */",
+            f"#define {upper}_T0 {DOUBLE(self.table.first)} /* time of the first row of the schedule, s */",
+            "",
+            f"/* Of a step, {bounded}; no memory is allocated. */",
+            f"#define {upper}_OPERATIONS {self.operations} /* arithmetic, comparisons, calls */",
+            f"#define {upper}_STACK {self.stack} /* bytes of the arrays on the stack, at most */",
+            f"#define {upper}_TABLE {self.table.size(self.numbers)} /* bytes of the schedule */",
+            "",
+            "/* What the arrays hold, with units:",
+        ]
+        parts = {
+            "x (states, measured)": controller.states,
+            "u (commands)": controller.commands,
+            "r (schedule)": controller.signals,
+            "z (memory)": controller.memory,
+        }
+        for title, layout in parts.items():
+            lines.append(f" * {title}: {layout.size}")
+            lines += [f" *   {entry}" for entry in _entries(layout)]
+        if controller.alarms:
+            lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
+        lines += [
+            " */",
+            "",
+            "/* Arrays of no entries may be passed as null pointers. */",
+            "/* Look up the row r of the schedule for the control step that t (s) lies in. */",
+            f"void {prefix}_signal(double t, real_t *r);",
+            "/* Set the memory z from the first measurement x at t (s). */",
+            f"void {prefix}_start(double t, const real_t *x, real_t *z);",
+            "/* Return the command u for the control step that begins at t (s), and update the memory z. */",
+            f"void {prefix}_step(double t, const real_t *x, real_t *z, real_t *u);",
+            "",
+            "#endif",
+            "",
+        ]
+        return self.numbers.typed("\n".join(lines))
+
+    def source(self) -> str:
+        """Return the law and its tables."""
+        upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
+        signals, memory = controller.signals.size, controller.memory.size
+        time = "t" if self.numbers is DOUBLE else "(real_t)t"
+        lines = [
+            f'#include "{prefix}.h"',
+            "",
+            "#include <math.h>",
+            "",
+            *_NEEDS_NAN,
+            *self.table.text(self.numbers),
+        ]
+        if self.form.solver is not None:
+            lines += [
+                "static const real_t *row_of(long k)",
+                "{",
+                f"    return schedule[k < {upper}_N_ROWS ? k : {upper}_N_ROWS - 1];",
+                "}",
+                "",
+                self.form.solver.text(self.numbers),
+            ]
+        lines += self._function("start", ["t", "x", "r"], ["z"], self.start)
+        lines += self._function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
+        lines += [f"void {prefix}_signal(double t, real_t *r)", "{"]
+        if signals:
+            lines += [
+                f"    const double place = floor((t - {upper}_T0) / {upper}_DT + 1e-6);",
+                "    long row = 0;",
+                "    /* written so that a time which is not a number takes the first row */",
+                f"    if (place >= {upper}_N_ROWS - 1)",
+                f"        row = {upper}_N_ROWS - 1;",
+                "    else if (place > 0)",
+                "        row = (long)place;",
+                "    look_up(row, r);",
+            ]
+        else:
+            lines += ["    (void)t;", "    (void)r;"]
+        lines += [
+            "}",
+            "",
+            f"void {prefix}_start(double t, const real_t *x, real_t *z)",
+            "{",
+            f"    real_t r[{max(signals, 1)}];",
+            f"    {prefix}_signal(t, r);",
+            f"    start({time}, x, r, z);",
+            "}",
+            "",
+            f"void {prefix}_step(double t, const real_t *x, real_t *z, real_t *u)",
+            "{",
+            f"    real_t r[{max(signals, 1)}];",
+            f"    real_t z_next[{max(memory, 1)}];",
+        ]
+        if memory:
+            lines.append("    int i;")
+        lines += [f"    {prefix}_signal(t, r);", f"    step({time}, x, r, z, u, z_next);"]
+        if memory:
+            lines += [f"    for (i = 0; i < {upper}_N_MEMORY; ++i)", "        z[i] = z_next[i];"]
+        return self.numbers.typed("\n".join([*lines, "}", ""]))
+
+    def driver(self) -> str:
+        """Return a program that reads measurements and writes commands."""
+        upper = self.prefix.upper()
+        form = "%lf" if self.numbers is DOUBLE else "%f"
+        lines = [
+            "/* Test driver: reads lines of a time and a state, writes the commands of successive steps.",
+            " * With an argument it runs a built-in case instead: three steps with all states at 0.1. */",
+            "#include <stdio.h>",
+            "",
+            f'#include "{self.prefix}.h"',
+            "",
+            "static int read_line(double *t, real_t *x)",
+            "{",
+            "    int i;",
+            '    if (scanf("%lf", t) != 1)',
+            "        return 0;",
+            f"    for (i = 0; i < {upper}_N_STATES; ++i)",
+            f'        if (scanf("{form}", &x[i]) != 1)',
+            "            return 0;",
+            "    return 1;",
+            "}",
+            "",
+            "static void run(double t, const real_t *x, real_t *z, int *begun)",
+            "{",
+            f"    real_t u[{upper}_N_COMMANDS];",
+            "    int i;",
+            "    if (!*begun)",
+            f"        {self.prefix}_start(t, x, z);",
+            "    *begun = 1;",
+            f"    {self.prefix}_step(t, x, z, u);",
+            f"    for (i = 0; i < {upper}_N_COMMANDS; ++i)",
+            f'        printf("%.17g%s", (double)u[i], i + 1 < {upper}_N_COMMANDS ? " " : "\\n");',
+            "}",
+            "",
+            "int main(int argc, char **argv)",
+            "{",
+            f"    real_t x[{upper}_N_STATES];",
+            f"    real_t z[{max(self.form.controller.memory.size, 1)}] = {{{self.numbers(0.0)}}};",
+            f"    double t = {upper}_T0;",
+            "    int begun = 0, k;",
+            "    (void)argv;",
+            "    if (argc > 1) {",
+            f"        for (k = 0; k < {upper}_N_STATES; ++k)",
+            f"            x[k] = {self.numbers(0.1)};",
+            "        for (k = 0; k < 3; ++k)",
+            f"            run({upper}_T0 + k * {upper}_DT, x, z, &begun);",
+            "        return 0;",
+            "    }",
+            "    while (read_line(&t, x))",
+            "        run(t, x, z, &begun);",
+            "    return 0;",
+            "}",
+            "",
+        ]
+        return self.numbers.typed("\n".join(lines))
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _function(self, name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
+        arguments = [f"real_t {inputs[0]}", *(f"const real_t *{i}" for i in inputs[1:])]
+        arguments += [f"real_t *{o}" for o in outputs]
+        body = c_statements(function, inputs, outputs, self.numbers)
+        return [
+            f"static void {name}({', '.join(arguments)})",
+            "{",
+            *(f"    {line}" for line in body),
+            "}",
+            "",
+        ]
+
+
+def _entries(layout: Layout) -> list[str]:
+    pairs = zip(layout.labels, layout.units, strict=True)
+    return [_plain(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
+
+
+def _plain(text: str) -> str:
+    """Text that can stand in a comment of any compiler."""
+    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

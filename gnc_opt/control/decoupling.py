@@ -1,0 +1,308 @@
+"""Laws that invert a decoupling matrix, and what they do where they cannot: no division passes silently.
+
+Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the fallback,
+or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law itself goes back to
+work as soon as it can. What it does without a measurement is the business of `gnc_opt.control.dropout`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, Schedule, first_memory, law
+from gnc_opt.control.design_report import Explanation, Fact, number_text
+from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals, reference_times
+from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.rehearsal import Path, Rehearsal
+from gnc_opt.errors import DesignError
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.tolerances import dependent
+
+SINGULAR = "singular"
+"""The alarm."""
+GUARD = 0.05
+"""Smallest |det E|, relative to its largest on the reference, with which a law works."""
+GROWTH = 1e-9
+"""Zero dynamics count as unstable when they grow faster than this, 1/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """One part of a law's memory: its symbol, first value and next value, SX columns; whether it is an alarm."""
+
+    name: str
+    symbol: Any
+    start: Any
+    after: Any
+    unit: str = ""
+    alarm: bool = False
+
+    @property
+    def variable(self) -> Variable:
+        """Name and size."""
+        return Variable(self.name, self.symbol.numel(), self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """E^+ y of a decoupling matrix that may become singular at run time.
+
+    Attributes
+    ----------
+    matrix : SX
+    regular : SX
+        1 where E may be inverted, 0 where not (or where E is not a number).
+    scale : float
+        The largest |det E| on the reference.
+    lowest : float
+        The smallest |det E| on the reference.
+    """
+
+    matrix: Any
+    regular: Any
+    scale: float
+    lowest: float
+
+    def __call__(self, y: Any) -> Any:
+        """Return E^+ y, SX; an arbitrary finite value where E is singular."""
+        return _solve(self.matrix, y)
+
+
+def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
+    """Return the inverse of the decoupling matrix of outputs.
+
+    Raises
+    ------
+    DesignError
+        det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
+    """
+    guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
+    pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
+    times = reference_times(reference)
+    values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
+    scale = float(np.max(np.abs(values)))
+    signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
+    worst = int(np.argmin(signed))
+    lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
+    there = pair.along(reference, times[[worst]], matrix)[0]
+    if lost or dependent(np.linalg.svd(there, compute_uv=False)):
+        if _singular_everywhere(errors, reference, times):
+            raise DesignError(
+                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular wherever they are: the "
+                "controls that move them first do not tell them apart; make such a control a state and its rate the "
+                "control, or choose other outputs."
+            )
+        raise DesignError(
+            f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
+            f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
+            "choose other outputs, or a reference that keeps clear."
+        )
+    if matrix.is_constant():
+        return Inverse(ca.SX(matrix), ca.SX(1), scale, scale)
+    sign = float(np.sign(values[worst]))
+    regular = sign * determinant >= guard * scale
+    size = matrix.shape[0]
+    harmless = ca.DM.eye(size) if matrix.shape[1] == size else ca.DM.ones(size, matrix.shape[1])
+    if matrix.shape[1] != size:
+        harmless[:, :size] += ca.DM.eye(size)
+    safe = ca.if_else(regular, matrix, ca.SX(harmless))
+    return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
+
+
+def _singular_everywhere(errors: OutputErrors, reference: Reference, times: Array) -> bool:
+    """Whether the decoupling matrix of outputs has no rank at points in general position near the reference either."""
+    if len(errors.labels) == 1:
+        return False
+    function, random = errors.pair.function(errors.decoupling), np.random.default_rng(0)
+    for t in times[:: max(1, times.size // 5)]:
+        x, u = reference.x(t), reference.u(t)
+        near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
+        if not dependent(np.linalg.svd(np.asarray(function(t, near, u, x, u).full()), compute_uv=False)):
+            return False
+    return True
+
+
+def determinant_on(
+    path: Path, errors: OutputErrors, reference: Reference, inverse: Inverse, guard: float
+) -> Fact:
+    """Return the fact about the smallest |det E| on a rehearsed path.
+
+    Raises
+    ------
+    DesignError
+        It falls below ``guard`` times the largest on the reference.
+    """
+    pair, times = errors.pair, path.times
+    columns = (times[None, :], path.x, reference.x(times), reference.u(times))
+    look = ca.Function(
+        "look", [pair.t, pair.x, pair.x_ref, pair.u_ref], [errors.determinant, inverse.regular]
+    )
+    size, regular = (np.asarray(v.full())[0] for v in look(*columns))
+    lost = np.flatnonzero(~(regular > 0) & np.all(np.isfinite(path.x), axis=0))
+    if lost.size:
+        raise DesignError(
+            f"from this start the decoupling matrix becomes singular: |det E| = {abs(size[lost[0]]):.3g} at t = "
+            f"{times[lost[0]]:.4g} s falls below {guard:g} times its largest value {inverse.scale:.3g} on the "
+            "reference; choose other outputs (errors instead of absolute attitudes), less overshoot, or a detour."
+        )
+    least = int(np.nanargmin(np.abs(size)))
+    remark = f"at t = {times[least]:.4g} s, from the given start"
+    return Fact("smallest determinant on the way", abs(float(size[least])), remark=remark)
+
+
+def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[Fact]:
+    """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
+    t = reference.final_time
+    zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))
+    if zeros.growth > growth:
+        worst = zeros.eigenvalues[int(np.argmax(zeros.eigenvalues.real))]
+        raise DesignError(
+            f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: "
+            f"eigenvalue {number_text(worst)} 1/s of {zeros.dimension} at the end of the reference; "
+            "steer other outputs or another mix of them."
+        )
+    facts = [Fact("dimension of the zero dynamics", zeros.dimension)]
+    if zeros.dimension:
+        remark = "frozen at the end of the reference"
+        facts.append(Fact("eigenvalues of the zero dynamics", zeros.eigenvalues, "1/s", remark))
+    return facts
+
+
+@dataclass(frozen=True, eq=False)
+class GuardedLaw:
+    """What a law commands where it may invert a decoupling matrix, and where not.
+
+    Attributes
+    ----------
+    command : SX (n_controls,)
+        Where it may.
+    regular : SX
+        See `Inverse`.
+    memory : tuple of Memory
+        The law's own; the last command and the alarms are added.
+    fallback : SX (n_controls,), optional
+        What it commands where it may not; without it, the last command again.
+    nominal : Nominal, optional
+        Another controller that the law builds upon, with its memory and signals.
+    """
+
+    command: Any
+    regular: Any
+    memory: tuple[Memory, ...] = ()
+    fallback: Any = None
+    nominal: Nominal | None = None
+
+
+def guarded_controller(
+    name: str,
+    pair: Pair,
+    reference: Reference,
+    guarded: GuardedLaw,
+    *,
+    dt: float | None,
+    explanation: Explanation,
+    rehearsal: Rehearsal | None = None,
+) -> Controller:
+    """Return the controller of a law with its guards, rehearsed."""
+    memory, nominal = guarded.memory, guarded.nominal
+    last = ca.SX.sym("u_last", pair.u.numel())
+    singular, regular = ca.SX.sym(SINGULAR), guarded.regular
+    u = ca.if_else(regular, guarded.command, last if guarded.fallback is None else guarded.fallback)
+    own = [
+        *memory,
+        Memory("u_last", last, pair.u_ref, u),
+        Memory(SINGULAR, singular, ca.SX(0), ca.fmax(singular, ca.logic_not(regular))),
+    ]
+    z = ca.vertcat(*[part.symbol for part in own])
+    start = ca.vertcat(*[part.start for part in own])
+    frozen = [ca.if_else(regular, part.after, part.symbol) for part in memory]
+    after = ca.vertcat(*frozen, *[part.after for part in own[len(memory) :]])
+    inner_signals: list[Variable] = []
+    variables = [part.variable for part in own]
+    r = ca.vertcat(pair.x_ref, pair.u_ref)
+    schedule: Schedule = ReferenceSchedule(reference)
+    alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
+    if nominal is not None:
+        variables += nominal.variables
+        inner_signals = nominal.signals
+        alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
+        schedule = StackedSchedule(schedule, nominal.controller.schedule)
+        z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
+        start = ca.vertcat(start, nominal.start)
+        after = ca.vertcat(after, nominal.after)
+    model = pair.model
+    guarded_law = Controller(
+        name=name,
+        step=law(pair.t, pair.x, r, z, u, after),
+        start=first_memory(pair.t, pair.x, r, start),
+        states=model.states,
+        commands=model.controls,
+        signals=reference_signals(reference, *inner_signals),
+        memory=Layout("memory", tuple(variables), f"controller '{name}'"),
+        schedule=schedule,
+        explanation=explanation,
+        dt=dt,
+        span=(reference.initial_time, reference.final_time),
+        alarms=alarms,
+    )
+    if rehearsal is not None:
+        told = Explanation(explanation.title, (*explanation.facts, *rehearsal(guarded_law)))
+        guarded_law = replace(guarded_law, explanation=told)
+    return bridge_dropouts(guarded_law)
+
+
+class Nominal:
+    """A controller inside another one: its law on the symbols of the outer law."""
+
+    def __init__(self, controller: Controller, pair: Pair) -> None:
+        controller = controller.unbridged or controller  # the outer law bridges dropouts
+        if controller.states.labels != pair.model.states.labels:
+            raise DesignError(
+                f"the nominal controller '{controller.name}' is for other states than model '{pair.model.name}'."
+            )
+        if controller.commands.labels != pair.model.controls.labels:
+            raise DesignError(
+                f"the nominal controller '{controller.name}' commands other controls than model "
+                f"'{pair.model.name}' has."
+            )
+        if not controller.step.is_a("SXFunction"):
+            raise DesignError(
+                f"the nominal controller '{controller.name}' solves a program at every step: "
+                "integral sliding mode needs a nominal law in closed form, such as LQR."
+            )
+        self.controller = controller
+        self.r = ca.SX.sym("r_nominal", controller.signals.size)
+        self.z = ca.SX.sym("z_nominal", controller.memory.size)
+        self.command, self.after = controller.step(pair.t, pair.x, self.r, self.z)
+        self.start = controller.start(pair.t, pair.x, self.r)
+
+    @property
+    def variables(self) -> list[Variable]:
+        """The memory of the inner controller, renamed."""
+        return [_renamed(v) for v in self.controller.memory.variables]
+
+    @property
+    def signals(self) -> list[Variable]:
+        """The signals of the inner controller, renamed."""
+        return [_renamed(v) for v in self.controller.signals.variables]
+
+
+def _renamed(variable: Variable) -> Variable:
+    return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
+
+
+def _solve(matrix: Any, y: Any) -> Any:
+    rows, columns = matrix.shape
+    if matrix.is_constant():
+        return ca.DM(np.linalg.pinv(np.asarray(ca.DM(matrix).full()))) @ y
+    if rows == columns:
+        return ca.solve(matrix, y)
+    return matrix.T @ ca.solve(matrix @ matrix.T, y)

@@ -1,0 +1,232 @@
+r"""Deviation from a reference: errors on the right manifold, and how they move to first order.
+
+With the model's error :math:`e = d(x, x_r)` (subtraction unless `Model.difference` says otherwise),
+
+.. math:: \dot e = \frac{\partial d}{\partial x} f(t, x, u) + \frac{\partial d}{\partial x_r} f(t, x_r, u_r)
+   \approx A\, e + B\, (u - u_r),
+
+.. math:: A = \left.\frac{\partial \dot e}{\partial x}\right|_r T, \qquad
+   B = \left.\frac{\partial \dot e}{\partial u}\right|_r,
+
+where T takes an error to the change of state that causes it, :math:`(\partial d/\partial x)\, T = 1`. The
+pseudo-inverse is that T: it leaves out the directions that are no change of state (the length of a quaternion).
+
+Linear plants and sampled laws as systems of python-control, the package of the extra ``control``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.sampled_data import zero_order_hold
+from gnc_opt.environment import imported
+from gnc_opt.errors import DesignError
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout
+
+
+def linear_system(
+    name: str, matrices: tuple[Array, Array, Array, Array], dt: float, *layouts: tuple[str, ...]
+) -> Any:
+    """Return a ``control.StateSpace``.
+
+    Parameters
+    ----------
+    name : str
+    matrices : tuple of four arrays
+        A, B, C, D.
+    dt : float
+        Step, s; 0 for continuous time.
+    *layouts : three tuples of str
+        Names of the states, inputs and outputs.
+    """
+    states, inputs, outputs = (list(labels) for labels in layouts)
+    package = imported("control", "control")
+    return package.ss(*matrices, dt, name=_name(name), states=states, inputs=inputs, outputs=outputs)
+
+
+def sampled_system(
+    name: str,
+    step: Callable[[float, Array, Array], tuple[Array, Array]],
+    dt: float,
+    memory: Layout,
+    measured: Layout,
+    commands: Layout,
+) -> Any:
+    """Return a ``control.NonlinearIOSystem`` with steps of dt (s).
+
+    Parameters
+    ----------
+    name : str
+    step : callable
+        ``step(t, z, x)`` returns the command and the next memory.
+    dt : float
+    memory, measured, commands : Layout
+        Of the state z, the input x and the output.
+    """
+    package = imported("control", "control")
+
+    def update(t: float, z: Array, x: Array, params: object) -> Array:
+        return step(t, z, x)[1]
+
+    def output(t: float, z: Array, x: Array, params: object) -> Array:
+        return step(t, z, x)[0]
+
+    return package.nlsys(
+        update,
+        output,
+        dt=dt,
+        name=_name(name),
+        states=list(memory.labels),
+        inputs=list(measured.labels),
+        outputs=list(commands.labels),
+    )
+
+
+def _name(name: str) -> str:
+    """Return a name of letters, digits and underscores: a dot would separate a system from its signal."""
+    return re.sub(r"\W+", "_", name)
+
+
+class Deviation:
+    """Errors of a model's states and their linear dynamics along a reference.
+
+    Attributes
+    ----------
+    model : Model
+    errors : Layout
+        Of e; ``n_errors`` in the shapes below.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Deviation
+    >>> A, B = Deviation(cart).linearize(0.0, [1.0, 0.0], [0.0])
+    >>> print(A.tolist(), B.tolist())
+    [[0.0, 1.0], [0.0, 0.0]] [[0.0], [1.0]]
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.errors: Layout = model.errors
+        _, xs, us, _ = model.arguments()
+        self._x, self._u = xs, us
+        self._x_ref = ca.SX.sym("x_ref", model.states.size)
+
+    def expression(self, x: Any, x_ref: Any) -> Any:
+        """Return e as an SX expression of SX columns x and x_ref."""
+        return self.model.error_expression(x, x_ref)
+
+    def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
+        """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
+        return evaluate_columns(self._error, x, x_ref)
+
+    def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
+        """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
+        jacobian, x_jacobian, u_jacobian = (
+            np.asarray(m.full()) for m in self._jacobians(t, x_ref, u_ref, self.model.parameter_values)
+        )
+        return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
+
+    def linearize_many(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
+        """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
+        n = times.size
+        parameters = np.repeat(self.model.parameter_values[:, None], n, axis=1)
+        jacobian, x_jacobian, u_jacobian = (
+            np.stack(np.split(np.asarray(m.full()), n, axis=1))
+            for m in self._jacobians(times[None, :], x_ref, u_ref, parameters)
+        )
+        return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
+
+    def output(self, name: str, t: Any, x: Any) -> Any:
+        """Return an output as an SX expression of the SX scalar t and column x.
+
+        Raises
+        ------
+        DesignError
+            It depends on a control, which a law cannot know before it has commanded it.
+        """
+        time, xs, us, p = self.model.arguments()
+        y = self.model.output_expression(name)
+        if any(ca.which_depends(y, us, 1, True)):
+            raise DesignError(
+                f"output '{name}' of model '{self.model.name}' depends on a control: name one of states alone."
+            )
+        return ca.substitute(y, ca.vertcat(time, xs, p), ca.vertcat(t, x, self.model.parameter_values))
+
+    def linearize_output(self, name: str, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> Array:
+        """Return C (n_rows, n_errors): how the output ``name`` changes with the errors at t (s), x_ref and u_ref."""
+        y = self.output(name, self.model.time, self._x)
+        slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
+        jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())
+        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
+
+    def to_control(
+        self,
+        t: float,
+        x_ref: ArrayLike,
+        u_ref: ArrayLike,
+        *,
+        outputs: Sequence[str] | None = None,
+        dt: float | None = None,
+    ) -> Any:
+        """Return the linear dynamics of e as a ``control.StateSpace`` of python-control, from u - u_ref to outputs.
+
+        Parameters
+        ----------
+        t, x_ref, u_ref
+            As for `linearize`.
+        outputs : sequence of str, optional
+            Names of the model's outputs; default e itself.
+        dt : float, optional
+            Sample exactly for commands held that long, s; default continuous time.
+
+        Raises
+        ------
+        DesignError
+            An output depends on a control.
+        GncOptError
+            The extra ``control`` is not installed.
+        """
+        a, b = self.linearize(t, x_ref, u_ref)
+        if dt is not None:
+            a, b = zero_order_hold(a, b, read_positive(dt, "the control step dt"))
+        c, labels = np.eye(a.shape[0]), self.errors.labels
+        if outputs is not None:
+            c = np.vstack([self.linearize_output(name, t, x_ref, u_ref) for name in outputs])
+            labels = tuple(label for name in outputs for label in self.model.outputs[name].labels)
+        matrices = (a, b, c, np.zeros((c.shape[0], b.shape[1])))
+        return linear_system(
+            self.model.name, matrices, dt or 0.0, self.errors.labels, self.model.controls.labels, labels
+        )
+
+    @cached_property
+    def _error(self) -> Any:
+        return ca.Function("e", [self._x, self._x_ref], [self.expression(self._x, self._x_ref)])
+
+    @cached_property
+    def _jacobians(self) -> Any:
+        t, x, u, p = self.model.arguments()
+        x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
+        f = self.model.derivative()
+        f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
+        e = self.expression(x, x_ref)
+        rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
+        outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
+        here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
+        return ca.Function("jacobians", [t, x_ref, u_ref, p], here)
+
+
+def evaluate_columns(function: Any, *columns: ArrayLike) -> Array:
+    """Evaluate a CasADi function of columns for one time or, time last, for many."""
+    arrays = [np.asarray(c, dtype=float) for c in columns]
+    value = np.asarray(function(*arrays).full())
+    return value if any(a.ndim == 2 for a in arrays) else value[:, 0]

@@ -1,1 +1,0 @@
-"""Estimators: the states that a law feeds back, from what sensors measure."""

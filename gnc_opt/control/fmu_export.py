@@ -1,0 +1,273 @@
+"""A controller as a functional mock-up unit (FMU), FMI 2.0 for co-simulation, around its flight code.
+
+The archive holds the C of `export_c`, ``fmi2_cosimulation.c`` beside it, and, where a C compiler is found, the shared
+library of this platform. Other platforms' libraries are built by the importing tool from the same sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from gnc_opt.archive import written_whole
+from gnc_opt.control.c_export.export import FlightCode, export_c, flight_form
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import ArgumentError, GncOptError
+
+_INTERFACE = Path(__file__).with_name("fmi2_cosimulation.c")
+_LAW_HEADER = Path("fmu_law.h")
+_FOLDERS = {"linux": "linux", "darwin": "darwin", "win32": "win"}
+_SUFFIXES = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
+_SAME_DATE = (1980, 1, 1, 0, 0, 0)
+"""Of all members: the same controller gives the same archive."""
+
+
+@dataclass(frozen=True)
+class MockupUnit:
+    """A functional mock-up unit that was written.
+
+    Attributes
+    ----------
+    file : Path
+    identifier : str
+        Model identifier, the name of the library within.
+    guid : str
+        Made of the sources: another law has another.
+    dt : float
+        Control step, s.
+    binary : str or None
+        Folder of the library that was compiled (``"linux64"``), ``None`` with sources only.
+
+    Examples
+    --------
+    >>> unit = go.export_fmu(regulator, "regulator.fmu", binary=False)
+    >>> print(unit.binary)  # sources only
+    None
+    """
+
+    file: Path
+    identifier: str
+    guid: str
+    dt: float
+    binary: str | None
+
+
+def export_fmu(
+    controller: Controller,
+    file: str | Path,
+    *,
+    dt: float | None = None,
+    span: tuple[float, float] | None = None,
+    binary: bool | None = None,
+) -> MockupUnit:
+    """Write a controller as a functional mock-up unit, FMI 2.0 for co-simulation.
+
+    Inputs are the measured states, outputs the commands, both Real with the names and units of the model, and an alarm
+    is a Boolean output. The law is sampled at the start time plus multiples of dt. ``fmi2DoStep(t, h)`` runs the
+    samples in [t, t + h) with the inputs that were set before it: its outputs are the command that acts **from t on**.
+    A master that sets measurements of t, steps the controller, hands its outputs to the plant and steps that, flies
+    the same loop as `ClosedLoop`; one that steps both at a time adds a delay of h.
+
+    Parameters
+    ----------
+    controller : Controller
+        As for `export_c`.
+    file : path
+        ``<name>.fmu``; its stem is the model identifier. Folders are made.
+    dt, span
+        As of `export_c`.
+    binary : bool, optional
+        Compile the library of this platform with ``cc``. By default if a compiler is found.
+
+    Returns
+    -------
+    MockupUnit
+
+    Raises
+    ------
+    ArgumentError
+        The file is not called ``<C identifier>.fmu``, or what `export_c` refuses.
+    GncOptError
+        ``binary=True`` and no compiler, or it failed.
+
+    Notes
+    -----
+    Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.4, Modelica Association (2022).
+
+    Examples
+    --------
+    >>> unit = go.export_fmu(regulator, "regulator.fmu", binary=False)
+    >>> print(unit.file.name, unit.identifier, unit.dt)
+    regulator.fmu regulator 0.1
+    """
+    file = Path(file)
+    if file.suffix != ".fmu":
+        raise ArgumentError(f"a functional mock-up unit is a file '<name>.fmu', not '{file.name}'.")
+    if file.stem in (_INTERFACE.stem, _LAW_HEADER.stem):
+        raise ArgumentError(f"'{file.stem}' is the name of a source in every unit: call the file otherwise.")
+    compiler = shutil.which("cc")
+    if binary and compiler is None:
+        raise GncOptError(
+            "no C compiler (cc) is found: install one, or write sources only with binary=False."
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        sources = Path(folder)
+        code = export_c(controller, sources, dt=dt, span=span, name=file.stem)
+        controller = flight_form(controller).controller
+        code.driver.unlink()
+        shutil.copy(_INTERFACE, sources)
+        guid = _guid(sources)
+        (sources / _LAW_HEADER).write_text(_law_header(controller, code, guid), encoding="ascii")
+        members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
+        members["modelDescription.xml"] = _description(controller, code, guid)
+        place = None
+        if compiler is not None and binary is not False:
+            place = _platform()
+            name = code.name + _SUFFIXES[sys.platform]
+            members[f"binaries/{place}/{name}"] = _compiled(compiler, sources, code, name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    _write_archive(file, members)
+    return MockupUnit(file, code.name, guid, code.dt, place)
+
+
+def _guid(sources: Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(sources.iterdir()):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _law_header(controller: Controller, code: FlightCode, guid: str) -> str:
+    """What ``fmi2_cosimulation.c`` asks of a law."""
+    alarms = [controller.memory.slice(name).start for name in controller.alarms]
+    return "\n".join(
+        [
+            f'#include "{code.name}.h"',
+            f"#define LAW_START {code.name}_start",
+            f"#define LAW_STEP {code.name}_step",
+            f"#define LAW_DT {code.dt!r}",
+            f"#define LAW_N_STATES {controller.states.size}",
+            f"#define LAW_N_COMMANDS {controller.commands.size}",
+            f"#define LAW_N_MEMORY {max(controller.memory.size, 1)}",
+            f"#define LAW_N_ALARMS {len(alarms)}",
+            f"#define LAW_ALARMS {{{', '.join(map(str, alarms or [0]))}}}",
+            f'#define LAW_GUID "{guid}"',
+            "",
+        ]
+    )
+
+
+def _description(controller: Controller, code: FlightCode, guid: str) -> bytes:
+    """``modelDescription.xml``."""
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=controller.name,
+        guid=guid,
+        description="Discrete-time control law",
+        generationTool="gnc_opt",
+        variableNamingConvention="flat",
+    )
+    simulation = _child(
+        root,
+        "CoSimulation",
+        modelIdentifier=code.name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    sources = _child(simulation, "SourceFiles")
+    for name in (_INTERFACE.name, code.source.name):
+        _child(sources, "File", name=name)
+    units = sorted({unit for unit in (*controller.states.units, *controller.commands.units) if unit})
+    if units:
+        definitions = _child(root, "UnitDefinitions")
+        for unit in units:
+            _child(definitions, "Unit", name=unit)
+    _child(root, "DefaultExperiment", stepSize=repr(code.dt), **_experiment(controller))
+    variables, structure = _child(root, "ModelVariables"), _child(root, "ModelStructure")
+    _add_variables(controller, variables)
+    outputs = _child(structure, "Outputs")
+    for index, variable in enumerate(variables, start=1):
+        if variable.get("causality") == "output":
+            _child(outputs, "Unknown", index=str(index))
+    ElementTree.indent(root)
+    text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text
+
+
+def _experiment(controller: Controller) -> Mapping[str, str]:
+    times = [] if controller.span is None else [float(t) for t in controller.span]
+    names = ("startTime", "stopTime")
+    return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}
+
+
+def _add_variables(controller: Controller, variables: ElementTree.Element) -> None:
+    """Inputs, commands and alarms in the order of their value references."""
+    kinds = [("input", "continuous", controller.states), ("output", "discrete", controller.commands)]
+    reals = [(*kind, *pair) for *kind, of in kinds for pair in zip(of.labels, of.units, strict=True)]
+    taken = set()
+    for reference, (causality, variability, label, unit) in enumerate(reals):
+        variable = _variable(variables, label, reference, causality, variability)
+        _child(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
+        taken.add(label)
+    for reference, alarm in enumerate(controller.alarms):
+        name = alarm if alarm not in taken else f"alarm {alarm}"
+        _child(_variable(variables, name, reference, "output", "discrete"), "Boolean", start="false")
+
+
+def _variable(
+    variables: ElementTree.Element, name: str, reference: int, causality: str, variability: str
+) -> ElementTree.Element:
+    exact = {"initial": "exact"} if causality == "output" else {}
+    return _child(
+        variables,
+        "ScalarVariable",
+        name=name,
+        valueReference=str(reference),
+        causality=causality,
+        variability=variability,
+        **exact,
+    )
+
+
+def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _platform() -> str:
+    bits = "64" if sys.maxsize > 2**32 else "32"
+    if sys.platform not in _FOLDERS:
+        raise GncOptError(
+            f"FMI 2.0 has no folder for libraries of {platform.system()}: write sources only, binary=False."
+        )
+    return _FOLDERS[sys.platform] + bits
+
+
+def _compiled(compiler: str, sources: Path, code: FlightCode, name: str) -> bytes:
+    # no contraction to fused operations: the same digits as the law in Python
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
+    files = [str(sources / _INTERFACE.name), str(code.source)]
+    library = sources / name
+    done = subprocess.run(
+        [compiler, *flags, "-o", str(library), *files, "-lm"], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise GncOptError(f"{compiler} could not compile the unit: {done.stderr.strip()[:500]}")
+    return library.read_bytes()
+
+
+def _write_archive(file: Path, members: Mapping[str, bytes]) -> None:
+    with written_whole(file) as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name in sorted(members):
+            archive.writestr(zipfile.ZipInfo(name, _SAME_DATE), members[name], zipfile.ZIP_DEFLATED)

@@ -1,0 +1,304 @@
+"""The quadratic programme of a horizon: prediction and limits as sparse rows, and the judgement of its solution.
+
+Its unknowns are omega (m per step), the errors at the ends of the steps, scaled by the cost to go, and one slack for
+each softly limited state and step; its cost is half the square of omega and slacks and a linear price of the slacks.
+`gnc_opt.control.mpc` tells why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+
+_LEAST_PRICE = 1e-6
+"""Of a state that costs nothing; its limit must still cost something."""
+_FAR = 1e6
+"""A row this far from its limit, in ranges, is as good as without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Limits of one step.
+
+    Attributes
+    ----------
+    lower, upper : array (m,)
+        Of the controls.
+    change : array (m,) or None
+        Largest change of the controls from step to step.
+    states, errors : tuple of int
+        Places of the limited states in x and in e.
+    state_lower, state_upper : array (n_limited,)
+    price : array (n_limited,)
+        Weight of each limited state's excess, squared; infinite for a hard limit.
+    """
+
+    lower: Array
+    upper: Array
+    change: Array | None
+    states: tuple[int, ...]
+    errors: tuple[int, ...]
+    state_lower: Array
+    state_upper: Array
+    price: Array
+
+    @property
+    def count(self) -> int:
+        """Rows of one step."""
+        return self.lower.size * (1 if self.change is None else 2) + len(self.below) + len(self.above)
+
+    @property
+    def soft(self) -> list[int]:
+        """Limited states that have a slack."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.price))]
+
+    @property
+    def below(self) -> list[int]:
+        """Limited states that have a lower limit."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.state_lower))]
+
+    @property
+    def above(self) -> list[int]:
+        """Limited states that have an upper limit."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.state_upper))]
+
+    @property
+    def state_scale(self) -> Array:
+        """Half the range of each limited state; where one side is open, the size of the other (or 1)."""
+        half = 0.5 * (self.state_upper - self.state_lower)
+        one = np.where(np.isfinite(self.state_lower), np.abs(self.state_lower), np.abs(self.state_upper))
+        return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
+
+    @property
+    def roots(self) -> Array:
+        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
+        price = self.price[self.soft] * self.state_scale[self.soft] ** 2
+        return np.sqrt(np.maximum(price, _LEAST_PRICE))
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """``min y'hy/2 + g'y`` within ``low <= a y <= high``, limits scaled to [-1, 1]; DM and MX.
+
+    The first rows are ``equal`` equations. The first ``free`` unknowns may have any sign; the slacks after them are not
+    negative.
+    """
+
+    h: Any
+    g: Any
+    a: Any
+    low: Any
+    high: Any
+    equal: int
+    free: int
+
+    def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
+        """Return the largest violation of the optimality conditions; multipliers are positive at upper limits.
+
+        Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1, the
+        equations to their largest right side.
+        """
+        size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
+        stationary = ca.norm_inf(self.h @ y + self.g + self.a.T @ lam_a + lam_x) / size
+        value, k = self.a @ y, self.equal
+        right = self.low[:k]
+        unequal = ca.norm_inf(value[:k] - right) / ca.fmax(1, ca.norm_inf(right))
+        value, high, low, lam = value[k:], self.high[k:], self.low[k:], lam_a[k:]
+        outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
+        gap_high, gap_low = ca.fmin(high - value, _FAR), ca.fmin(value - low, _FAR)
+        slack = ca.norm_inf(ca.fmax(lam, 0) * gap_high) + ca.norm_inf(ca.fmin(lam, 0) * gap_low)
+        found = [stationary, unequal, outside, slack / size]
+        if y.shape[0] > self.free:
+            slacks, multipliers = y[self.free :], lam_x[self.free :]
+            found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
+            found.append(ca.norm_inf(multipliers * slacks) / size)
+        return sum(found)  # not the maximum: fmax would hide what is not a number
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """The steps of a horizon and where their unknowns stand.
+
+    Attributes
+    ----------
+    rows : Rows
+    matrices : list of lists
+        A - B K, B L^-T, K and L^-T of each step, DM or MX.
+    scale : array (n_errors,)
+        What an unknown error is measured in.
+    condensed : bool
+        Without errors among the unknowns: no equations, and dense rows.
+    """
+
+    rows: Rows
+    matrices: list[list[Any]]
+    scale: Array
+    condensed: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of steps."""
+        return len(self.matrices[0])
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Number of errors and of controls."""
+        n, m = self.matrices[1][0].shape
+        return int(n), int(m)
+
+    @property
+    def free(self) -> int:
+        """Number of unknowns that may have any sign."""
+        return self.count * (self.sizes[1] if self.condensed else sum(self.sizes))
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.free + self.count * len(self.rows.soft)
+
+    @property
+    def equations(self) -> int:
+        """Number of equations."""
+        return 0 if self.condensed else self.count * self.sizes[0]
+
+    def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
+        """Return the programme.
+
+        Parameters
+        ----------
+        e_0 : column (n_errors,)
+            At the beginning.
+        u_ff : column
+            Feedforward over the steps.
+        x_ref : column
+            Reference of the limited states at the ends of the steps.
+        previous : column (m,)
+            The command before the horizon.
+        """
+        rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
+        commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
+        found = [] if self.condensed else [self._step(j, e_0) for j in range(self.count)]
+        found += [_between(*command, rows.lower, rows.upper) for command in commands]
+        if rows.change is not None:
+            before = (ca.DM(m, self.unknowns), previous)
+            for row, u in commands:
+                found.append(_between(row - before[0], u - before[1], -rows.change, rows.change))
+                before = (row, u)
+        found += self._states(x_ref, errors)
+        a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
+        squares = np.zeros(self.unknowns)
+        squares[: m * self.count] = squares[self.free :] = 1.0
+        gradient = np.zeros(self.unknowns)
+        gradient[self.free :] = np.tile(self.rows.roots, self.count)
+        h = ca.diag(ca.sparsify(ca.DM(squares)))
+        return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
+
+    def alone(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> tuple[Any, Any]:
+        """Return the unknowns where the regulator is left alone, and whether it meets no limit then.
+
+        Arguments as of `programme`.
+        """
+        rows, (_, m) = self.rows, self.sizes
+        e, errors, room, limited = e_0, [], [], len(rows.states)
+        for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
+            u = u_ff[m * j : m * (j + 1)] - k @ e
+            room += [u - rows.lower, rows.upper - u]
+            if rows.change is not None:
+                room += [u - previous + rows.change, rows.change - u + previous]
+                previous = u
+            e = a @ e
+            errors.append(e / self.scale)
+            x = [x_ref[limited * j + i] + e[place] for i, place in enumerate(rows.errors)]
+            room += [x[i] - rows.state_lower[i] for i in rows.below]
+            room += [rows.state_upper[i] - x[i] for i in rows.above]
+        between = [] if self.condensed else errors
+        unknowns = ca.vertcat(ca.DM.zeros(m * self.count), *between, ca.DM.zeros(self.unknowns - self.free))
+        return unknowns, ca.mmin(ca.vertcat(*room)) >= 0
+
+    def first_command(self, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
+        """Return the first command as rows of the unknowns and what there is beside them."""
+        return self._command(0, (ca.DM(self.sizes[0], self.unknowns), e_0), u_ff)
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    @property
+    def _scaled(self) -> Any:
+        return ca.diag(ca.DM(self.scale))
+
+    def _errors(self, e_0: Any) -> list[tuple[Any, Any]]:
+        """Return the errors at the beginning and at the end of every step, as rows of the unknowns and the rest."""
+        n, _ = self.sizes
+        found = [(ca.DM(n, self.unknowns), e_0)]
+        for j in range(self.count):
+            if self.condensed:
+                a, f, (rows, rest) = self.matrices[0][j], self.matrices[1][j], found[-1]
+                found.append((a @ rows + self._row({self._omega(j): f}), a @ rest))
+            else:
+                found.append((self._row({self._error(j + 1): self._scaled}), ca.DM.zeros(n)))
+        return found
+
+    def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
+        """Return the j-th command as rows of the unknowns and what there is beside them, from the errors before it."""
+        (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
+        return self._row({self._omega(j): g}) - k @ rows, u_ff - k @ rest
+
+    def _omega(self, j: int) -> int:
+        return j * self.sizes[1]
+
+    def _error(self, j: int) -> int:
+        """Return where the errors at the end of j steps begin, j from 1."""
+        n, m = self.sizes
+        return self.count * m + (j - 1) * n
+
+    def _row(self, blocks: dict[int, Any]) -> Any:
+        """Return sparse rows with blocks that begin at these columns."""
+        height = next(iter(blocks.values())).shape[0]
+        parts, at = [], 0
+        for begin, block in sorted(blocks.items()):
+            parts += [ca.DM(height, begin - at), block]
+            at = begin + block.shape[1]
+        return ca.horzcat(*parts, ca.DM(height, self.unknowns - at))
+
+    def _step(self, j: int, e_0: Any) -> tuple[Any, Any, Any]:
+        """The rows of ``e_{j+1} - a e_j - f omega_j = 0``, in the units of the errors."""
+        n, _ = self.sizes
+        a, f, _, _ = (matrices[j] for matrices in self.matrices)
+        inverse = ca.diag(ca.DM(1 / self.scale))
+        blocks = {self._error(j + 1): ca.DM.eye(n), self._omega(j): -inverse @ f}
+        if j == 0:
+            right = inverse @ (a @ e_0)
+            return self._row(blocks), right, right
+        return (
+            self._row(blocks | {self._error(j): -inverse @ a @ self._scaled}),
+            ca.DM.zeros(n),
+            ca.DM.zeros(n),
+        )
+
+    def _states(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
+        """The rows of the limited states."""
+        rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
+        found = []
+        for side, which, limit in ((-1, rows.below, rows.state_lower), (1, rows.above, rows.state_upper)):
+            for j in range(self.count):
+                for i in which:
+                    row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
+                    row = row / scale[i]
+                    if i in rows.soft:
+                        slack = rows.soft.index(i)
+                        place = self.free + j * len(rows.soft) + slack
+                        row = row + self._row({place: ca.DM(-side / rows.roots[slack])})
+                    room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
+                    found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
+        return found
+
+
+def _between(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
+    """The rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
+    scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
+    offset = (value - middle) * scale
+    return ca.diag(ca.DM(scale)) @ row, -1 - offset, 1 - offset

@@ -1,0 +1,438 @@
+r"""Lie derivatives, relative degree, decoupling matrix and zero dynamics of outputs, symbolic in (t, x, u, p).
+
+Along :math:`\dot x = f(t, x, u)` an output h(t, x) moves as
+:math:`\dot h = \partial_t h + (\partial_x h) f`. Its relative degree r is the order of the first derivative that a
+control enters; with f affine in u,
+
+.. math:: h^{(r)} = a(t, x) + E(t, x)\, u .
+
+Tracking compares with a reference that obeys the same dynamics, so that errors :math:`e(x, x_r)` are differentiated
+along both (`Pair`). That holds for plain outputs, :math:`e = h(x) - h(x_r)`, and for states whose difference is a
+rotation. (A. Isidori, Nonlinear Control Systems, 3rd ed., ch. 4 and 5.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.reference import Reference
+from gnc_opt.errors import DesignError, unknown_name
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import as_expression
+from gnc_opt.tolerances import ROUNDING, dependent
+
+Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
+"""What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or
+a mapping from names to expressions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A plant and the reference it follows: two copies of the same dynamics.
+
+    Attributes
+    ----------
+    model : Model
+    t, x, u, x_ref, u_ref : SX
+    f, f_ref : SX
+        dx/dt of either; the parameters have the model's values.
+    """
+
+    model: Model
+    t: Any
+    x: Any
+    u: Any
+    x_ref: Any
+    u_ref: Any
+    f: Any
+    f_ref: Any
+
+    @classmethod
+    def of(cls, model: Model) -> Pair:
+        """Return the pair of a model.
+
+        Raises
+        ------
+        DesignError
+            The controls do not enter dx/dt affinely.
+        """
+        t, x, u, p = model.arguments()
+        f = ca.substitute(model.derivative(), p, ca.DM(model.parameter_values))
+        bent = [model.controls.labels[j] for j in range(u.numel()) if ca.depends_on(ca.jacobian(f, u), u[j])]
+        if bent:
+            raise DesignError(
+                f"control '{bent[0]}' of model '{model.name}' does not enter its dynamics affinely: "
+                "make it a state and its rate the control."
+            )
+        x_ref, u_ref = ca.SX.sym("x_ref", x.numel()), ca.SX.sym("u_ref", u.numel())
+        f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
+        return cls(model, t, x, u, x_ref, u_ref, f, f_ref)
+
+    def rate(self, e: Any) -> Any:
+        """Return the time derivative of an expression e(t, x, x_ref) along both dynamics, for a held u_ref."""
+        return (
+            ca.jtimes(e, self.t, ca.SX(1))
+            + ca.jtimes(e, self.x, self.f)
+            + ca.jtimes(e, self.x_ref, self.f_ref)
+        )
+
+    def on_reference(self, expression: Any) -> Any:
+        """Return an expression with the reference in the place of the plant."""
+        return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
+
+    def function(self, *expressions: Any) -> Any:
+        """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
+        return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
+
+    def along(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
+        """Return the values of an expression on the reference at ``times`` (s)."""
+        function = self.function(expression)
+        points = ((t, reference.x(t), reference.u(t)) for t in times)
+        return [np.asarray(function(t, x, u, x, u).full()) for t, x, u in points]
+
+
+@dataclass(frozen=True, eq=False)
+class OutputErrors:
+    """Errors of outputs relative to a reference, with the derivatives that no control enters.
+
+    Attributes
+    ----------
+    pair : Pair
+    labels : tuple of str
+        One per component.
+    chains : tuple of SX
+        Per component e, de/dt, ... up to order r - 1, shape (r, 1).
+    drift : SX (n_outputs, 1)
+    decoupling : SX (n_outputs, n_controls)
+        The r-th derivatives are ``drift + decoupling @ u``.
+    """
+
+    pair: Pair
+    labels: tuple[str, ...]
+    chains: tuple[Any, ...]
+    drift: Any
+    decoupling: Any
+
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """The relative degrees, one per component."""
+        return tuple(chain.numel() for chain in self.chains)
+
+    @property
+    def size(self) -> int:
+        """Number of components."""
+        return len(self.labels)
+
+    @property
+    def determinant(self) -> Any:
+        """det E, or (det E E^T)^(1/2) where there are more controls than outputs: zero where E is singular."""
+        e = self.decoupling
+        return ca.det(e) if e.shape[0] == e.shape[1] else ca.sqrt(ca.det(e @ e.T))
+
+
+def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
+    """Return the time derivative of an expression of (t, x, p) along the model, SX of (t, x, u, p).
+
+    Derivatives of a higher order hold while no control enters a lower one.
+
+    Parameters
+    ----------
+    model : Model
+    expression : casadi SX
+        Of the model's time, states and parameters.
+    order : int
+        How often to differentiate, >= 1.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import lie_derivative
+    >>> print(lie_derivative(cart, q, 2))
+    a
+    """
+    t, x, _, _ = model.arguments()
+    h = as_expression(expression, "the expression to differentiate", failure=DesignError)
+    for _ in range(order):
+        h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.derivative())
+    return h
+
+
+def relative_degrees(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> dict[str, int]:
+    """Return the relative degree of each component of the outputs near the state x (n_states,) at time t (s).
+
+    Parameters
+    ----------
+    model : Model
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+    x : array (n_states,)
+    t : float
+        s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import relative_degrees
+    >>> print(relative_degrees(cart, "q", [0.0, 0.0]))
+    {'q': 2}
+    """
+    errors = output_errors(model, _point(model, x, t), outputs)
+    return dict(zip(errors.labels, errors.degrees, strict=True))
+
+
+def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> Array:
+    """Return E (n_outputs, n_controls) at the state x (n_states,) and time t (s).
+
+    Parameters
+    ----------
+    model : Model
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+    x : array (n_states,)
+    t : float
+        s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import decoupling_matrix
+    >>> print(decoupling_matrix(cart, "q", [0.0, 0.0]))
+    [[1.]]
+    """
+    point = _point(model, x, t)
+    errors = output_errors(model, point, outputs)
+    return errors.pair.along(point, np.array([t]), errors.decoupling)[0]
+
+
+def output_errors(model: Model, reference: Reference, outputs: Outputs) -> OutputErrors:
+    """Return the errors of outputs with their derivatives up to the relative degree, as `zero_dynamics` takes them.
+
+    Parameters
+    ----------
+    model : Model
+    reference : Reference
+        Near which the relative degrees are found.
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+
+    Returns
+    -------
+    OutputErrors
+
+    Raises
+    ------
+    DesignError
+        A control enters an output itself or non-affinely, no control enters any derivative of it, or there are
+        more outputs than controls.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import output_errors
+    >>> errors = output_errors(cart, go.Reference(solution), "q")
+    >>> print(errors.degrees)
+    (2,)
+    """
+    pair = Pair.of(model)
+    return chain_errors(pair, reference, error_expressions(pair, outputs))
+
+
+def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
+    """Return the errors of expressions of (t, x, x_ref), by name; errors as `output_errors`."""
+    model = pair.model
+    named = {
+        label: row
+        for name, e in expressions.items()
+        for label, row in zip(_labels(name, e.numel()), ca.vertsplit(e), strict=True)
+    }
+    if len(named) > pair.u.numel():
+        raise DesignError(
+            f"model '{model.name}' has {pair.u.numel()} control{'s' * (pair.u.numel() > 1)} for "
+            f"{len(named)} outputs ({', '.join(named)}): steer fewer, or combine them by hierarchical surfaces."
+        )
+    chains, last = [], []
+    for label, e in named.items():
+        chain, rate = _differentiate(pair, reference, label, e)
+        chains.append(ca.vertcat(*chain))
+        last.append(rate)
+    rates = ca.vertcat(*last)
+    nothing = ca.DM.zeros(pair.u.numel())
+    drift, decoupling = (
+        ca.simplify(ca.densify(ca.substitute(value, pair.u, nothing)))
+        for value in (rates, ca.jacobian(rates, pair.u))
+    )
+    return OutputErrors(pair, tuple(named), tuple(chains), drift, decoupling)
+
+
+def error_expressions(pair: Pair, outputs: Outputs) -> dict[str, Any]:
+    """Return the error of each output, SX of (t, x, x_ref), by name."""
+    if isinstance(outputs, Mapping):
+        items: list[tuple[str, Any]] = list(outputs.items())
+    else:
+        listed = [outputs] if isinstance(outputs, (str, ca.SX)) else list(outputs)
+        items = [(o, o) if isinstance(o, str) else (f"y{i}", o) for i, o in enumerate(listed)]
+    if not items:
+        raise DesignError("no outputs are given: name the states or outputs to steer.")
+    return {name: _error(pair, name, output) for name, output in items}
+
+
+def _error(pair: Pair, name: str, output: Any) -> Any:
+    model = pair.model
+    if isinstance(output, str):
+        if output in model.states:
+            return model.error_expression(pair.x, pair.x_ref)[model.errors.slice(output)]
+        if output not in model.outputs:
+            known = [*model.states.names, *model.outputs.names]
+            raise unknown_name("state or output", output, f"model '{model.name}'", known)
+        output = model.output_expression(output)
+    h = as_expression(output, f"output '{name}'", failure=DesignError)
+    h = ca.substitute(h, model.symbols("parameter"), ca.DM(model.parameter_values))
+    if ca.depends_on(h, pair.u):
+        raise DesignError(
+            f"a control enters output '{name}' itself: its relative degree is 0, steer its cause."
+        )
+    return h - pair.on_reference(h)
+
+
+def _differentiate(pair: Pair, reference: Reference, label: str, e: Any) -> tuple[list[Any], Any]:
+    """Return [e, de/dt, ...] without controls and the first derivative that a control enters."""
+    nothing = ca.DM.zeros(pair.u.numel())
+    chain = [e]
+    for _ in range(pair.x.numel()):
+        rate = pair.rate(chain[-1])
+        if _controlled(pair, reference, chain[-1], rate):
+            return chain, rate
+        chain.append(ca.substitute(rate, pair.u, nothing))
+    raise DesignError(
+        f"no control of model '{pair.model.name}' enters output '{label}' or any of its first "
+        f"{pair.x.numel()} derivatives: its relative degree is not defined, steer another output."
+    )
+
+
+def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
+    """Whether a control enters de/dt at points in general position near the reference.
+
+    The structure alone may say yes where terms cancel, e.g. sin^2 + cos^2 - 1.
+    """
+    if not ca.depends_on(rate, pair.u):
+        return False
+    size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
+    function = pair.function(ca.jacobian(rate, pair.u), size)
+    random = np.random.default_rng(0)
+    for t in np.linspace(reference.initial_time, reference.final_time, 5):
+        x, u = reference.x(t), reference.u(t)
+        near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
+        value, scale = (np.asarray(m.full()) for m in function(t, near, u, x, u))
+        if np.any(np.abs(value) > ROUNDING * scale):
+            return True
+    return False
+
+
+@dataclass(frozen=True)
+class ZeroDynamics:
+    """What moves on while the outputs follow their reference exactly, linearised at one point.
+
+    Attributes
+    ----------
+    dimension : int
+        Number of errors less the sum of the relative degrees; 0: none.
+    eigenvalues : array of complex (dimension,)
+        1/s. Frozen at the point, so that they prove stability at a reference at rest only.
+    """
+
+    dimension: int
+    eigenvalues: Array
+
+    @property
+    def growth(self) -> float:
+        """The largest real part, 1/s; -inf where there are none."""
+        return float(np.max(self.eigenvalues.real, initial=-np.inf))
+
+
+def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) -> ZeroDynamics:
+    """Return the zero dynamics of outputs linearised at (t, x, u).
+
+    In error coordinates (3 for a quaternion with a declared difference, 4 without) the outputs and their
+    derivatives are T e, and the control that keeps the r-th derivatives at zero is -E^+ R e, so that the null space of
+    T is invariant under A - B E^+ R.
+
+    Parameters
+    ----------
+    errors : OutputErrors
+        From `gnc_opt.control.input_output_linearization.output_errors`.
+    t : float
+        s.
+    x : array (n_states,)
+    u : array (n_controls,)
+
+    Raises
+    ------
+    DesignError
+        E is singular there.
+
+    Examples
+    --------
+    Where q + 2 v stays at zero, q goes on by dq/dt = -q / 2:
+
+    >>> from gnc_opt.control import output_errors, zero_dynamics
+    >>> errors = output_errors(cart, go.Reference(solution), {"mixed": q + 2 * v})
+    >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth:.3f}")
+    -0.500
+    """
+    pair = errors.pair
+    deviation = pair.model.error_expression(pair.x, pair.x_ref)
+    rates = errors.drift + errors.decoupling @ pair.u
+    function = pair.function(
+        ca.jacobian(deviation, pair.x),
+        ca.jacobian(pair.rate(deviation), pair.x),
+        ca.jacobian(pair.rate(deviation), pair.u),
+        ca.jacobian(ca.vertcat(*errors.chains), pair.x),
+        ca.jacobian(rates, pair.x),
+        errors.decoupling,
+    )
+    d, a, b, outputs, last, e = (np.asarray(m.full()) for m in function(t, x, u, x, u))
+    singular = np.linalg.svd(e, compute_uv=False)
+    if dependent(singular):
+        raise DesignError(
+            f"the decoupling matrix is singular at t = {t:g} s (singular values {singular}): "
+            "the outputs cannot be steered independently there."
+        )
+    to_state = np.linalg.pinv(d)
+    still = scipy.linalg.null_space(outputs @ to_state)
+    closed = (a - b @ np.linalg.pinv(e) @ last) @ to_state
+    return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
+
+
+def given_for(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+    """Return what a mapping from outputs holds for one of their components; ``None`` if nothing.
+
+    Raises
+    ------
+    UnknownNameError
+        It names an output that there is not.
+    """
+    known = [*errors.labels, *map(_output, errors.labels)]
+    for key in given:
+        if key not in known:
+            raise unknown_name("output", key, where, errors.labels)
+    return given.get(label, given.get(_output(label)))
+
+
+def _output(label: str) -> str:
+    """Return the output that a component belongs to."""
+    return label.partition("[")[0]
+
+
+def _labels(name: str, size: int) -> list[str]:
+    return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+
+
+def _point(model: Model, x: ArrayLike, t: float) -> Reference:
+    """Return a constant reference at x, whether it can rest there or not."""
+    state = np.asarray(x, dtype=float)
+    rest = np.zeros(model.controls.size)
+    return Reference.from_functions(model, lambda _: state, lambda _: rest, t, t)

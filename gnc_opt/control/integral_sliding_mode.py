@@ -1,0 +1,223 @@
+r"""Integral sliding mode: a nominal law made robust from the first moment on, without a reaching phase.
+
+With errors e relative to the reference and B = :math:`\partial\dot e / \partial u` there, let
+:math:`w = G(x_r)\,e`, with G = B^+ or B^T. The surface
+
+.. math:: s(t) = w(t) - w(0) - \int_0^t \dot w\big|_{u_{nom}} d\tau
+
+is how far the plant has left the path that the nominal law alone would take it on without disturbances. It starts at
+zero; :math:`u = u_{nom} - E^{-1} \rho(s)`, with :math:`E = \partial\dot w / \partial u` (1 or B^T B on the reference),
+keeps it there. :math:`\dot w` is the exact derivative along the model, nonlinear and with the movement of G; for linear
+dynamics and u = -K e this is :math:`s = G[e - e(0)] - G \int (A - BK)\,e\,d\tau` (A. Imani, M. Bahrami, eqs 22-31).
+
+**Sampled.** Between two steps the nominal command is held, as actuators hold it, and so it is in the integral: s sees
+disturbances, not the hold. The integral over a step is the trapezoid with end corrections,
+
+.. math:: \int g\,d\tau = \tfrac{h}{2}(g_0 + g_1) + \tfrac{h^2}{12}(\dot g_0 - \dot g_1) + O(h^5),
+
+with the model's own derivatives of g; they leave out switching and disturbance, whose parts cancel between the ends.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Limits, saturated
+from gnc_opt.control.controller import Controller
+from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, Nominal, guarded_controller, guarded_inverse
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain_errors
+from gnc_opt.control.reaching_laws import Boundary, Law
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
+from gnc_opt.control.sliding_mode import SlidingOptions
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import DesignError, did_you_mean
+from gnc_opt.model.model import Model
+from gnc_opt.tolerances import dependent
+
+Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
+
+
+@one_thread()
+def design_integral_sliding_mode(
+    model: Model,
+    reference: Reference | ArrayLike,
+    *,
+    nominal: Controller | ArrayLike,
+    reaching: Law,
+    boundary: Boundary,
+    dt: float,
+    projection: Projection = "pseudo-inverse",
+    bound: ArrayLike = 0.0,
+    limits: Limits | None = None,
+    guard: float = GUARD,
+    name: str = "integral sliding mode",
+) -> Controller:
+    """Design an integral sliding mode around a nominal law.
+
+    Parameters
+    ----------
+    model : Model
+        Affine in its controls.
+    reference : Reference or array (n_states,)
+    nominal : Controller, or array (n_controls, n_errors)
+        The law to be made robust: LQR, TVLQR, any in closed form; or the gain K of u = u_ref - K e.
+    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
+    boundary : Sign, SaturationLayer or TanhLayer
+    dt : float
+        Length of a control step, s.
+    projection : {"pseudo-inverse", "transpose"}
+        G. With B^+ s has the unit of the controls times s and a matched disturbance enters ds/dt as it is, with the
+        least amplification of unmatched ones; with B^T it is multiplied by B^T B.
+    bound : float or array (n_controls,)
+        Largest disturbance of ds/dt; for `SuperTwisting` its largest rate.
+    limits : (lower, upper), optional
+        Authority, checked along the reference. What limits cut from a command is not taken for a disturbance.
+    guard : float
+        Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+
+    Raises
+    ------
+    DesignError
+        Dependent controls, disturbances above the gain, gain above the authority, steps too long for the boundary
+        layer, a nominal gain that is not stable at rest, or a nominal law that is not in closed form.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate, SaturationLayer
+    >>> from gnc_opt.simulation import Constant
+    >>> reaching = {"reaching": ConstantRate(0.5), "boundary": SaturationLayer(0.1)}
+    >>> law = go.design_integral_sliding_mode(cart, [0, 0], nominal=regulator, **reaching, bound=0.2, dt=0.1)
+    >>> for each in (regulator, law):
+    ...     windy = go.ClosedLoop(cart, each, disturbances=[Constant("wind", 0.2, on="a")])
+    ...     print(f"{windy.simulate([1.0, 0.0], tf=20.0).miss('q'):.2f} m off")
+    0.22 m off
+    0.00 m off
+    """
+    reference = read_plant(model, reference, "design_integral_sliding_mode")
+    pair = Pair.of(model)
+    options = SlidingOptions(reaching, boundary, bound, limits=limits, dt=dt)
+    switching = options.switching(model, model.controls.labels)
+    errors, singular = _surface(pair, reference, projection)
+    inverse = guarded_inverse(errors, reference, guard)
+    inner, u_nominal, facts = _nominal(pair, reference, nominal, dt)
+
+    s, integral = _integrated(errors, dt)
+    wanted, twist = switching.demand(s, ca.SX.zeros(errors.size))
+    u = u_nominal + inverse(wanted)
+    memory = [
+        *twist,
+        *switching.watch(s, stays=False),
+        *integral(u_nominal + (saturated(u, switching.limits) - u)),
+    ]
+    facts += [
+        Fact("s at the start", 0.0, remark="no reaching phase"),
+        *switching.facts(),
+        Fact("singular values of B", singular, remark=f"at the start; G is the {projection}"),
+        *switching.reserve(errors, reference),
+    ]
+    return guarded_controller(
+        name,
+        pair,
+        reference,
+        GuardedLaw(u, inverse.regular, tuple(memory), fallback=u_nominal, nominal=inner),
+        dt=switching.dt,
+        explanation=Explanation(f"integral sliding mode of '{model.name}'", tuple(facts)),
+    )
+
+
+def _surface(pair: Pair, reference: Reference, projection: Projection) -> tuple[OutputErrors, Array]:
+    """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
+    if projection not in get_args(Projection):
+        raise DesignError(
+            f"there is no projection {projection!r}: {did_you_mean(str(projection), get_args(Projection))}"
+        )
+    e = pair.model.error_expression(pair.x, pair.x_ref)
+    b = ca.densify(ca.simplify(pair.on_reference(ca.jacobian(pair.rate(e), pair.u))))
+    first = pair.along(reference, np.array([reference.initial_time]), b)[0]
+    singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
+    if first.shape[0] < first.shape[1] or dependent(singular):
+        raise DesignError(
+            f"the controls of model '{pair.model.name}' act alike on its states: B has the singular values {singular}; "
+            "allocate them first, and design for independent controls."
+        )
+    if projection == "transpose":
+        g = b.T
+    elif b.is_constant():
+        g = ca.SX(np.linalg.pinv(first))
+    else:
+        g = ca.solve(b.T @ b, b.T)
+    return chain_errors(pair, reference, {"s": g @ e}), singular
+
+
+def _integrated(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
+    """Return s, and a function from the nominal command to be held to the memory that s needs."""
+    pair = errors.pair
+    w = ca.vertcat(*[chain[0] for chain in errors.chains])
+    g = errors.drift + errors.decoupling @ pair.u
+    g_rate = pair.rate(g)
+    held = ca.SX.sym("u_nominal", pair.u.numel()), ca.SX.sym("u_ref_held", pair.u.numel())
+    here = ca.vertcat(pair.u, pair.u_ref)
+    right = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, here, ca.vertcat(*held))
+    left = dt / 2 * g + dt**2 / 12 * g_rate
+    first, behind = ca.SX.sym("w_start", errors.size), ca.SX.sym("integral", errors.size)
+    s = (w - first) - (behind + right)
+    # At the first step nothing lies behind: the right end of a step before it, with u_ref held, is taken away again.
+    nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
+
+    def memory(u_nominal: Any) -> list[Memory]:
+        ahead = ca.substitute(left, pair.u, u_nominal)
+        return [
+            Memory("w_start", first, w, first),
+            Memory("integral", behind, nothing, behind + right + ahead),
+            Memory("u_nominal", held[0], pair.u_ref, u_nominal),
+            Memory("u_ref_held", held[1], pair.u_ref, pair.u_ref),
+            Memory("s", ca.SX.sym("s", errors.size), ca.SX.zeros(errors.size), s),
+        ]
+
+    return s, memory
+
+
+def _nominal(
+    pair: Pair, reference: Reference, nominal: Controller | ArrayLike, dt: float
+) -> tuple[Nominal | None, Any, list[Fact]]:
+    """Return the nominal controller (if it is one), its command and its facts."""
+    if isinstance(nominal, Controller):
+        nominal.step_length(dt)
+        inner = Nominal(nominal, pair)
+        return inner, inner.command, [Fact("nominal law", nominal.name), *nominal.explanation.facts]
+    gain = read_numbers(nominal, "the nominal gain K", DesignError)
+    shape = (pair.u.numel(), pair.model.errors.size)
+    if gain.shape != shape:
+        raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
+    e = pair.model.error_expression(pair.x, pair.x_ref)
+    poles, radius = _poles(pair, reference, gain, dt)
+    if np.max(poles.real) >= 0 or radius >= 1:
+        raise DesignError(
+            f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
+            f"{radius:.6g} with steps of {dt:g} s; design it with design_lqr."
+        )
+    facts = [Fact("K", gain), Fact("nominal poles", poles, "1/s"), Fact("nominal spectral radius", radius)]
+    return None, pair.u_ref - ca.DM(gain) @ e, facts
+
+
+def _poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
+    """Return the poles of A - B K at the end of the reference and the spectral radius of the sampled loop."""
+    t = reference.final_time
+    a, b = Deviation(pair.model).linearize(t, reference.x(t), reference.u(t))
+    held_a, held_b = zero_order_hold(a, b, dt)
+    return np.asarray(np.linalg.eigvals(a - b @ gain)), spectral_radius(held_a - held_b @ gain)

@@ -1,0 +1,218 @@
+r"""Margins of a linear loop at the plant's input.
+
+With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \omega dt}` on the unit circle):
+
+* per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the real axis left
+  of 0 and the unit circle, delay margin = phase margin / crossover frequency. The real axis is also met at
+  :math:`\omega = 0` (a statically unstable plant needs a least gain) and, sampled, at :math:`\omega = \pi / dt`;
+* all channels at once: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}: every
+  channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
+  phase by :math:`2 \arctan(\alpha/2)`.
+
+References
+----------
+P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40 (2020), eqs. 9-15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.control.sampled_data import continuous_poles
+from gnc_opt.environment import one_thread
+from gnc_opt.tolerances import SAME_TIME, TINY
+
+_POINTS = 2000
+_DECADES = 4.0
+_AT_ZERO = 1e-8
+"""Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
+_ENTRIES = 1_000_000
+"""Of the matrices that are solved with at once, at most."""
+_BESIDE = 1e-6
+"""Distance of the nodes on either side of a resonance, relative to its frequency."""
+_ROOT = 1e-12
+"""Crossings are found to this, relative to their frequency."""
+_ROUNDED = 1e-4
+"""A loop gain that rounding of A may change by more than this share is that of an integrator or undamped mode, and has
+no size: where it changes its sign it has gone through infinity and not through zero."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins at the plant's input, one number per channel unless said otherwise.
+
+    Attributes
+    ----------
+    gain_up, gain_down : array (m,)
+        Factors of the channel's gain at which stability is lost; ``inf`` and 0 if it never is.
+    phase : array (m,)
+        rad; ``inf`` if the loop gain never crosses one.
+    delay : array (m,)
+        s.
+    disk : float
+        alpha of all channels at once, 2 at most for the loops of interest.
+    """
+
+    gain_up: Array
+    gain_down: Array
+    phase: Array
+    delay: Array
+    disk: float
+
+
+@one_thread()
+def margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
+    """Return the margins of the stable loop ``v = -gain e``; ``dt`` (s) if A, B are those of a sampled plant."""
+    omega = _frequencies(a, a - b @ gain, dt)
+    channels = [_channel(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
+    up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
+    return Margins(up, down, phase, delay, _disk(a, b, gain, omega, dt))
+
+
+def _channel(
+    a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
+) -> tuple[float, float, float, float]:
+    others = [j for j in range(b.shape[1]) if j != i]
+    rest = a - b[:, others] @ gain[others]
+    within = linked(rest, b[:, [i]], gain[[i]])
+    rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
+
+    def value(w: float) -> complex:
+        return complex(_loop(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
+
+    values = _loop(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
+    crossings = [1.0 / -v for v in _met((rest, b[:, i], gain[i]), value, omega, values.imag, dt) if v < 0]
+    unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
+    phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
+    return (
+        min((c for c in crossings if c > 1), default=np.inf),
+        max((c for c in crossings if c < 1), default=0.0),
+        min((p for p, _ in phases), default=np.inf),
+        min((d for _, d in phases), default=np.inf),
+    )
+
+
+def linked(a: Array, b: Array, c: Array) -> Mask:
+    """Return which states (n,) lie on a way from the inputs to the outputs, by which entries are zero.
+
+    Others, such as constants and sums that nothing reads, have no part in the response; their poles would hide what it
+    is at rest.
+    """
+    there = a != 0
+
+    def reached(from_: Mask, ways: Mask) -> Mask:
+        while np.any(more := ways[:, from_].any(axis=1) & ~from_):
+            from_ = from_ | more
+        return from_
+
+    moved, seen = reached(np.any(b != 0, axis=1), there), reached(np.any(c != 0, axis=0), there.T)
+    return np.asarray(moved & seen)
+
+
+def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
+    one = np.eye(b.shape[1])
+
+    def peaks(log_w: Array) -> Array:
+        sensitivity = np.linalg.inv(one + _loop(a, b, gain, np.exp(log_w), dt))
+        return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
+
+    grid = np.log(omega)
+    values = peaks(grid)
+    k = int(np.argmax(values))
+    best = scipy.optimize.minimize_scalar(
+        lambda w: -float(peaks(np.array([w]))[0]),
+        bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]),
+        method="bounded",
+    )
+    return 1.0 / max(float(values[k]), -float(best.fun))
+
+
+def _loop(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
+    """Return L (n_frequencies, m, m): many frequencies at once, but not more than memory has room for."""
+    one, right = np.eye(a.shape[0]), b[None].astype(complex)
+    points = np.array([_point(w, dt) for w in omega])[:, None, None]
+    some = max(1, _ENTRIES // max(a.size, 1))
+    blocks = [points[k : k + some] for k in range(0, points.size, some)]
+    return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
+
+
+def _point(omega: float, dt: float | None) -> complex:
+    """Return s, or z of a sampled loop, at a frequency."""
+    return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
+
+
+def _met(
+    system: tuple[Array, Array, Array],
+    value: Callable[[float], complex],
+    omega: Array,
+    imaginary: Array,
+    dt: float | None,
+) -> list[float]:
+    """Return where L of a system (A, b, gain) meets the real axis, as far as rounding leaves that to be known.
+
+    At rest and, sampled, at the highest frequency it always does; infinite where L has no size, as that of integrators
+    at rest. Between two frequencies it does where its imaginary part, known at both, changes sign.
+    """
+    found = []
+    for w in (0.0, *([] if dt is None else [omega[-1]])):
+        at, change = _rounded(*system, _point(w, dt))
+        found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+    for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
+        ends = [_rounded(*system, _point(w, dt)) for w in omega[k : k + 2]]
+        if all(change < abs(at.imag) for at, change in ends):
+            (w,) = _roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
+            at, change = _rounded(*system, _point(w, dt))
+            found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+    return found
+
+
+def _rounded(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+    """Return L at s (or z), and what rounding of the entries of A and of s, each by itself, does to it to first order.
+
+    That does not depend on units.
+    """
+    one = np.eye(a.shape[0])
+    try:
+        right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
+    except np.linalg.LinAlgError:
+        return complex(np.inf), np.inf
+    change = np.finfo(float).eps * float(np.abs(left) @ (np.abs(a) + abs(s) * one) @ np.abs(right))
+    return complex(gain @ right), change
+
+
+def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
+    """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
+    poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
+    if dt is not None:
+        poles = continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
+    size = np.abs(poles)
+    size = size[size > _AT_ZERO * size.max(initial=0.0)]
+    if not size.size:
+        size = np.array([1.0 if dt is None else np.pi / dt])
+    low, high = np.log10(size.min()) - _DECADES, np.log10(size.max()) + _DECADES
+    grid = np.logspace(low, high, _POINTS)
+    near = np.abs(poles.imag)[np.abs(poles.imag) > 0]
+    grid = np.unique(np.concatenate([grid, near * (1 - _BESIDE), near * (1 + _BESIDE)]))
+    return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
+
+
+def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
+    change = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return [
+        float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change
+    ]
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _lag(value: complex) -> float:
+    """How much the phase of L may fall until L = -1, in (0, 2 pi]."""
+    lag = float(np.angle(-value) % (2 * np.pi))
+    return lag if lag > 0 else 2 * np.pi

@@ -1,0 +1,317 @@
+r"""Linear-quadratic regulator: continuous, sampled, with integral action.
+
+In the error coordinates of `Deviation`, ``de/dt = A e + B v`` with v the command beyond the feedforward, the law
+:math:`v = -K e - K_i \zeta` minimises
+
+.. math:: \int e^T Q e + v^T R v + 2 e^T N v + \zeta^T Q_i \zeta \; dt, \qquad \dot\zeta = C e .
+
+``dt=None`` gives the gain of the continuous problem. With dt, plant and cost are sampled exactly for a command held
+over dt, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`, which is what the law sums.
+
+Anti-windup: with limits, the memory is set back so that it is consistent with the command that the actuators can give,
+:math:`\zeta_{k+1} = \zeta_k + dt\, C e_k + K_i^+ (v - \mathrm{sat}\, v)` (Hanus' conditioning).
+
+References
+----------
+G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapter 9.
+R. Hanus, M. Kinnaert, J.-L. Henrotte, Conditioning technique, a general anti-windup and bumpless transfer method,
+Automatica 23 (1987).
+
+Facts of a steady regulator: its poles, its margins, how well its Riccati equation is solved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_mapping, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.loop_margins import margins
+from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.riccati import Steady, require_stabilizable, steady
+from gnc_opt.control.sampled_data import continuous_poles, sample
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, DesignError, unknown_name
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.tolerances import alike
+
+
+def regulator_facts(
+    regulator: Steady,
+    plant: tuple[Array, Array],
+    dt: float | None,
+    *,
+    name: str = "closed-loop poles",
+    remark: str = "slowest first",
+) -> list[Fact]:
+    """Return the facts of a regulator and its plant (A, B), sampled with dt (s) or continuous."""
+    poles = continuous_poles(regulator.poles, dt)
+    residual = "left side over its largest term, computed from P alone"
+    return [
+        Fact(name, poles, "1/s", remark),
+        *_margin_facts(*plant, regulator.gain, dt),
+        Fact("Riccati residual", regulator.residual, "", residual),
+    ]
+
+
+def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Fact]:
+    """Return the facts about the margins at the plant's input."""
+    found = margins(a, b, gain, dt)
+    alpha = found.disk
+    both = f"all gains at once by a factor {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
+    return [
+        Fact("gain margin up", found.gain_up, "", "per control, the others closed"),
+        Fact("gain margin down", found.gain_down, "", "per control, the others closed"),
+        Fact("phase margin", np.degrees(found.phase), "deg", "per control, the others closed"),
+        Fact("delay margin", found.delay, "s", "per control, the others closed"),
+        Fact("disk margin", alpha, "", both),
+    ]
+
+
+_CHECKS = 25
+"""Times along a reference at which A and B are compared."""
+
+
+@one_thread()
+def design_lqr(
+    model: Model,
+    reference: Reference | ArrayLike,
+    *,
+    Q: Weight,
+    R: Weight,
+    N: ArrayLike | None = None,
+    dt: float | None = None,
+    integral: Mapping[str, ArrayLike] | None = None,
+    limits: Limits | None = None,
+    name: str = "LQR",
+) -> Controller:
+    """Design a linear-quadratic regulator about a reference.
+
+    Parameters
+    ----------
+    model : Model
+    reference : Reference or array (n_states,)
+        A state to rest at (the control that keeps it there is found), or a reference along which the errors move by
+        constant A and B; `design_tvlqr` is for the others.
+    Q, R : weight
+        Of the errors (n_errors, n_errors) and of the controls: matrices, diagonals, or entries by name, see `bryson`.
+    N : array (n_errors, n_controls), optional
+        Weight of products.
+    dt : float, optional
+        Control step, s: the gain for commands held that long. Without it, the continuous gain (any step).
+    integral : mapping, optional
+        Names of states or outputs whose error is to vanish under constant disturbances, each with the weight of its
+        integral, ``1 / (largest acceptable integral)^2``.
+    limits : (lower, upper), optional
+        Of the controls, for the anti-windup and the statement of the reserve. Commands are not clipped.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+        Signals ``<state>_ref``, ``<control>_ff``; memory ``integral_<name>``.
+
+    Raises
+    ------
+    DesignError
+        Not stabilisable or not detectable (with the mode), weights not (semi)definite, A or B not constant.
+
+    Examples
+    --------
+    For a double integrator and unit weights the gains are 1 and sqrt(3):
+
+    >>> regulator = go.design_lqr(cart, [0.0, 0.0], Q=1, R=1)
+    >>> u, memory = regulator(0.0, [1.0, 1.0], dt=0.1)
+    >>> print(np.round(u, 4))
+    [-2.7321]
+    """
+    reference = read_plant(model, reference, "design_lqr")
+    deviation = Deviation(model)
+    a, b = constant_linearization(deviation, reference)
+    cost = read_cost(model, Q, R, N)
+    integrals = _integrals(deviation, reference, integral)
+    solution, plant = _solve(deviation, (a, b), cost, integrals, dt)
+    bounds = read_limits(model, limits)
+    step, start, memory = _law(model, deviation, solution.gain, integrals, bounds)
+    signals = reference_signals(reference, *([Variable("step", 1, "s")] if integrals.size else []))
+    facts = [*_facts(solution, plant, model.controls, dt), *reserve_shares(reference, bounds)]
+    regulator = Controller(
+        name=name,
+        step=step,
+        start=start,
+        states=model.states,
+        commands=model.controls,
+        signals=signals,
+        memory=memory,
+        schedule=_WithStep(ReferenceSchedule(reference)) if integrals.size else ReferenceSchedule(reference),
+        dt=dt,
+        span=(reference.initial_time, reference.final_time),
+        explanation=Explanation(f"{name} of '{model.name}'", tuple(facts)),
+    )
+    return bridge_dropouts(regulator)
+
+
+@dataclass(frozen=True, eq=False)
+class _Integrals:
+    """Integrated errors: their layout, ``C`` to first order (size, n_errors) and weights."""
+
+    memory: Layout
+    names: tuple[str, ...]
+    matrix: Array
+    weight: Array
+
+    @property
+    def size(self) -> int:
+        return self.memory.size
+
+
+@dataclass(frozen=True, eq=False)
+class _WithStep:
+    """A schedule that also tells the law the length of its step."""
+
+    schedule: ReferenceSchedule
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        return np.vstack([self.schedule(times, dt), np.full((1, np.size(times)), dt)])
+
+
+def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[Array, Array]:
+    """Return A and B if they are the same all along the reference, else raise `DesignError`."""
+    times = reference_times(reference, _CHECKS)
+    controls = reference.u(times)
+    pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
+    a, b = pairs[-1]
+    for t, pair in zip(times, pairs, strict=True):
+        for what, found, last in (("A", pair[0], a), ("B", pair[1], b)):
+            if not alike(found, last):
+                change = np.max(np.abs(found - last))
+                raise DesignError(
+                    f"{what} of '{deviation.model.name}' changes along the reference, by {change:.3g} between "
+                    f"{t:g} s and {times[-1]:g} s: use design_tvlqr(), or a constant reference."
+                )
+    return a, b
+
+
+def _integrals(
+    deviation: Deviation, reference: Reference, integral: Mapping[str, ArrayLike] | None
+) -> _Integrals:
+    model = deviation.model
+    variables, rows, weights = [], [], []
+    asked = read_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
+    for name, weight in asked.items():
+        if name in model.errors:
+            variable = model.errors[name]
+            matrix = np.eye(model.errors.size)[model.errors.slice(name)]
+        elif name in model.outputs:
+            variable = model.outputs[name]
+            matrix = deviation.linearize_output(
+                name,
+                reference.final_time,
+                reference.x(reference.final_time),
+                reference.u(reference.final_time),
+            )
+        else:
+            raise unknown_name(
+                "state or output", name, f"model '{model.name}'", [*model.errors.names, *model.outputs.names]
+            )
+        unit = f"{variable.unit} s" if variable.unit else "s"
+        variables.append(Variable(f"integral_{name}", variable.size, unit))
+        rows.append(matrix)
+        weights.append(
+            as_vector(weight, variable.size, f"the weight of the integral of '{name}'", ArgumentError)
+        )
+    memory = Layout("memory", tuple(variables), "the integral action")
+    diagonal = np.concatenate(weights) if weights else np.zeros(0)
+    require_definite(np.diag(diagonal), memory.labels, "the weight")
+    matrix = np.vstack(rows) if rows else np.zeros((0, model.errors.size))
+    return _Integrals(memory, tuple(asked), matrix, np.diag(diagonal))
+
+
+def _solve(
+    deviation: Deviation,
+    plant: tuple[Array, Array],
+    cost: QuadraticCost,
+    integrals: _Integrals,
+    dt: float | None,
+) -> tuple[Steady, tuple[Array, Array]]:
+    """Return the regulator and the (sampled) plant with the integrals as states."""
+    (a, b), (q, r, n) = plant, cost
+    labels = deviation.errors.labels + integrals.memory.labels
+    k, c = integrals.size, integrals.matrix
+    if dt is None:
+        one, per_step = np.zeros((k, k)), 1.0
+    else:
+        per_step = read_positive(dt, "the control step dt")
+        # before sampling: the mode's own eigenvalue is told
+        require_stabilizable(a, b, deviation.errors.labels)
+        held = sample(a, b, q, r, n, per_step)
+        a, b, q, r, n = held.a, held.b, held.q, held.r, held.n
+        one = np.eye(k)
+    m = b.shape[1]
+    wide_a = np.block([[a, np.zeros((a.shape[0], k))], [per_step * c, one]])
+    wide_b = np.vstack([b, np.zeros((k, m))])
+    wide_q = np.block(
+        [[q, np.zeros((a.shape[0], k))], [np.zeros((k, a.shape[0])), per_step * integrals.weight]]
+    )
+    wide_n = np.vstack([n, np.zeros((k, m))])
+    return steady(wide_a, wide_b, wide_q, r, wide_n, labels, sampled=dt is not None), (wide_a, wide_b)
+
+
+def _law(
+    model: Model, deviation: Deviation, gain: Array, integrals: _Integrals, limits: Authority | None
+) -> tuple[object, object, Layout]:
+    states, controls = model.states.size, model.controls.size
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
+    r = ca.SX.sym("r", states + controls + (1 if integrals.size else 0))
+    z = ca.SX.sym("z", integrals.size)
+    x_ref, u_ff = r[:states], r[states : states + controls]
+    e = deviation.expression(x, x_ref)
+    k_e, k_i = gain[:, : e.shape[0]], gain[:, e.shape[0] :]
+    u, z_next = u_ff - ca.DM(k_e) @ e, z
+    if integrals.size:
+        u = u - ca.DM(k_i) @ z
+        z_next = z + r[-1] * _integrand(deviation, integrals, t, x, x_ref, e)
+        if limits is not None:
+            z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
+    return law(t, x, r, z, u, z_next), first_memory(t, x, r, ca.SX.zeros(integrals.size)), integrals.memory
+
+
+def _integrand(
+    deviation: Deviation, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
+) -> ca.SX:
+    model = deviation.model
+    parts = []
+    for name in integrals.names:
+        if name in model.errors:
+            parts.append(e[model.errors.slice(name)])
+        else:
+            parts.append(deviation.output(name, t, x) - deviation.output(name, t, x_ref))
+    return ca.vertcat(*parts)
+
+
+def _facts(solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None) -> list[Fact]:
+    poles = continuous_poles(solution.poles, dt)
+    facts = [Fact("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))]
+    if dt is not None:
+        facts.append(Fact("sampled poles", solution.poles, "", "z"))
+    fastest = np.isinf(poles)
+    damping = np.where(
+        fastest, 1.0, -np.where(fastest, 0.0, poles.real) / np.abs(np.where(fastest, 1.0, poles))
+    )
+    facts.append(Fact("damping", damping, "", "of each closed-loop pole"))
+    remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
+    return [*facts, *regulator_facts(solution, plant, dt, remark=remark)]

@@ -1,1 +1,0 @@
-"""Model predictive control: a quadratic programme over a horizon at every step."""

@@ -1,0 +1,156 @@
+"""Weights of quadratic costs: by name in engineering units, or as matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, as_vector
+from gnc_opt.tolerances import ROUNDING
+
+Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
+"""A matrix (n, n), a diagonal (n,), one number for all, or diagonal entries by name (absent names weigh 0)."""
+
+
+def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
+    r"""Return the weights :math:`1/x_{max}^2` of Bryson's rule, by name.
+
+    Each error then costs the same when it is as large as is acceptable, whatever its unit.
+
+    Parameters
+    ----------
+    layout : Layout
+        ``model.states``, ``model.errors`` or ``model.controls``: the names that may be given.
+    **largest : float or array
+        Largest acceptable deviation of a variable in its own unit, one number or one per component, > 0.
+
+    Examples
+    --------
+    >>> Q = bryson(cart.states, q=0.1, v=0.01)
+    >>> R = bryson(cart.controls, a=5.0)
+
+    Returns
+    -------
+    dict of float or array
+        Diagonal weights by name, for ``Q=`` and ``R=``.
+
+    Raises
+    ------
+    UnknownNameError
+        A name that the layout does not have.
+    ArgumentError
+        A value that is not positive and finite.
+    """
+    expect(layout, Layout, "what bryson() got", "write bryson(model.states, ...)")
+    weights: dict[str, float | Array] = {}
+    for name, value in largest.items():
+        layout.slice(name)
+        array = read_numbers(value, f"the largest acceptable '{name}'")
+        if array.ndim > 1 or array.size == 0 or not np.all(np.isfinite(array) & (array > 0)):
+            raise ArgumentError(
+                f"the largest acceptable '{name}' is {value!r}: give positive finite numbers, in its unit."
+            )
+        weights[name] = float(array**-2) if array.ndim == 0 else array**-2
+    return weights
+
+
+class QuadraticCost(NamedTuple):
+    """Weights of ``e'q e + v'r v + 2 e'n v``.
+
+    Attributes
+    ----------
+    q : array (n_errors, n_errors)
+    r : array (n_controls, n_controls)
+    n : array (n_errors, n_controls)
+    """
+
+    q: Array
+    r: Array
+    n: Array
+
+
+def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
+    """Return Q, R, N as matrices; refuse costs that reward errors or controls."""
+    errors, controls = model.errors, model.controls
+    weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
+    require_semidefinite(weight, errors.labels, "the weight Q")
+    require_definite(effort, controls.labels, "the weight R")
+    shape = (errors.size, controls.size)
+    cross = np.zeros(shape) if n is None else np.asarray(n, dtype=float)
+    if cross.shape != shape or not np.all(np.isfinite(cross)):
+        raise ArgumentError(
+            f"the weight N has the shape {cross.shape}: give finite numbers of the shape {shape}."
+        )
+    if n is not None:
+        both = np.block([[weight, cross], [cross.T, effort]])
+        require_semidefinite(both, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
+    return QuadraticCost(weight, effort, cross)
+
+
+def read_weight(value: Weight, layout: Layout, what: str) -> Array:
+    """Return a symmetric matrix (n, n) of finite numbers, n the size of the layout."""
+    n = layout.size
+    if isinstance(value, Mapping):
+        diagonal = np.zeros(n)
+        for name, entry in value.items():
+            rows = layout.slice(name)
+            diagonal[rows] = as_vector(entry, layout[name].size, f"{what} of '{name}'", ArgumentError)
+        matrix = np.diag(diagonal)
+    else:
+        matrix = read_numbers(value, what)
+        if matrix.ndim < 2:
+            matrix = np.diag(as_vector(matrix, n, what, ArgumentError))
+    if matrix.shape != (n, n):
+        raise ArgumentError(
+            f"{what} has the shape {matrix.shape}: give ({n}, {n}), in the order {layout.labels}."
+        )
+    if not np.all(np.isfinite(matrix)):
+        raise ArgumentError(f"{what} has entries that are not finite: give numbers.")
+    if np.max(np.abs(matrix - matrix.T), initial=0.0) > ROUNDING * np.max(np.abs(matrix), initial=0.0):
+        raise DesignError(f"{what} is not symmetric: give (W + W.T) / 2, which weighs the same.")
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> None:
+    """Raise `DesignError` with the smallest eigenvalue unless the weight is positive semidefinite."""
+    smallest = _smallest_eigenvalue(weight, labels, what, strict=False)
+    if smallest < -ROUNDING * max(len(labels), 1):
+        raise DesignError(
+            f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
+            f"{smallest:.3g}; weigh so that no error is rewarded."
+        )
+
+
+def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
+    """Raise `DesignError` with the smallest eigenvalue unless the weight is positive definite."""
+    smallest = _smallest_eigenvalue(weight, labels, what, strict=True)
+    if smallest <= ROUNDING * max(len(labels), 1):
+        raise DesignError(
+            f"{what} is not positive definite: with its diagonal scaled to one its smallest eigenvalue is "
+            f"{smallest:.3g}; every combination of controls must cost something."
+        )
+
+
+def _smallest_eigenvalue(weight: Array, labels: tuple[str, ...], what: str, *, strict: bool) -> float:
+    diagonal = np.diag(weight)
+    bad = np.flatnonzero(diagonal <= 0 if strict else diagonal < 0)
+    if bad.size:
+        raise DesignError(
+            f"{what} of '{labels[bad[0]]}' is {diagonal[bad[0]]:g}: give a number {'>' if strict else '>='} 0."
+        )
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    # a zero on the diagonal allows nothing beside it: those rows are scaled by their largest entry
+    empty = diagonal == 0
+    if np.any(empty):
+        largest = np.max(
+            np.abs(weight) / np.outer(np.where(empty, 1.0, scale), np.where(empty, 1.0, scale)), axis=1
+        )
+        scale = np.where(empty & (largest > 0), largest, scale)
+    return float(np.min(np.linalg.eigvalsh(weight / np.outer(scale, scale)), initial=1.0))

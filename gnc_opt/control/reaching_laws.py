@@ -1,0 +1,360 @@
+r"""Reaching laws and boundary layers: how fast a sliding variable s is driven to zero, and how softly it switches.
+
+Each law demands :math:`\dot s = -\rho(s)`; a disturbance d with :math:`|d| \le b` adds to it.
+
+================  =============================================  ==========================================
+law               :math:`\rho(s)`                                reaching time from s0 (b < gain)
+================  =============================================  ==========================================
+`ConstantRate`        :math:`\eta\,\sigma(s)`                        :math:`|s_0| / (\eta - b)`
+`ExponentialRate`     :math:`\eta\,\sigma(s) + k s`                  :math:`\ln(1 + k |s_0| / (\eta - b)) / k`
+`PowerRate`       :math:`k |s|^\alpha \sigma(s)`                 :math:`|s_0|^{1-\alpha} / (k (1 - \alpha))`, b = 0
+`SuperTwisting`   :math:`k_1 |s|^{1/2} \sigma(s) - z`,           `super_twisting.convergence_time`
+                  :math:`\dot z = -k_2\,\sigma(s)`
+================  =============================================  ==========================================
+
+:math:`\sigma` is the sign, or its soft form in a boundary layer of half width :math:`\phi`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.super_twisting import check_gains, convergence_time
+from gnc_opt.errors import DesignError
+from gnc_opt.model.variables import as_vector
+
+Law: TypeAlias = "ConstantRate | ExponentialRate | PowerRate | SuperTwisting"
+Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
+
+
+@dataclass(frozen=True)
+class Sign:
+    """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``.
+
+    Parameters
+    ----------
+    slope : float
+        Infinite; for the same interface as the layers.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Sign
+    >>> print([float(Sign()(s)) for s in (-0.5, 0.0, 0.5)])
+    [-1.0, 0.0, 1.0]
+    """
+
+    slope: float = np.inf
+
+    def __call__(self, s: Any) -> Any:
+        """Return sign(s), SX."""
+        return ca.sign(s)
+
+    def width(self, ratio: float) -> float:
+        """Return |s| (unit of s) at which the soft sign equals ``ratio`` (0 to 1)."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A soft sign in a boundary layer.
+
+    Parameters
+    ----------
+    phi : float
+        Half width of the layer, unit of s, > 0.
+    """
+
+    phi: float
+
+    def __post_init__(self) -> None:
+        read_positive(self.phi, "the width phi of a boundary layer")
+
+    @property
+    def slope(self) -> float:
+        """Steepest slope, 1 / phi."""
+        return 1 / self.phi
+
+
+@dataclass(frozen=True)
+class SaturationLayer(_Layer):
+    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s).
+
+    Examples
+    --------
+    >>> from gnc_opt.control import SaturationLayer
+    >>> print([float(SaturationLayer(0.1)(s)) for s in (-0.5, 0.05, 0.5)])
+    [-1.0, 0.5, 1.0]
+    """
+
+    def __call__(self, s: Any) -> Any:
+        """Return the soft sign, SX."""
+        return ca.fmax(-1, ca.fmin(1, s / self.phi))
+
+    def width(self, ratio: float) -> float:
+        """Return |s| at which the soft sign equals ``ratio`` (0 to 1)."""
+        return self.phi * ratio
+
+
+@dataclass(frozen=True)
+class TanhLayer(_Layer):
+    """tanh(s / phi): smooth, never quite at full gain.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import TanhLayer
+    >>> print([f"{float(TanhLayer(0.1)(s)):.4f}" for s in (-0.5, 0.05, 0.5)])
+    ['-0.9999', '0.4621', '0.9999']
+    """
+
+    def __call__(self, s: Any) -> Any:
+        """Return the soft sign, SX."""
+        return ca.tanh(s / self.phi)
+
+    def width(self, ratio: float) -> float:
+        """Return |s| at which the soft sign equals ``ratio`` (0 to 1)."""
+        return self.phi * float(np.arctanh(ratio))
+
+
+@dataclass(frozen=True)
+class _Relay:
+    """A law that switches by eta at every s.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    """
+
+    eta: float
+
+    def __post_init__(self) -> None:
+        read_positive(self.eta, "the gain eta of a reaching law")
+
+    @property
+    def gain(self) -> float:
+        """What is there against disturbances at every s, in units of s per second."""
+        return self.eta
+
+    def band(self, boundary: Boundary, bound: float) -> float:
+        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
+        return boundary.width(bound / self.eta)
+
+
+@dataclass(frozen=True)
+class ConstantRate(_Relay):
+    """ds/dt = -eta sign(s); eta in units of s per second.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate
+    >>> law = ConstantRate(0.5)
+    """
+
+    def rate(self, s: Any, boundary: Boundary) -> Any:
+        """Return rho(s), SX."""
+        return self.eta * boundary(s)
+
+    def slope(self, boundary: Boundary) -> float:
+        """Return the steepest d rho / d s, 1/s."""
+        return self.eta * boundary.slope
+
+    def reaching_time(self, s: float, bound: float) -> float:
+        """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
+        return abs(s) / (self.eta - bound)
+
+
+@dataclass(frozen=True)
+class ExponentialRate(_Relay):
+    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s.
+
+    Its band is that of `ConstantRate`; k makes it a little smaller.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    k : float
+        1/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ExponentialRate
+    >>> law = ExponentialRate(0.5, 2.0)
+    """
+
+    k: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        read_positive(self.k, "the rate k of a reaching law")
+
+    def rate(self, s: Any, boundary: Boundary) -> Any:
+        """Return rho(s), SX."""
+        return self.eta * boundary(s) + self.k * s
+
+    def slope(self, boundary: Boundary) -> float:
+        """Return the steepest d rho / d s, 1/s."""
+        return self.eta * boundary.slope + self.k
+
+    def reaching_time(self, s: float, bound: float) -> float:
+        """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
+        return float(np.log1p(self.k * abs(s) / (self.eta - bound))) / self.k
+
+
+@dataclass(frozen=True)
+class PowerRate:
+    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances.
+
+    Parameters
+    ----------
+    k : float
+        (Unit of s)^(1 - alpha) per second, > 0.
+    alpha : float
+        Between 0 and 1.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import PowerRate
+    >>> law = PowerRate(0.5, 0.5)
+    """
+
+    k: float
+    alpha: float
+
+    def __post_init__(self) -> None:
+        read_positive(self.k, "the gain k of a power-rate law")
+        if not 0 < read_positive(self.alpha, "the exponent alpha of a power-rate law") < 1:
+            raise DesignError(
+                f"the exponent alpha of a power-rate law is {self.alpha}: give one between 0 and 1."
+            )
+
+    @property
+    def gain(self) -> float:
+        """Unbounded away from s = 0: the disturbance decides how near s comes, see `band`."""
+        return np.inf
+
+    def rate(self, s: Any, boundary: Boundary) -> Any:
+        """Return rho(s), SX."""
+        return self.k * ca.fabs(s) ** self.alpha * boundary(s)
+
+    def slope(self, boundary: Boundary) -> float:
+        """Return the steepest d rho / d s (1/s): infinite at s = 0 without a boundary layer."""
+        if isinstance(boundary, Sign):
+            return np.inf
+        return float((1 + self.alpha) * self.k * boundary.slope ** (1 - self.alpha))
+
+    def reaching_time(self, s: float, bound: float) -> float:
+        """Return the time (s) from s to zero undisturbed; with a disturbance s never quite arrives."""
+        if bound > 0:
+            return np.inf
+        return float(abs(s) ** (1 - self.alpha) / (self.k * (1 - self.alpha)))
+
+    def band(self, boundary: Boundary, bound: float) -> float:
+        """Return the |s| within which a disturbance up to ``bound`` can hold s."""
+        if isinstance(boundary, Sign):
+            return float((bound / self.k) ** (1 / self.alpha))
+        return _solve(lambda s: self.k * s**self.alpha * float(boundary(s)), bound)
+
+
+@dataclass(frozen=True)
+class SuperTwisting:
+    """ds/dt = -k1 |s|^(1/2) sign(s) + z, dz/dt = -k2 sign(s): continuous command, exact zero in finite time.
+
+    Its ``bound`` is on the *rate* of the disturbance. Finite-time stable for k2 > bound and k1 > sqrt(k2 + bound)
+    (R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
+
+    Parameters
+    ----------
+    k1 : float
+        (Unit of s)^(1/2) per second.
+    k2 : float
+        Unit of s per second squared.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Sign, SuperTwisting
+    >>> law = go.design_sliding_mode(
+    ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, reaching=SuperTwisting(1.5, 1.1), boundary=Sign(),
+    ...     bound=0.2, dt=0.01,
+    ... )
+    >>> print(go.ClosedLoop(cart, law).simulate([1.0, 0.0], tf=8.0).miss("q") < 1e-3)
+    True
+    """
+
+    k1: float
+    k2: float
+
+    def __post_init__(self) -> None:
+        read_positive(self.k1, "the gain k1 of a super-twisting law")
+        read_positive(self.k2, "the gain k2 of a super-twisting law")
+
+    @property
+    def gain(self) -> float:
+        """What is there against the rate of disturbances, in units of s per second squared."""
+        return self.k2
+
+    def rate(self, s: Any, boundary: Boundary) -> Any:
+        """Return rho(s) without the memory z, SX."""
+        return self.k1 * ca.sqrt(ca.fabs(s)) * boundary(s)
+
+    def memory_rate(self, s: Any, boundary: Boundary) -> Any:
+        """Return dz/dt, SX."""
+        return -self.k2 * boundary(s)
+
+    def slope(self, boundary: Boundary) -> float:
+        """Return the steepest d rho / d s (1/s): infinite at s = 0 without a boundary layer."""
+        if isinstance(boundary, Sign):
+            return np.inf
+        return float(1.5 * self.k1 * boundary.slope**0.5)
+
+    def reaching_time(self, s: float, bound: float) -> float:
+        """Return a time (s) after which s stays at zero, or inf where none can be proved."""
+        return convergence_time(self.k1, self.k2, s, bound=bound)
+
+    def band(self, boundary: Boundary, bound: float) -> float:
+        """Return the |s| at which a disturbance that grows at the rate ``bound`` is balanced."""
+        return boundary.width(bound / self.k2)
+
+
+def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
+    """Return the bounds of the disturbances (n_labels,); raise `DesignError` where the law is not stronger."""
+    if not isinstance(law, (ConstantRate, ExponentialRate, PowerRate, SuperTwisting)):
+        raise DesignError(
+            f"the reaching law is {law!r}: give ConstantRate(eta), ExponentialRate, PowerRate or SuperTwisting."
+        )
+    bounds = as_vector(value, len(labels), "the bound of the disturbance", DesignError)
+    if not np.all(np.isfinite(bounds) & (bounds >= 0)):
+        raise DesignError(f"the bound of the disturbance is {bounds}: give finite numbers >= 0.")
+    for label, bound in zip(labels, bounds, strict=True):
+        check_bound(law, float(bound), f"the surface of '{label}'")
+    return bounds
+
+
+def check_bound(law: Law, bound: float, what: str) -> None:
+    """Raise `DesignError` if disturbances up to ``bound`` may be stronger than the law."""
+    if isinstance(law, SuperTwisting):
+        check_gains(law.k1, law.k2, bound, what)
+    elif bound >= law.gain:
+        raise DesignError(
+            f"{what} may be disturbed by {bound:.6g}, not less than the gain {law.gain:.6g} of its reaching law: "
+            "raise the gain above the bound."
+        )
+
+
+def _solve(function: Callable[[float], float], value: float) -> float:
+    """Return s >= 0 with an increasing ``function(s) = value``, by bisection."""
+    low, high = 0.0, 1.0
+    while function(high) < value:
+        high *= 2
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) < value else (low, middle)
+    return high

@@ -1,0 +1,241 @@
+r"""Steady Riccati equations: the gain of the linear-quadratic regulator, and when there is none.
+
+Continuous, cost :math:`\int e^T Q e + v^T R v + 2 e^T N v \, dt`:
+
+.. math:: A^T P + P A - K^T R K + Q = 0, \qquad K = R^{-1} (B^T P + N^T), \qquad v = -K e .
+
+Sampled: :math:`P = A^T P A - K^T (R + B^T P B) K + Q`, :math:`K = (R + B^T P B)^{-1} (B^T P A + N^T)`.
+
+A stabilising P exists if no mode on or right of the stability boundary is out of the controls' reach (stabilisable)
+or unseen by the cost (detectable; sufficient). Both are tested in balanced coordinates, so that units do not matter.
+
+References
+----------
+B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, Prentice Hall (1990), chapters 2 and 3.
+D. L. Kleinman, On an iterative technique for Riccati equation computations, IEEE Trans. Automatic Control 13 (1968).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.design_report import number_text
+from gnc_opt.errors import DesignError
+from gnc_opt.tolerances import TINY
+
+_REACH = 1e-10
+"""A direction is reached if the reachability matrix has it above this, in balanced coordinates."""
+_BOUNDARY = 1e-9
+"""Eigenvalues this near the stability boundary, relative to the fastest, count as on it."""
+_PART = 0.3
+"""A state belongs to a mode if its share is above this times the largest."""
+_NEWTON_STEPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """Solution of a steady Riccati equation.
+
+    Attributes
+    ----------
+    gain : array (n_controls, n_errors)
+        K in ``v = -K e``.
+    cost : array (n_errors, n_errors)
+        P: ``e' P e`` is the cost to go.
+    poles : complex array (n_errors,)
+        Eigenvalues of A - B K, slowest first.
+    residual : float
+        Of the Riccati equation, relative to its largest term.
+    """
+
+    gain: Array
+    cost: Array
+    poles: Any
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A mode that controls do not reach (or that a cost does not see).
+
+    Attributes
+    ----------
+    eigenvalue : complex
+    states : tuple of str
+        Those with a large share in it.
+    rank_gap : float
+        Smallest singular value of ``[lambda 1 - A, B]`` in balanced coordinates with A of norm one: 0 if out of reach.
+    """
+
+    eigenvalue: complex
+    states: tuple[str, ...]
+    rank_gap: float
+
+
+def steady(
+    a: Array, b: Array, q: Array, r: Array, n: Array, labels: tuple[str, ...], *, sampled: bool = False
+) -> Steady:
+    """Return the stabilising solution.
+
+    Raises
+    ------
+    DesignError
+        Not stabilisable, not detectable, or no solution to working accuracy; with the mode and its eigenvalue.
+    """
+    require_stabilizable(a, b, labels, sampled=sampled)
+    cross = np.linalg.solve(r, n.T)
+    require_detectable(a - b @ cross, q - n @ cross, labels, sampled=sampled)
+    solve = scipy.linalg.solve_discrete_are if sampled else scipy.linalg.solve_continuous_are
+    try:
+        p = solve(a, b, q, r, s=n)
+    except (scipy.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"the Riccati equation has no stabilising solution ({error}): weigh the errors and controls less "
+            "unequally, or scale the model's units."
+        ) from error
+    p = _polished(a, b, q, r, n, p, sampled)
+    gain = gain_of(a, b, r, n, p, sampled=sampled)
+    poles = np.linalg.eigvals(a - b @ gain)
+    size = np.abs(poles) if sampled else poles.real
+    if not np.all(size < (1.0 if sampled else 0.0)):
+        raise DesignError(
+            f"the solution of the Riccati equation leaves a pole at {poles[np.argmax(size)]:.3g}, which is not stable: "
+            "weigh the errors and controls less unequally, or scale the model's units."
+        )
+    order = np.argsort(-size)
+    return Steady(gain, p, poles[order], residual(a, b, q, r, n, p, sampled=sampled))
+
+
+def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
+    """Return K (n_controls, n_errors) for the cost to go P (after the step, if sampled)."""
+    if sampled:
+        return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
+    return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
+
+
+def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
+    """Return the largest entry of the Riccati equation's left side relative to its largest term, each row and
+    column scaled by the diagonal of P so that units do not matter."""
+    gain = gain_of(a, b, r, n, p, sampled=sampled)
+    quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
+    terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
+    diagonal = np.sqrt(np.maximum(np.diag(p), TINY))
+    scale = np.outer(diagonal, diagonal)
+    largest = max(np.max(np.abs(term) / scale) for term in terms)
+    return float(np.max(np.abs(sum(terms)) / scale) / largest) if largest > 0 else 0.0
+
+
+def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
+    """Raise `DesignError` if a mode that does not decay is out of the controls' reach."""
+    for mode in unreached(a, b, labels):
+        if not _decays(mode.eigenvalue, a, sampled):
+            raise DesignError(
+                f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
+                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                f"(smallest singular value of [lambda - A, B]: "
+                f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
+            )
+
+
+def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
+    """Raise `DesignError` if a mode that does not decay costs nothing."""
+    for mode in unreached(a.T, q.T, labels):
+        if not _decays(mode.eigenvalue, a, sampled):
+            raise DesignError(
+                f"the weights are not detectable: the mode with eigenvalue "
+                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                "costs nothing and does not decay "
+                f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
+            )
+
+
+def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
+    """Return the modes of ``de/dt = A e + B v`` that v does not reach.
+
+    The reachable space is built step by step with orthonormal bases (a staircase); what remains is a block of its own,
+    whose eigenvalues are those modes also where A has multiple eigenvalues.
+    """
+    size = a.shape[0]
+    balanced, scale = _balanced(a)
+    balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
+    rate = np.linalg.norm(_balanced(a)[0], 2)
+    inputs = b / scale[:, None]
+    length = np.linalg.norm(inputs, axis=0)
+    inputs = inputs[:, length > 0] / length[length > 0]
+    reached = scipy.linalg.orth(inputs, rcond=_REACH) if inputs.size else np.zeros((size, 0))
+    newest = reached
+    while newest.shape[1] and reached.shape[1] < size:
+        image = balanced @ newest
+        image -= reached @ (reached.T @ image)
+        image -= reached @ (reached.T @ image)  # twice is enough for orthogonality to rounding
+        u, s, _ = np.linalg.svd(image, full_matrices=False)
+        newest = u[:, s > _REACH]
+        reached = np.hstack([reached, newest])
+    if reached.shape[1] >= size:
+        return []
+    rest = np.linalg.svd(reached, full_matrices=True)[0][:, reached.shape[1] :]
+    block = rest.T @ balanced @ rest
+    eigenvalues, left = np.linalg.eig(block.T)
+    modes = []
+    for eigenvalue, vector in zip(eigenvalues, left.T, strict=True):
+        share = np.abs(rest @ vector)
+        pencil = np.hstack([eigenvalue * np.eye(size) - balanced, inputs])
+        gap = float(np.linalg.svd(pencil, compute_uv=False)[-1])
+        states = tuple(label for label, s in zip(labels, share, strict=True) if s > _PART * share.max())
+        modes.append(Mode(complex(eigenvalue * rate), states, gap))
+    return modes
+
+
+def _balanced(a: Array) -> tuple[Array, Array]:
+    """Return a balanced by a diagonal similarity, and its scales (n,), powers of two.
+
+    A matrix that is nilpotent but for rounding gets scales beyond the integers; SciPy warns when it casts them, for
+    a permutation that is not asked for here.
+    """
+    with np.errstate(invalid="ignore"):
+        balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
+    return balanced, scale
+
+
+def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
+    if sampled:
+        return abs(eigenvalue) < 1 - _BOUNDARY
+    rate = float(np.linalg.norm(_balanced(a)[0], 2))
+    return eigenvalue.real < -_BOUNDARY * rate
+
+
+def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sampled: bool) -> Array:
+    """Newton's method on the Riccati equation (Kleinman): each step is a Lyapunov equation; kept while it helps."""
+    best, error = p, residual(a, b, q, r, n, p, sampled=sampled)
+    for _ in range(_NEWTON_STEPS):
+        gain = gain_of(a, b, r, n, best, sampled=sampled)
+        closed = a - b @ gain
+        load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T
+        try:
+            with (
+                warnings.catch_warnings()
+            ):  # a step from an ill-conditioned equation is judged by what it leaves
+                warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)
+                after = (
+                    scipy.linalg.solve_discrete_lyapunov(closed.T, load)
+                    if sampled
+                    else scipy.linalg.solve_continuous_lyapunov(closed.T, -load)
+                )
+        except scipy.linalg.LinAlgError:
+            return best
+        after = 0.5 * (after + after.T)
+        error_after = residual(a, b, q, r, n, after, sampled=sampled)
+        if not error_after < error:
+            return best
+        best, error = after, error_after
+    return best
+
+
+def _list(names: tuple[str, ...]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

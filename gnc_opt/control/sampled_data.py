@@ -1,0 +1,192 @@
+r"""Sampling: the plant and its cost over a step in which the command is held, without approximation in time.
+
+With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and the cost rate :math:`\xi^T W \xi`,
+the flow of
+
+.. math:: \dot Z = \begin{pmatrix} -M^T & W \\ 0 & M \end{pmatrix} Z, \qquad Z(0) = 1,
+
+has the blocks :math:`Z_{22} = \Psi` (the step) and :math:`\Psi^T Z_{12} = \int \Psi^T W \Psi` (its cost).
+
+References
+----------
+C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic Control 23 (1978).
+S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics Reports 470
+(2009), eq. 253 (fourth order with two Gauss points).
+
+Steps: how times and steps of a loop are counted, and which differences are mere rounding.
+
+Poles: polynomials with given ones, and those of sampled loops as rates.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.tolerances import SAME_TIME
+
+
+def whole_steps(duration: float, step: float, what: str) -> int:
+    """Return how many steps make up a duration (s); refuse what is no multiple."""
+    count = round(duration / step)
+    if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):
+        raise ArgumentError(
+            f"{what} is {duration:g} s, not a multiple of the step of {step:g} s: choose one."
+        )
+    return count
+
+
+def started_steps(duration: float, step: float) -> int:
+    """Return how many steps begin within a duration (s)."""
+    return math.ceil(duration / step - SAME_TIME)
+
+
+def is_first(phase: Any) -> Any:
+    """Return whether a phase (SX), which counts steps from 0, is at its beginning."""
+    return phase < 0.5
+
+
+def next_phase(phase: Any, count: int) -> Any:
+    """Return the phase (SX) after a step: 0 again after ``count`` of them."""
+    return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
+
+
+def in_order(times: Sequence[Any]) -> list[Any]:
+    """Return SX scalars in ascending order."""
+    times = list(times)
+    for last in range(len(times) - 1, 0, -1):
+        for i in range(last):
+            times[i], times[i + 1] = ca.fmin(times[i], times[i + 1]), ca.fmax(times[i], times[i + 1])
+    return times
+
+
+_CONJUGATE = 1e-9
+"""Poles typed as conjugate pairs may differ by this, relative to each coefficient of their polynomial."""
+
+
+def real_polynomial(poles: Any) -> Array | None:
+    """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first.
+
+    ``None`` if they are not in conjugate pairs.
+    """
+    polynomial = np.atleast_1d(np.poly(poles))
+    if np.any(np.abs(polynomial.imag) > _CONJUGATE * np.abs(polynomial)):
+        return None
+    return np.asarray(polynomial.real, dtype=float)
+
+
+_ROUNDING = float(np.finfo(float).eps)
+
+
+def continuous_poles(poles: Any, dt: float | None) -> Any:
+    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0.
+
+    What is as small as rounding beside the unit circle is zero: a plant that rests long before the next step.
+    """
+    if dt is None:
+        return poles
+    sampled = np.asarray(poles, dtype=complex)
+    rates, there = np.full(sampled.shape, complex(-np.inf)), np.abs(sampled) > _ROUNDING
+    rates[there] = np.log(sampled[there]) / dt
+    return rates
+
+
+Linearization = Callable[[float], tuple[Array, Array]]
+"""A (n, n) and B (n, m) at a time."""
+
+_SUBSTEPS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SampledStep:
+    """``e_next = a e + b v`` with the cost ``e'q e + v'r v + 2 e'n v`` over one control step."""
+
+    a: Array
+    b: Array
+    q: Array
+    r: Array
+    n: Array
+
+
+def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
+    """Return the exact step of constant A, B and cost over dt (s)."""
+    flow = _generator(a, b, _stacked(q, r, n))
+    size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
+    phi, cost = _blocks(scipy.linalg.expm(flow * (dt / 2**halvings)))
+    with np.errstate(over="ignore", invalid="ignore"):  # `_step` refuses what overflows
+        for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
+            cost = cost + phi.T @ cost @ phi
+            phi = phi @ phi
+    return _step(phi, cost, a.shape[0], dt)
+
+
+def sample_along(
+    linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
+) -> SampledStep:
+    """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
+    inner = jumps[(jumps > t) & (jumps < t + dt)]
+    edges = np.concatenate([[t], inner, [t + dt]])
+    weight = _stacked(q, r, n)
+    phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
+    for left, right in itertools.pairwise(edges):
+        h = (right - left) / _SUBSTEPS
+        for k in range(_SUBSTEPS):
+            middle = left + (k + 0.5) * h
+            first, second = (
+                _generator(*linearize(middle + s * h * np.sqrt(3) / 6), weight) for s in (-1.0, 1.0)
+            )
+            commutator = second @ first - first @ second
+            step, part = _blocks(
+                scipy.linalg.expm(0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator)
+            )
+            cost = cost + phi.T @ part @ phi
+            phi = step @ phi
+    return _step(phi, cost, q.shape[0], dt)
+
+
+def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """Return the plant (A, B) over dt (s) with a held command."""
+    n, m = b.shape
+    both = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    return both[:n, :n], both[:n, n:]
+
+
+def spectral_radius(matrix: Array) -> float:
+    """Return the largest magnitude of the eigenvalues: below 1, a sampled loop decays."""
+    return float(np.max(np.abs(np.linalg.eigvals(matrix))))
+
+
+def _stacked(q: Array, r: Array, n: Array) -> Array:
+    return np.block([[q, n], [n.T, r]])
+
+
+def _generator(a: Array, b: Array, weight: Array) -> Array:
+    size = weight.shape[0]
+    m = np.zeros((size, size))
+    m[: a.shape[0]] = np.hstack([a, b])
+    return np.block([[-m.T, weight], [np.zeros((size, size)), m]])
+
+
+def _blocks(flow: Array) -> tuple[Array, Array]:
+    size = flow.shape[0] // 2
+    phi = flow[size:, size:]
+    cost = phi.T @ flow[:size, size:]
+    return phi, 0.5 * (cost + cost.T)
+
+
+def _step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
+    if not (np.all(np.isfinite(phi)) and np.all(np.isfinite(cost))):
+        raise DesignError(
+            f"the plant grows beyond all numbers within a control step of {dt:g} s: design with a shorter step."
+        )
+    return SampledStep(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])

@@ -1,1 +1,0 @@
-"""Sliding modes: surfaces, reaching laws, observers, and what refuses a design."""

@@ -1,0 +1,677 @@
+r"""Sliding mode: surfaces from outputs of any relative degree, reaching laws, boundary layers.
+
+For an output error e of relative degree r the surface and the law are
+
+.. math:: s = \Big(\frac{d}{dt} + \lambda\Big)^{r-1} e = e^{(r-1)} + \dots + c_1 \dot e + c_0 e, \qquad
+   u = E^{-1}\big( -a - c_{r-2} e^{(r-1)} - \dots - c_0 \dot e - \hat\Gamma - \rho(s) \big),
+
+so that :math:`\dot s = -\rho(s) + d` with whatever the model leaves out, d. On s = 0 the error follows the poles of
+the surface whatever d is, as long as it stays below the gain of the reaching law.
+
+Surfaces of output errors and the law that drives them to zero, whoever chose their coefficients.
+
+What all sliding modes are told and do alike: the switching part of a law, checked, with its memory and its facts.
+
+Overpowered: the alarm of a sliding mode whose gain a disturbance exceeds, from what s does.
+
+**Relays.** Where the law works with its full gain, a weaker disturbance cannot drive s away: not from where sliding has
+begun, whose edge it may cross by one control step, and before that s comes nearer at every step. Where another law goes
+on beneath, what it commands and actuators give late may throw s out of its layer; s comes nearer again then, too.
+
+**Super-twisting** has its gain against the *rate* of the disturbance d, and overshoots by itself. On one side of s = 0
+let :math:`\varphi = z + d` be what drives \|s\| away against :math:`k_1 |s|^{1/2}`; then
+
+.. math:: \dot\varphi = \dot d - k_2, \qquad
+   \Phi(t) = \int \varphi \, dt = |s(t)| - |s(0)| + \int k_1 |s|^{1/2} \, dt .
+
+:math:`\Phi` is concave as long as d grows more slowly than k_2, whatever the overshoot: in the second half of a window
+it gains less than in the first. Windows begin with 2 `PATIENCE` control steps on one side and double. If the second
+half of one gains more by what sampling cannot explain, `SAMPLED` steps' worth of k_2, and that of the next does, too,
+it is an alarm. A disturbance that jumps bends one window only, and noise stays while windows grow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Authority, Limits, read_limits, require_reserve, saturated
+from gnc_opt.control.controller import Controller
+from gnc_opt.control.decoupling import (
+    GROWTH,
+    GUARD,
+    GuardedLaw,
+    Inverse,
+    Memory,
+    check_zero_dynamics,
+    determinant_on,
+    guarded_controller,
+    guarded_inverse,
+)
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.feedforward import reference_times
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
+from gnc_opt.control.reaching_laws import (
+    Boundary,
+    ExponentialRate,
+    Law,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    TanhLayer,
+    read_bounds,
+)
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
+from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
+from gnc_opt.control.super_twisting import SuperTwistingObserver, sampled_band
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import DesignError, shown
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import as_point
+
+_SETTLED = 40.0
+"""An impulse response is integrated over this many time constants of its slowest pole."""
+_RESPONSE_STEPS = 4000
+_SPAN = 20.0
+"""A rehearsal lasts this many time constants of the slowest pole of the surface, and the reaching time."""
+
+
+def surface_controller(
+    name: str,
+    title: str,
+    errors: OutputErrors,
+    reference: Reference,
+    coefficients: Sequence[Array],
+    options: SlidingOptions,
+) -> Controller:
+    """Return the controller that drives surfaces of output errors to zero.
+
+    ``coefficients`` holds c_0, ..., c_{r-2}, 1 for each component.
+
+    Raises
+    ------
+    DesignError
+        Steps too long for the surface, and what the parts refuse.
+    """
+    switching = options.switching(errors.pair.model, errors.labels)
+    _require_decay(errors.labels, coefficients, switching)
+    inverse = guarded_inverse(errors, reference, options.guard)
+    zeros = check_zero_dynamics(errors, reference, options.growth)
+    pairs = list(zip(coefficients, errors.chains, strict=True))
+    s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
+    switching = replace(switching, stretch=_stretch(drift, errors, reference, switching.dt))
+    memory, u = _command(s, drift, errors, inverse, switching, options.observer)
+    facts = [
+        Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        *_surface_facts(errors, coefficients, switching),
+        Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
+        *zeros,
+        *switching.reserve(errors, reference),
+    ]
+    return guarded_controller(
+        name,
+        errors.pair,
+        reference,
+        GuardedLaw(u, inverse.regular, tuple(memory)),
+        dt=switching.dt,
+        explanation=Explanation(title, tuple(facts)),
+        rehearsal=_reaching(errors, s, coefficients, reference, switching, inverse, options),
+    )
+
+
+def _command(
+    s: Any,
+    drift: Any,
+    errors: OutputErrors,
+    inverse: Inverse,
+    switching: Switching,
+    observer: SuperTwistingObserver | None,
+) -> tuple[list[Memory], Any]:
+    """Return the memory and the command of the law."""
+    n, dt = errors.size, switching.dt
+    wanted, twist = switching.demand(s, drift)
+    # s of the last step, for the log
+    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.watch(s)]
+    if observer is None:
+        return memory, inverse(wanted)
+    assert dt is not None
+    s_hat, q = ca.SX.sym("s_hat", n), ca.SX.sym("disturbance", n)
+    u = inverse(wanted - observer.estimate(s, s_hat, q))
+    known = drift + errors.decoupling @ saturated(u, switching.limits)
+    s_next, q_next = observer.update(s, s_hat, q, known, dt)
+    return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
+
+
+def _stretch(drift: Any, errors: OutputErrors, reference: Reference, dt: float | None) -> float:
+    """Return by what factor surfaces move further over a step than their rates at its beginning say, 1 or more.
+
+    Under a held command ds/dt = drift + E u goes on to change: where the law commands nu = E u + drift, at the rate
+    a nu, a = d(drift + E u)/dx df/du E^+, to first order about the reference.
+    """
+    if dt is None:
+        return 1.0
+    pair = errors.pair
+    slope = ca.jacobian(drift + errors.decoupling @ pair.u, pair.x) @ ca.jacobian(pair.f, pair.u)
+    times = reference_times(reference)
+    grown = [
+        row[i] + np.sum(np.abs(np.delete(row, i)))
+        for j, e in zip(
+            pair.along(reference, times, slope), pair.along(reference, times, errors.decoupling), strict=True
+        )
+        for i, row in enumerate(j @ np.linalg.pinv(e))
+    ]
+    share = dt * max(0.0, float(np.max(grown)))
+    return float(np.expm1(share) / share) if share > 0 else 1.0
+
+
+def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
+    """Refuse steps over which the errors, sampled, grow from afar.
+
+    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step. From afar only what is linear in rho counts, k s: the
+    rest is bounded or grows like |s|^alpha. Without k, s itself neither decays nor grows: the rates alone are judged.
+    """
+    if switching.dt is None:
+        return
+    k = switching.reaching.k if isinstance(switching.reaching, ExponentialRate) else 0.0
+    for label, c in zip(labels, coefficients, strict=True):
+        gain = k * c + np.append(0.0, c[:-1]) if k else c[:-1]
+        if not gain.size:
+            continue
+        a, b = zero_order_hold(np.eye(gain.size, k=1), np.eye(gain.size)[:, [-1]], switching.dt)
+        radius = spectral_radius(a - b @ gain[None])
+        if radius >= 1:
+            raise DesignError(
+                f"control steps of {switching.dt:g} s are too long for the surface of '{label}': away from it "
+                f"the sampled errors grow by a factor of {radius:.4g} per step; give a shorter dt, smaller slopes or a "
+                "smaller rate k."
+            )
+
+
+def _weigh(c: Array, chain: Any, order: int) -> Any:
+    """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
+    return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
+
+
+def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switching: Switching) -> list[Fact]:
+    """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
+    pairs = list(zip(errors.labels, coefficients, strict=True))
+    poles = [Fact(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1]
+    facts, bands = [*poles, *switching.facts()], switching.sampled_bands
+    if bands is not None:
+        steady = np.array([band * _peak_gain(c) for band, c in zip(bands, coefficients, strict=True)])
+        facts.append(Fact("steady error bound", steady, remark="of the outputs, from the band of s"))
+    return facts
+
+
+def _reaching(
+    errors: OutputErrors,
+    s: Any,
+    coefficients: Sequence[Array],
+    reference: Reference,
+    switching: Switching,
+    inverse: Inverse,
+    options: SlidingOptions,
+) -> Rehearsal | None:
+    """Return the rehearsal of a start: how long the surface takes, with what the limits leave of the command."""
+    start = options.start
+    if start is None:
+        return None
+    t, pair, reaching = reference.initial_time, errors.pair, switching.reaching
+    x = as_point(start, pair.x.numel(), "the state at the start", DesignError)
+    first = np.asarray(pair.function(s)(t, x, reference.u(t), reference.x(t), reference.u(t)).full())[:, 0]
+    ideal = np.array(
+        [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
+    )
+    rates = np.concatenate([np.empty(0), *[np.roots(c[::-1]) for c in coefficients]])
+    slope = reaching.slope(switching.boundary)
+    rates = np.abs(np.append(rates.real, slope if np.isfinite(slope) else 1.0))
+    step = FINENESS / float(np.max(rates)) if switching.dt is None else switching.dt
+    span = max(
+        _SPAN / float(np.min(rates)),
+        reference.duration,
+        float(np.max(ideal[np.isfinite(ideal)], initial=0.0)),
+    )
+
+    def rehearsal(controller: Controller) -> list[Fact]:
+        def watch(path: Path) -> Fact:
+            return determinant_on(path, errors, reference, inverse, options.guard)
+
+        path = rehearse(controller, Trial(errors, reference, x, switching.limits, step, span), watch)
+        times, remark = ideal, "upper bound with ideal switching and the disturbance at its bound"
+        if path.cut(switching.limits).any():
+            times, remark = (
+                _arrivals(path, controller, first, switching),
+                "rehearsed within the limits, undisturbed",
+            )
+        return [
+            Fact("s at the start", first),
+            Fact("reaching time", times, "s", remark),
+            *limit_facts(path, switching.limits, step),
+            *drift_facts(path, errors, reference),
+        ]
+
+    return rehearsal
+
+
+def _arrivals(path: Path, controller: Controller, first: Array, switching: Switching) -> Array:
+    """Return when each s first changes its sign or enters its boundary layer (s after the start)."""
+    s = path.memory[controller.memory.slice("s")][:, 1:]  # that of the step before
+    layer = 1 / switching.boundary.slope
+    there = (s * first[:, None] <= 0) | (np.abs(s) <= np.maximum(layer, switching.bands)[:, None])
+    times = path.times[:-1] - path.times[0]
+    return np.array([times[np.argmax(row)] if row.any() else np.inf for row in there])
+
+
+def _peak_gain(c: Array) -> float:
+    """Return the largest |e| that |s| <= 1 can cause: the integral of the impulse response of 1 / c(p)."""
+    if c.size == 1:
+        return 1.0
+    poles = np.roots(c[::-1])
+    if np.allclose(poles.imag, 0):
+        return float(1 / c[0])  # the response of real poles never changes its sign
+    companion = np.zeros((c.size - 1, c.size - 1))
+    companion[:-1, 1:] = np.eye(c.size - 2)
+    companion[-1] = -c[:-1]
+    span, steps = _SETTLED / float(np.min(-poles.real)), _RESPONSE_STEPS
+    forward = scipy.linalg.expm(companion * span / steps)
+    state = scipy.linalg.expm(companion * 0.5 * span / steps)[:, -1]
+    total = 0.0
+    for _ in range(steps):
+        total += abs(state[0]) * span / steps
+        state = forward @ state
+    return total
+
+
+_FULL = 0.99
+"""Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingOptions:
+    """What the designs of sliding modes are told alike; `design_sliding_mode` explains each."""
+
+    reaching: Law
+    boundary: Boundary
+    bound: ArrayLike = 0.0
+    observer: SuperTwistingObserver | None = None
+    limits: Limits | None = None
+    start: ArrayLike | None = None
+    dt: float | None = None
+    guard: float = GUARD
+    growth: float = GROWTH
+
+    def switching(self, model: Model, labels: Sequence[str]) -> Switching:
+        """Return the switching part of a law for surfaces of these names.
+
+        Raises
+        ------
+        DesignError
+            Disturbances above the gain, steps too long for the boundary layer, limits without room.
+        """
+        bounds = read_bounds(self.reaching, self.bound, labels)
+        dt = _read_step(self.reaching, self.boundary, self.dt, needed=self.observer is not None)
+        return Switching(self.reaching, self.boundary, bounds, dt, read_limits(model, self.limits))
+
+
+@dataclass(frozen=True, eq=False)
+class Switching:
+    """The switching part of a law, its arguments checked.
+
+    Attributes
+    ----------
+    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
+    boundary : Sign, SaturationLayer or TanhLayer
+    bounds : array (n_surfaces,)
+        Largest disturbances of ds/dt; for `SuperTwisting` their largest rates.
+    dt : float or None
+        Length of a control step, s.
+    limits : (lower, upper) or None
+        Authority, (n_controls,) each.
+    stretch : float
+        By what factor s moves further over a step than ds/dt at its beginning says, as the plant moves on under the
+        held command; 1 for integrators.
+    """
+
+    reaching: Law
+    boundary: Boundary
+    bounds: Array
+    dt: float | None
+    limits: Authority | None
+    stretch: float = 1.0
+
+    @property
+    def bands(self) -> Array:
+        """The |s| within which disturbances at their bounds may hold each surface, continuous control."""
+        return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
+
+    @property
+    def sampled_bands(self) -> Array | None:
+        """The |s| to which the law comes back if its commands are held over steps of dt; None where none is known."""
+        if self.dt is None or not isinstance(self.boundary, Sign):
+            return self.bands
+        if isinstance(self.reaching, SuperTwisting):
+            return None if np.any(self.bounds > 0) else np.full(self.bounds.size, self._twisted(self.dt))
+        # From beside zero it goes one step to the other side, driven by its full gain and by the disturbance.
+        driven = (self._switched + self.bounds) * self.stretch
+        return driven * self.dt if np.isfinite(self._switched) else self.bands
+
+    @property
+    def _switched(self) -> float:
+        """By how much ds/dt is switched, units of s per second: nothing by `SuperTwisting`, whose gain is a rate."""
+        return 0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
+
+    def _twisted(self, dt: float) -> float:
+        """Return the band of sampled super-twisting, whose steps are stretched."""
+        assert isinstance(self.reaching, SuperTwisting)
+        return sampled_band(self.stretch * self.reaching.k1, self.stretch * self.reaching.k2, dt)
+
+    def demand(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
+        """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
+        wanted = -drift - self.reaching.rate(s, self.boundary)
+        if not isinstance(self.reaching, SuperTwisting):
+            return wanted, []
+        assert self.dt is not None
+        size = self.bounds.size
+        twist = ca.SX.sym("twist", size)
+        grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
+        return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
+
+    def watch(self, s: Any, *, stays: bool = True) -> list[Memory]:
+        """Return the memory that raises the alarm of a disturbance that is stronger than the gain.
+
+        Without ``stays`` s begins at zero, and what another law commands may throw it out of its layer for a while.
+        """
+        first = s if stays else ca.SX.zeros(s.shape)
+        edge = self.boundary.width(_FULL)
+        if isinstance(self.reaching, SuperTwisting):
+            assert self.dt is not None
+            law = self.reaching
+            return twist_outrun(s, first, lambda size: law.rate(size, self.boundary), law.k2, edge, self.dt)
+        if not np.isfinite(self.reaching.gain):
+            return []
+        return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
+
+    def facts(self) -> list[Fact]:
+        """Return the bands of s and the sampling limit."""
+        remark = "where a disturbance at its bound may hold s, continuous control"
+        facts = [Fact("band of s", self.bands, remark=remark)]
+        if self.dt is not None and isinstance(self.boundary, Sign):
+            facts += self._chattering(self.dt)
+        slope = self.reaching.slope(self.boundary)
+        if np.isfinite(slope):
+            remark = "longer control steps chatter in the boundary layer"
+            facts.append(Fact("sampling limit", 2 / slope, "s", remark))
+        return facts
+
+    def _chattering(self, dt: float) -> list[Fact]:
+        """Return the fact about the |s| within which a law without a boundary layer switches, if that is known."""
+        if isinstance(self.reaching, SuperTwisting):
+            remark = "of the sampled law, under any constant disturbance"
+            return [Fact("chattering band of s", self._twisted(dt), remark=remark)]
+        if not np.isfinite(self._switched):
+            return []
+        remark = "one control step at full gain, disturbed at the bound"
+        return [Fact("chattering band of s", self.sampled_bands, remark=remark)]
+
+    def reserve(self, errors: OutputErrors, reference: Reference) -> list[Fact]:
+        """Return the fact about the authority that is left on the reference beyond the switching gain, if it has one.
+
+        Raises
+        ------
+        DesignError
+            The feedforward and the gain together ask for more than the limits.
+        """
+        gain = self._switched
+        if self.limits is None or not np.isfinite(gain):
+            return []
+        times = reference_times(reference)
+        if isinstance(
+            self.reaching, SuperTwisting
+        ):  # its command has no bound: the rehearsal tells what it asks for
+            return require_reserve(reference, self.limits, times, dt=self.dt)
+        matrices = errors.pair.along(reference, times, errors.decoupling)
+        need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
+        return require_reserve(reference, self.limits, times, gain=need, dt=self.dt)
+
+
+def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
+    """Return dt; raise `DesignError` where it is missing or too long for the slope of the boundary layer.
+
+    Inside the layer the sampled surface obeys s+ = (1 - dt * slope) s: it grows from step to step for
+    dt * slope > 2, and chatters at 2.
+    """
+    if not isinstance(boundary, (Sign, SaturationLayer, TanhLayer)):
+        raise DesignError(
+            f"the boundary is {boundary!r}: give Sign(), SaturationLayer(phi) or TanhLayer(phi)."
+        )
+    if dt is None:
+        if needed or isinstance(reaching, SuperTwisting):
+            raise DesignError("a law with memory is designed for one length of control steps: give dt, in s.")
+        return None
+    dt = read_positive(dt, "the control step dt", DesignError)
+    slope = reaching.slope(boundary)
+    if np.isfinite(slope) and slope * dt >= 2:
+        raise DesignError(
+            f"control steps of {dt:g} s are too long for the switching gain: gain * dt / phi = {slope * dt:.4g} "
+            f"is not below 2; give dt < {2 / slope:.4g} s, a wider boundary layer or a smaller gain."
+        )
+    return dt
+
+
+OVERPOWERED = "overpowered"
+"""The alarm."""
+
+PATIENCE = 10
+"""Control steps in a row outside the boundary layer after which that is no noise."""
+
+SAMPLED = 5.0
+"""Control steps for which a command that is held may let d seem to grow as fast as k_2."""
+
+_BENT = 2
+"""Windows in a row that an alarm takes."""
+
+
+def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
+    """Return the memory of the alarm for a relay that works with its full gain where \\|s\\| is beyond ``edge``.
+
+    Without an edge there is none: a law whose gain grows with s is exceeded by nothing. ``first`` is s at the start.
+    Unless s ``stays`` inside once sliding has begun, it is an alarm only if s grows.
+    """
+    if edge <= 0:
+        return []
+    n = s.shape[0]
+    away, flag = ca.SX.sym("away", n), ca.SX.sym(OVERPOWERED)
+    distance = ca.SX.sym("distance", n)
+    begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
+    # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
+    growing = ca.if_else(size > distance, away - 1, -1)
+    after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
+    raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > PATIENCE - 0.5)
+    return [
+        Memory("away", away, -ca.SX.ones(n), after),
+        Memory("distance", distance, ca.fabs(first), size),
+        Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
+    ]
+
+
+def twist_outrun(
+    s: Any, first: Any, rate: Callable[[Any], Any], gain: float, edge: float, dt: float
+) -> list[Memory]:
+    """Return the memory of the alarm for super-twisting.
+
+    Parameters
+    ----------
+    s, first : casadi SX (n, 1)
+        Now and at the start.
+    rate : callable
+        Of \\|s\\|: by how much the law lets it fall without its memory, unit of s per second.
+    gain : float
+        k_2, unit of s per second squared.
+    edge : float
+        Beyond which the law's memory moves at its full rate.
+    dt : float
+        Control step, s.
+    """
+    n, flag = s.shape[0], ca.SX.sym(OVERPOWERED)
+    before, away, mark, driven, half, bent = (
+        ca.SX.sym(name, n) for name in ("before", "away", "mark", "driven", "driven_half", "bent")
+    )
+    beside = ca.logic_and(ca.fabs(s) > edge, s * before > 0)
+    steps = ca.if_else(beside, away + 1, 0)
+    whole = ca.if_else(beside, driven + ca.fabs(s) - ca.fabs(before) + dt * rate(ca.fabs(before)), 0)
+    over, at_half = steps > 2 * mark - 0.5, ca.fabs(steps - mark) < 0.5
+    count = ca.if_else(whole - 2 * half > SAMPLED * gain * mark * dt**2, bent + 1, 0)
+    after = ca.if_else(over, count, ca.if_else(beside, bent, 0))
+    raised = ca.fmax(flag, ca.mmax(after) > _BENT - 0.5)
+    first, nothing = PATIENCE * ca.SX.ones(n), ca.SX.zeros(n)
+    return [
+        Memory("before", before, first, s),
+        Memory("away", away, nothing, ca.if_else(over, 0, steps)),
+        Memory("mark", mark, first, ca.if_else(over, 2 * mark, ca.if_else(beside, mark, first))),
+        Memory("driven", driven, nothing, ca.if_else(over, 0, whole)),
+        Memory("driven_half", half, nothing, ca.if_else(at_half, whole, half)),
+        Memory("bent", bent, nothing, after),
+        Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
+    ]
+
+
+Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
+"""lambda (1/s) for all outputs, a sequence with one lambda per output component, or a mapping from outputs to lambda
+or to the r - 1 poles of the surface."""
+
+
+@one_thread()
+def design_sliding_mode(
+    model: Model,
+    reference: Reference | ArrayLike,
+    *,
+    outputs: Outputs,
+    slopes: Slopes = (),
+    reaching: Law,
+    boundary: Boundary,
+    bound: ArrayLike = 0.0,
+    observer: SuperTwistingObserver | None = None,
+    limits: Limits | None = None,
+    start: ArrayLike | None = None,
+    dt: float | None = None,
+    guard: float = GUARD,
+    growth: float = GROWTH,
+    name: str = "sliding mode",
+) -> Controller:
+    """Design a sliding-mode controller that follows the outputs of a reference.
+
+    Parameters
+    ----------
+    model : Model
+        Affine in its controls.
+    reference : Reference or array (n_states,)
+        Its control should keep it on the model's dynamics: it is the feedforward.
+    outputs : name, names, expressions or mapping
+        See `Outputs`; at most as many components as controls.
+    slopes : float, sequence or mapping
+        See `Slopes`; not needed for outputs of relative degree 1.
+    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
+    boundary : Sign, SaturationLayer or TanhLayer
+    bound : float or array (n_outputs,)
+        Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
+    observer : SuperTwistingObserver, optional
+        Estimates the disturbance, which the law then cancels; the reaching law has to cover only what is left.
+    limits : (lower, upper), optional
+        Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
+        limited command for the one in force. The law itself does not limit its command.
+    start : array (n_states,), optional
+        State from which the closed loop is rehearsed, its commands cut to ``limits``: a start from which it runs away
+        or does not come back is refused, and the reaching time in `Controller.explain` is that of the limited command.
+    dt : float, optional
+        Length of a control step, s; needed by laws with memory.
+    guard : float
+        Smallest determinant of the decoupling matrix, relative to its largest on the reference.
+    growth : float
+        Fastest growth of the zero dynamics that is accepted, 1/s; raise it for slow drifts that a mission survives.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+
+    Raises
+    ------
+    DesignError
+        Undefined relative degree, singular decoupling matrix, disturbances above the gain, gain above the
+        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics, a start from
+        which the limited loop does not come back.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate, SaturationLayer
+    >>> law = go.design_sliding_mode(
+    ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, bound=0.2,
+    ...     reaching=ConstantRate(0.5), boundary=SaturationLayer(0.1),
+    ... )
+    >>> u, _ = law(0.0, [1.0, 0.0], dt=0.01)
+    >>> print(u)  # far from the surface: the full rate
+    [-0.5]
+    """
+    reference = read_plant(model, reference, "design_sliding_mode")
+    errors = output_errors(model, reference, outputs)
+    coefficients = _coefficients(errors, slopes)
+    title = f"sliding mode of '{model.name}' on {', '.join(errors.labels)}"
+    options = SlidingOptions(
+        reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth
+    )
+    return surface_controller(name, title, errors, reference, coefficients, options)
+
+
+def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
+    """Return c_0, ..., c_{r-2}, 1 of each surface."""
+    found = []
+    for i, (label, r) in enumerate(zip(errors.labels, errors.degrees, strict=True)):
+        given = _slope_of(errors, slopes, label, i) if r > 1 else []
+        try:
+            poles = np.asarray(given, dtype=complex)
+        except (TypeError, ValueError):
+            raise DesignError(
+                f"the slope of output '{label}' is {shown(given)}: give lambda, in 1/s, or poles."
+            ) from None
+        if poles.ndim == 0:
+            poles = np.full(r - 1, -poles)
+        if poles.shape != (r - 1,):
+            raise DesignError(
+                f"output '{label}' has relative degree {r}: give lambda, or {r - 1} pole{'s' * (r > 2)}, "
+                f"not {poles.size}."
+            )
+        polynomial = real_polynomial(poles)
+        if polynomial is None or not np.all(poles.real < 0):
+            raise DesignError(
+                f"the surface of output '{label}' has the poles {poles}: give lambda > 0, or poles with negative "
+                "real parts in conjugate pairs."
+            )
+        found.append(polynomial[::-1])
+    return found
+
+
+def _slope_of(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
+    if isinstance(slopes, Mapping):
+        slope = given_for(label, slopes, errors, "the surface")
+        if slope is None:
+            raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
+        return slope
+    if isinstance(slopes, Sequence):
+        if len(slopes) != errors.size:
+            raise DesignError(
+                f"{len(slopes)} slopes are given for {errors.size} surfaces ({', '.join(errors.labels)}): give lambda, "
+                "in 1/s, for all or one for each."
+            )
+        return slopes[index]
+    return float(read_numbers(slopes, "lambda, the slope of a surface", DesignError).reshape(()))

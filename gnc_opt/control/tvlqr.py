@@ -1,0 +1,193 @@
+r"""Time-varying linear-quadratic regulator along a reference.
+
+Backward along the reference, between its jumps, with :math:`v = u - u_{ff}` and the errors e of `Deviation`,
+
+.. math:: -\dot P = A^T P + P A - K^T R K + Q, \qquad K = R^{-1} (B^T P + N^T), \qquad P(t_f) = S,
+
+and :math:`u = u_{ff} - K(t)\, e`: the least :math:`e^T S e + \int e^T Q e + v^T R v + 2 e^T N v \, dt` to first order.
+S is by default the steady P of the tail, so that K(t) is continuous at t_f and the steady regulator holds the end.
+
+With dt the plant and its cost are sampled along the reference and the recursion is the discrete one, for commands held
+over dt.
+
+References
+----------
+B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, Prentice Hall (1990), section 2.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Limits, read_limits, reserve_shares
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.lqr import regulator_facts
+from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.tvlqr_gains import (
+    ContinuousGains,
+    Gains,
+    SampledGains,
+    cost_defect,
+    resting_control,
+    riccati_defect,
+    riccati_gains,
+)
+from gnc_opt.environment import one_thread
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
+
+_CHECKS = 40
+"""Times along a reference at which the largest gain and the eigenvalues of P are looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class GainSchedule:
+    """Rows x_ref, mean control u_ff, K row by row, for given times (n,) and step (s)."""
+
+    gains: Gains
+    reference: ReferenceSchedule = field(repr=False)
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        rows = np.stack([self.gains.K(float(t)).ravel() for t in np.atleast_1d(times)], axis=1)
+        return np.vstack([self.reference(times, dt), rows])
+
+
+@one_thread()
+def design_tvlqr(
+    model: Model,
+    reference: Reference,
+    *,
+    Q: Weight,
+    R: Weight,
+    N: ArrayLike | None = None,
+    terminal: Weight | None = None,
+    dt: float | None = None,
+    limits: Limits | None = None,
+    name: str = "TVLQR",
+) -> Controller:
+    """Design a time-varying linear-quadratic regulator that follows a reference.
+
+    Parameters
+    ----------
+    model : Model
+    reference : Reference
+    Q, R, N
+        As in `design_lqr`.
+    terminal : weight, optional
+        S of the errors at the end. By default the steady cost to go of the tail.
+    dt : float, optional
+        Control step, s: gains for commands held that long from the reference's beginning on. Without it, the
+        continuous gains, for any step that is short beside the closed loop's times.
+    limits : (lower, upper), optional
+        Of the controls, for the statement of the reserve. Commands are not clipped.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K`` (row by row). ``controller.schedule.gains``
+        evaluates K and P at any time.
+
+    Raises
+    ------
+    DesignError
+        Weights not (semi)definite; no ``terminal`` and the tail not stabilisable or not detectable.
+
+    Examples
+    --------
+    >>> reference = go.Reference(solution)
+    >>> tracker = go.design_tvlqr(cart, reference, Q=1, R=1, dt=0.05)
+    >>> run = go.ClosedLoop(cart, tracker, dt=0.05).simulate(x0=[1.01, 0.0], tf=4.0)
+    >>> print(run.miss("q") < 1e-3)
+    True
+    """
+    expect(
+        reference,
+        Reference,
+        "the reference of design_tvlqr()",
+        "give a Reference of the trajectory to follow",
+    )
+    deviation = Deviation(model)
+    cost = read_cost(model, Q, R, N)
+    gains = riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
+    bounds = read_limits(model, limits)
+    step, start = _law(deviation)
+    facts = [*_facts(deviation, reference, gains, cost), *reserve_shares(reference, bounds)]
+    regulator = Controller(
+        name=name,
+        step=step,
+        start=start,
+        states=model.states,
+        commands=model.controls,
+        signals=reference_signals(reference, Variable("K", model.controls.size * deviation.errors.size)),
+        memory=Layout("memory", (), "a law without memory"),
+        schedule=GainSchedule(gains, ReferenceSchedule(reference)),
+        dt=dt,
+        span=(reference.initial_time, reference.final_time),
+        explanation=Explanation(f"{name} of '{model.name}' along {reference!r}", tuple(facts)),
+    )
+    return bridge_dropouts(regulator)
+
+
+def _law(deviation: Deviation) -> tuple[Any, Any]:
+    states, controls, errors = (
+        layout.size for layout in (deviation.model.states, deviation.model.controls, deviation.errors)
+    )
+    t, x, z = ca.SX.sym("t"), ca.SX.sym("x", states), ca.SX.sym("z", 0)
+    r = ca.SX.sym("r", states + controls + controls * errors)
+    x_ref, u_ff = r[:states], r[states : states + controls]
+    gain = ca.reshape(r[states + controls :], errors, controls).T  # row by row
+    u = u_ff - gain @ deviation.expression(x, x_ref)
+    return law(t, x, r, z, u, z), first_memory(t, x, r, ca.SX(0, 1))
+
+
+def _facts(
+    deviation: Deviation,
+    reference: Reference,
+    gains: ContinuousGains | SampledGains,
+    cost: QuadraticCost,
+) -> list[Fact]:
+    times = reference_times(reference, _CHECKS)
+    largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
+    eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
+    rows = ", ".join(deviation.model.controls.labels)
+    facts = [
+        Fact("largest gain", largest, "", f"of |K(t)| over the reference, rows: {rows}"),
+        Fact(
+            "gain after the end",
+            gains.tail,
+            "",
+            "steady" if gains.steady is not None else "the last one, held",
+        ),
+        Fact("smallest eigenvalue of P", float(eigenvalues[:, 0].min()), "", "over the reference"),
+        Fact("largest eigenvalue of P", float(eigenvalues[:, 1].max()), "", "over the reference"),
+    ]
+    dt = gains.dt if isinstance(gains, SampledGains) else None
+    if gains.steady is not None:
+        t_f = reference.final_time
+        a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
+        if dt is not None:
+            a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
+        facts += regulator_facts(gains.steady, (a, b), dt, name="closed-loop poles after the end")
+    if isinstance(gains, ContinuousGains) and gains.pieces:
+        worst = riccati_defect(gains, cost)
+        facts.append(
+            Fact("Riccati defect", worst, "", "of P(t), by finite differences, over its largest term")
+        )
+    if isinstance(gains, SampledGains) and gains.gains:
+        remark = "cost of the law, added up forward, against P"
+        facts.append(Fact("Riccati defect", cost_defect(gains), "", remark))
+    return facts

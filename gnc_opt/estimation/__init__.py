@@ -1,0 +1,17 @@
+"""Design of Kalman filters, and output feedback through them."""
+
+from gnc_opt.estimation.design import design_ekf, design_ukf
+from gnc_opt.estimation.estimator import Estimator, output_feedback
+from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions
+from gnc_opt.estimation.scheduled_filter import design_scheduled_ekf
+
+__all__ = [
+    "Estimator",
+    "FilterOptions",
+    "Measurement",
+    "UnscentedOptions",
+    "design_ekf",
+    "design_scheduled_ekf",
+    "design_ukf",
+    "output_feedback",
+]

@@ -1,0 +1,293 @@
+r"""Augmented model: what an estimator estimates beside the states of the vehicle.
+
+1. *Biases*: constant or drifting errors of sensors, :math:`\dot b = w`.
+2. *Delay lines*: for a sample that arrives d control steps late, what was measured 1, ..., d steps ago; at the end of
+   each control step they move on by one, and the first becomes the value of now. To first order the filter is then the
+   optimal one for delayed samples (Simon, Optimal State Estimation, 2006, section 10.5, by augmentation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.sampled_data import whole_steps
+from gnc_opt.errors import ArgumentError, DesignError, in_words, unknown_name
+from gnc_opt.estimation.error_space import Space, flat, product
+from gnc_opt.estimation.measurement import Measurement
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable
+
+_MOST_LATE = 200
+"""Components of late samples at most: what a filter takes grows with the cube of what it estimates."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measurement, read.
+
+    Attributes
+    ----------
+    measurement : Measurement
+    variable : Variable
+        What is measured.
+    space : Space
+    period, delay : int
+        Control steps.
+    """
+
+    measurement: Measurement
+    variable: Variable
+    space: Space
+    period: int
+    delay: int
+
+    @property
+    def name(self) -> str:
+        """Name of what is measured."""
+        return self.measurement.of
+
+    @property
+    def bias(self) -> str:
+        """Name of its bias among the estimated quantities."""
+        return f"{self.name}_bias"
+
+    def past(self, steps: int) -> str:
+        """Name of what was measured so many steps ago."""
+        return f"{self.name}_{steps}_ago"
+
+    @property
+    def counted(self) -> bool:
+        """Whether not every control step brings a new sample."""
+        return self.period > 1 or self.delay > 0
+
+
+class AugmentedModel:
+    """A model with the biases and delays of its sensors.
+
+    Parameters
+    ----------
+    model : Model
+    measurements : sequence of Measurement
+    dt : float
+        Control step, s.
+
+    Attributes
+    ----------
+    channels : tuple of Channel
+    states, errors : Layout
+        Of all that is estimated, and of the errors.
+    space : Space
+        Of the augmented state.
+    vehicle : Space
+        Of the model's states, which come first.
+    """
+
+    def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
+        self.model, self.dt = model, dt
+        self.channels = tuple(_channel(model, m, dt) for m in measurements)
+        parts = [(v, _state_space(model, v)) for v in model.states.variables]
+        for channel in self.channels:
+            unit, name = channel.variable.unit, channel.name
+            if channel.measurement.biased:
+                parts.append((Variable(channel.bias, channel.space.errors, unit), flat(channel.space.errors)))
+            for k in range(1, channel.delay + 1):
+                parts.append((Variable(channel.past(k), channel.variable.size, unit), channel.space))
+            names = [v.name for v, _ in parts]
+            if len(set(names)) < len(names):
+                raise ArgumentError(
+                    f"the estimated bias or delay of '{name}' would be called like a state: rename that."
+                )
+        owner = f"the estimator of '{model.name}'"
+        self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
+        self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
+        self.space = product([space for _, space in parts])
+        self.vehicle = product([space for _, space in parts[: len(model.states.variables)]])
+        t, own, u, p = model.arguments()
+        slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
+        self._jacobian = ca.Function("A", [t, own, u], [slope])
+
+    def flow(self, h: float) -> Any:
+        """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, u held."""
+        model, n = self.model, self.model.states.size
+        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
+
+        def rate(at: Any, own: Any) -> Any:
+            return model.function(at, own, u, model.parameter_values)
+
+        own, rest = ca.vertsplit(x, [0, n, self.states.size])
+        k1 = rate(t, own)
+        k2 = rate(t + h / 2, own + h / 2 * k1)
+        k3 = rate(t + h / 2, own + h / 2 * k2)
+        k4 = rate(t + h, own + h * k3)
+        after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
+
+    def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
+        """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and two covariances of the noise in it.
+
+        P becomes ``F (P + early) F' + late``. ``density`` (n_errors, n_errors) is that of the noise per second; see
+        `filter` for the formulas.
+        """
+        n = self.model.states.size
+        own, end = x[:n], after[:n]
+        middle = 0.5 * (own + end)
+        A = self._jacobian(t + h / 2, middle, u)
+        last, vehicle = self.vehicle.error_slope(end), self.vehicle
+        rest = ca.SX.eye(self.errors.size - vehicle.errors)
+        one, square = ca.SX.eye(n), A @ A
+        change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
+        whole = ca.diagcat(last @ change @ vehicle.move_slope(own), rest)
+        change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
+        half = ca.diagcat(last @ change @ vehicle.move_slope(middle), rest)
+        return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
+
+    def direct_slope(self, channel: Channel) -> Any:
+        """Return the slope (m, n_errors) of a measurement that sees errors as they are, else ``None``."""
+        biased, m = channel.measurement.biased, channel.space.errors
+        if channel.measurement.difference is not None:
+            return None
+        if channel.delay:
+            names = [channel.past(channel.delay)]
+        elif channel.name not in self.model.states or (biased and m != channel.space.size):
+            return None
+        else:
+            names = [channel.name, *([channel.bias] if biased else [])]
+        slope = ca.SX(m, self.errors.size)
+        for name in names:
+            slope[:, self.errors.slice(name)] = ca.SX.eye(m)
+        return slope
+
+    def now(self, channel: Channel) -> Any:
+        """Return ``(t, x) -> y``: what the sensor would tell without noise if it had no delay."""
+        model = self.model
+        time, xs, _, p = model.arguments()
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        name = channel.name
+        if name in model.states:
+            y = x[model.states.slice(name)]
+        else:
+            here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
+            y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
+        if channel.measurement.biased:
+            y = channel.space.retraction(y, x[self.states.slice(channel.bias)])
+        return ca.Function("now", [t, x], [y])
+
+    def observed(self, channel: Channel) -> Any:
+        """Return ``(t, x) -> y``: what the sensor would tell at t (s) without noise."""
+        if not channel.delay:
+            return self.now(channel)
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        return ca.Function("observed", [t, x], [x[self.states.slice(channel.past(channel.delay))]])
+
+    @property
+    def remembers(self) -> bool:
+        """Whether there are delay lines."""
+        return any(channel.delay for channel in self.channels)
+
+    def shift(self) -> Any:
+        """Return ``(t, x) -> x`` with the delay lines moved on by one."""
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        parts = {name: x[self.states.slice(name)] for name in self.states.names}
+        new = dict(parts)
+        for channel in self.channels:
+            for k in range(1, channel.delay + 1):
+                new[channel.past(k)] = self.now(channel)(t, x) if k == 1 else parts[channel.past(k - 1)]
+        return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
+
+    def spread(self, states: Array, bias: str) -> Array:
+        """Return the standard deviations of all errors (n_errors,): of the states as given, of the biases by their
+        ``"bias"`` or ``"bias_walk"``; delay lines begin without any."""
+        sigma = np.zeros(self.errors.size)
+        sigma[: states.size] = states
+        for channel in self.channels:
+            if channel.measurement.biased:
+                place = self.errors.slice(channel.bias)
+                sigma[place] = channel.measurement.values(bias, channel.space.errors)
+        return sigma
+
+    def first(self, t: float, x: Array) -> Array:
+        """Return the augmented state (n_states,) at the beginning: no bias, all delay lines at what is seen then."""
+        found = np.zeros(self.states.size)
+        found[: x.size] = x
+        for channel in self.channels:
+            for k in range(1, channel.delay + 1):
+                found[self.states.slice(channel.past(k))] = self.now(channel)(t, found).full()[:, 0]
+        return found
+
+
+def _state_space(model: Model, variable: Variable) -> Space:
+    """Return the space of a state, with the model's own difference and retraction."""
+    states, errors = model.states, model.errors
+    place, at = states.slice(variable.name), errors.slice(variable.name)
+
+    def whole(x: Any) -> Any:
+        return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
+
+    def difference(x: Any, ref: Any) -> Any:
+        return model.error_expression(whole(x), whole(ref))[at]
+
+    def retraction(ref: Any, e: Any) -> Any:
+        error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
+        return model.moved_expression(whole(ref), error)[place]
+
+    return Space(variable.size, errors[variable.name].size, difference, retraction)
+
+
+def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
+    name = measurement.of
+    if name in model.states:
+        variable = model.states[name]
+        space = _state_space(model, variable)
+    elif name in model.outputs:
+        variable = model.outputs[name]
+        if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
+            raise DesignError(
+                f"output '{name}' of model '{model.name}' depends on a control, not known when it is measured: "
+                "name one of states alone."
+            )
+        space = flat(variable.size)
+    else:
+        raise unknown_name(
+            "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
+        )
+    if measurement.difference is not None:
+        space = _with_difference(space, measurement.difference, name)
+    for each in ("sigma", "bias", "bias_walk"):
+        measurement.values(each, space.errors)
+    what = f"of the measurement of '{name}'"
+    period = 1 if measurement.period is None else whole_steps(measurement.period, dt, f"the period {what}")
+    if period < 1:
+        raise ArgumentError(
+            f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
+        )
+    delay = whole_steps(measurement.delay, dt, f"the delay {what}")
+    if delay * space.errors > _MOST_LATE:
+        raise ArgumentError(
+            f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
+            f"{_MOST_LATE} take too long; give a longer control step, or a shorter delay."
+        )
+    return Channel(measurement, variable, space, period, delay)
+
+
+def _with_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+    x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
+    try:
+        found = function(x, ref)
+    except Exception as error:
+        raise ArgumentError(
+            f"the difference of the measurement of '{name}' is no function of a sample and what it should be "
+            f"({in_words(error)}): write lambda y, y_hat: ..."
+        ) from error
+    if not isinstance(found, ca.SX) or found.shape != (space.errors, 1) or ca.symvar(found) == []:
+        shape = getattr(found, "shape", None)
+        raise ArgumentError(
+            f"the difference of the measurement of '{name}' returns {type(found).__name__} {shape or ''}: return an SX "
+            f"column of {space.errors} components made of its two arguments."
+        )
+    return Space(space.size, space.errors, function, space.retraction)

@@ -1,0 +1,357 @@
+"""The arguments of a filter's design, read, and what can be told of it beforehand.
+
+Kalman filters of a model: extended and unscented, on the right manifold, with biases, delays and gates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_label, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import read_limits
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.riccati import steady, unreached
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.estimation.augmented_model import AugmentedModel
+from gnc_opt.estimation.estimator import Estimator, Remembered
+from gnc_opt.estimation.kalman_filter import COVARIANCE, build_filter
+from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
+from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions, read_options
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, as_point, as_vector
+
+
+@one_thread()
+def design_ekf(
+    model: Model,
+    x0: ArrayLike | Mapping[str, ArrayLike],
+    measurements: Sequence[Measurement],
+    *,
+    sigma0: Deviations,
+    dt: float,
+    process_noise: Deviations | None = None,
+    options: FilterOptions | None = None,
+) -> Estimator:
+    """Return an extended Kalman filter; multiplicative for states with a difference and a retraction.
+
+    Parameters
+    ----------
+    model : Model
+        Of the vehicle as the filter sees it.
+    x0 : array (n_states,) or mapping by name
+        Expected state at the first control step.
+    measurements : sequence of Measurement
+        Each of a state or an output of the model.
+    sigma0 : mapping
+        Standard deviation of the error of x0 of every state; 0: known exactly.
+    dt : float
+        Control step, s.
+    process_noise : mapping, optional
+        White noise on the rates of states: standard deviation that it adds to the state, unit per square root of a
+        second; 0 for those left out.
+    options : FilterOptions, optional
+        Limits of the actuators, integration, lost samples, name.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    ArgumentError, DesignError, UnknownNameError, ModelError
+        Bad numbers, unknown states, a measurement that depends on a control, a difference without a retraction or one
+        that is not its inverse.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> x, memory = ekf(0.0, [1.05], [0.0])
+    >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
+    [1.05 0.  ]
+    """
+    told = read_options(options, "EKF")
+    if isinstance(told, UnscentedOptions):
+        raise ArgumentError("design_ekf() has no points to spread: give FilterOptions(...).")
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
+    return design.estimator(Tangent(), "extended Kalman filter")
+
+
+@one_thread()
+def design_ukf(
+    model: Model,
+    x0: ArrayLike | Mapping[str, ArrayLike],
+    measurements: Sequence[Measurement],
+    *,
+    sigma0: Deviations,
+    dt: float,
+    process_noise: Deviations | None = None,
+    options: FilterOptions | None = None,
+) -> Estimator:
+    """Return an unscented Kalman filter, which needs no derivatives; on the manifold as `design_ekf`.
+
+    Parameters
+    ----------
+    model, x0, measurements, sigma0, dt, process_noise
+        As for `design_ekf`.
+    options : FilterOptions or UnscentedOptions, optional
+        The latter for the unscented transform with a kappa of one's own.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    ArgumentError, DesignError, UnknownNameError, ModelError
+        As for `design_ekf`.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ukf), sensors=loop.sensors)
+    >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
+    True
+    """
+    told = read_options(options, "UKF")
+    kappa = told.kappa if isinstance(told, UnscentedOptions) else None
+    spread = None if kappa is None else read_positive(kappa, "kappa of design_ukf()", or_zero=True)
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
+    return design.estimator(Regression(spread), "unscented Kalman filter")
+
+
+Deviations: TypeAlias = Mapping[str, ArrayLike]
+"""Standard deviations by the name of a state, one number or one per component of its error."""
+
+_CONSISTENT = 1e-6
+"""By how much the way there and back may miss the identity to first order."""
+
+
+class FilterDesign:
+    """The arguments of a filter's design, read.
+
+    Attributes
+    ----------
+    augmented : AugmentedModel
+    name : str
+    dt, t0 : float
+        Control step and time of the first one, s.
+    limits : Authority or None
+    substeps, hold : int
+    sigma0, noise : array (n_errors,)
+        Of all that is estimated: first standard deviations, and densities of the noise.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        x0: ArrayLike | Mapping[str, ArrayLike],
+        measurements: Sequence[Measurement],
+        deviations: tuple[Deviations, Deviations | None],
+        dt: float,
+        options: FilterOptions,
+    ) -> None:
+        expect(model, Model, "the model of an estimator", "give a Model")
+        self.name = name = read_label(options.name, "estimator")
+        model.derivative()
+        self.model, self.dt = model, read_positive(dt, f"the control step of '{name}'")
+        self.substeps = read_integer(options.substeps, f"substeps of '{name}'", 1)
+        self.hold = read_integer(
+            options.hold, f"the number of steps without samples that '{name}' bridges", 0
+        )
+        self.x0 = _read_state(model, x0, name)
+        self.t0 = float(as_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
+        if not np.isfinite(self.t0):
+            raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
+        _check_way_back(model, self.x0)
+        given = measurements if isinstance(measurements, Sequence) else [measurements]
+        for each in given:
+            expect(each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)')
+        if not given:
+            raise ArgumentError(f"'{name}' measures nothing: give at least one Measurement.")
+        names = [each.of for each in given]
+        for of in names:
+            if names.count(of) > 1:
+                raise ArgumentError(
+                    f"'{name}' measures '{of}' twice: declare an output of the model for the second sensor."
+                )
+        self.augmented = AugmentedModel(model, given, self.dt)
+        sigma0, process_noise = deviations
+        read = _deviations(model, sigma0, f"sigma0 of '{name}'")
+        missing = [n for n in model.states.names if n not in sigma0]
+        if missing:
+            raise ArgumentError(
+                f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
+            )
+        self.limits = read_limits(model, options.limits)
+        self.sigma0 = self.augmented.spread(read, "bias")
+        noise = _deviations(
+            model, {} if process_noise is None else process_noise, f"process_noise of '{name}'"
+        )
+        self.noise = self.augmented.spread(noise, "bias_walk")
+
+    def estimator(self, linearization: Approximation, title: str) -> Estimator:
+        """Return the filter with this linearization."""
+        augmented, model = self.augmented, self.model
+        filter_ = build_filter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
+        first = np.zeros(filter_.memory.size)
+        first[: augmented.states.size] = augmented.first(self.t0, self.x0)
+        rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
+        first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
+        for channel in augmented.channels:
+            if channel.counted:
+                first[filter_.memory.slice(f"{channel.name}_next")] = channel.delay
+        x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
+        return Estimator(
+            name=self.name,
+            update=filter_.update,
+            predict=filter_.predict,
+            first=first,
+            states=model.states,
+            errors=model.errors,
+            measured=Layout("measurement", tuple(c.variable for c in augmented.channels), f"'{self.name}'"),
+            commands=model.controls,
+            covariances=Remembered(rows, columns, augmented.errors.size),
+            memory=filter_.memory,
+            error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
+            sizes={c.name: c.space.errors for c in augmented.channels},
+            gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
+            dt=self.dt,
+            explanation=Explanation(f"{title} of '{model.name}'", tuple(self._facts())),
+        )
+
+    def _facts(self) -> list[Fact]:
+        labels = self.augmented.errors.labels
+        facts = [
+            Fact("estimated", ", ".join(labels)),
+            Fact("first sigma", self.sigma0),
+            Fact("process noise", self.noise, "", "unit/s^0.5"),
+        ]
+        for channel in self.augmented.channels:
+            m = channel.measurement
+            when = f"every {channel.period * self.dt:g} s"
+            late = f", {channel.delay * self.dt:g} s late" if channel.delay else ""
+            gate = f", gate {m.gate:g}" if m.gate is not None else ""
+            facts.append(
+                Fact(
+                    f"measurement of {channel.name}",
+                    m.values("sigma", channel.space.errors),
+                    channel.variable.unit,
+                    f"sigma; {when}{late}{gate}",
+                )
+            )
+        facts += self._steady_facts(labels)
+        what = "steps in a row without a sample that are predicted; then no estimate"
+        return [*facts, Fact("hold", str(self.hold), remark=what)]
+
+    def _steady_facts(self, labels: tuple[str, ...]) -> list[Fact]:
+        """Return what is not seen and the steady accuracy, of the linear model at the first state without command."""
+        F, Q, H, R = self._linear()
+        where = "by the linear model at the first state, no command"
+        unseen = sorted(
+            {label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index
+        )
+        facts = [Fact("not seen", ", ".join(unseen) or "nothing", remark=where)]
+        if any(channel.period > 1 for channel in self.augmented.channels):
+            return facts
+        try:
+            regulator = steady(F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True)
+        except (
+            DesignError
+        ):  # what is not seen, or what no noise moves: its variance has no steady value above zero
+            return facts
+        P = regulator.cost - regulator.cost @ H.T @ np.linalg.solve(
+            H @ regulator.cost @ H.T + R, H @ regulator.cost
+        )
+        return [
+            *facts,
+            Fact("steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}"),
+        ]
+
+    def _linear(self) -> tuple[Array, Array, Array, Array]:
+        """Return F and Q of one control step, H and R of all measurements, at the first state without command."""
+        augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
+        x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
+        u = ca.SX.zeros(self.model.controls.size)
+        shift, after = augmented.shift(), augmented.flow(self.dt)(self.t0, x, u)
+        density = ca.diag(ca.SX(ca.DM(self.noise**2)))
+        F, early, late = augmented.transition(self.t0, x, after, u, self.dt, density)
+        delays = tangent.fit(partial(shift, self.t0), space, space, x, None)[1]
+        found = ca.Function("linear", [x], [F @ delays, F @ early @ F.T + late, self.sight()(self.t0, x)[1]])(
+            first
+        )
+        matrices = [np.asarray(m.full()) for m in found]
+        return matrices[0], matrices[1], matrices[2], np.diag(self.sigma**2)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the noise of all samples (n_measured errors,)."""
+        return np.concatenate(
+            [c.measurement.values("sigma", c.space.errors) for c in self.augmented.channels]
+        )
+
+    def sight(self) -> Any:
+        """Return ``(t, x) -> (y, H)``: all samples without noise, and their slopes by the errors."""
+        augmented, rows, seen = self.augmented, [], []
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", augmented.space.size)
+        for channel in augmented.channels:
+            observed = partial(augmented.observed(channel), t)
+            value, slope, _ = Tangent().fit(observed, augmented.space, channel.space, x, None)
+            direct = augmented.direct_slope(channel)
+            seen.append(value)
+            rows.append(slope if direct is None else direct)
+        return ca.Function("sight", [t, x], [ca.vertcat(*seen), ca.vertcat(*rows)])
+
+
+def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
+    """Return the expected state (n_states,)."""
+    what = f"the first state of '{name}'"
+    if isinstance(x0, Mapping):
+        for key in x0:
+            model.states.slice(key)
+        x = model.states.stack(x0)
+    else:
+        x = as_point(x0, model.states.size, what, ArgumentError)
+    if not np.all(np.isfinite(x)):
+        label = model.states.labels[int(np.flatnonzero(~np.isfinite(x))[0])]
+        raise ArgumentError(f"{what} has no finite '{label}': give every state.")
+    return x
+
+
+def _deviations(model: Model, given: Deviations, what: str) -> Array:
+    """Return standard deviations by name as (n_errors,); those left out are 0."""
+    expect(given, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
+    found = np.zeros(model.errors.size)
+    for name, value in given.items():
+        model.states.slice(name)
+        found[model.errors.slice(name)] = numbers = as_vector(
+            value, model.errors[name].size, f"{what} for '{name}'", ArgumentError
+        )
+        if not np.all(np.isfinite(numbers) & (numbers >= 0)):
+            raise ArgumentError(f"{what} for '{name}' is {numbers}: give finite numbers >= 0.")
+    return found
+
+
+def _check_way_back(model: Model, x0: Array) -> None:
+    """Refuse a retraction that is not the way back of its difference, to first order at the first state."""
+    x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
+    there = model.error_expression(model.moved_expression(x, e), x)
+    both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
+    value, slope = (np.asarray(m.full()) for m in both(x0, np.zeros(model.errors.size)))
+    miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))
+    bad = np.flatnonzero(~(miss <= _CONSISTENT))
+    if bad.size:
+        label = model.errors.labels[int(bad[0])]
+        raise DesignError(
+            f"the retraction of '{label}' in model '{model.name}' is not the way back of its difference: that between "
+            f"retraction(x, e) and x misses e by {miss[bad[0]]:.2g} to first order."
+        )

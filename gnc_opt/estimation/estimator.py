@@ -1,0 +1,309 @@
+"""Estimator: a discrete-time filter as symbolic functions with a memory, and a law that feeds back what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, Schedule, first_memory, law
+from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.feedforward import StackedSchedule
+from gnc_opt.errors import ArgumentError, did_you_mean
+from gnc_opt.estimation.kalman_filter import COVARIANCE
+from gnc_opt.model.variables import Layout, as_point
+
+
+class Covariances(Protocol):
+    """Where the covariances of an estimator's errors are."""
+
+    def of(self, memory: Array, layout: Layout) -> Array:
+        """Return that of all errors (n, n) of a memory (n_memory,), or (m, n, n) of many (n_memory, m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """Covariances in the memory.
+
+    Attributes
+    ----------
+    rows, columns : int arrays (k,)
+        What of the lower triangle the entries of ``covariance`` are.
+    size : int
+        Number of errors.
+    """
+
+    rows: Any
+    columns: Any
+    size: int
+
+    def of(self, memory: Array, layout: Layout) -> Array:
+        """Return the covariances, see `Covariances`."""
+        column = memory[layout.slice(COVARIANCE)]
+        full = np.zeros((self.size, self.size, *column.shape[1:]))
+        full[self.rows, self.columns] = full[self.columns, self.rows] = column
+        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """A discrete-time estimator: ``(t, y, r, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
+
+    At a control step that begins at t it gets the samples y, a row r of its schedule and its memory z, the prediction
+    for t; it returns the estimated states x, and, once the command u is known, the prediction for the next step.
+
+    Attributes
+    ----------
+    name : str
+    update, predict : casadi.Function
+        ``(t, y, r, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured
+        for longer than the estimator's ``hold``.
+    first : array (n_memory,)
+        The memory at the first step.
+    states, errors : Layout
+        Names, sizes and units of x and of its error.
+    measured : Layout
+        Of y.
+    commands : Layout
+        Of u.
+    covariances : Covariances
+        Where those of the errors are.
+    memory : Layout
+        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
+        its lower triangle can differ from zero; where it is known beforehand ``predicted_for``, s), and for each
+        measurement ``<measurement>_nis`` (sum of the normalised innovations squared of the samples taken),
+        ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
+    error : casadi.Function
+        ``(x, x_ref) -> e``, the error of states.
+    sizes : mapping of str to int
+        Components of each measurement's error.
+    gates : mapping of str to float
+        Of those that have one, the probability with which a right sample passes.
+    dt : float
+        Control step, s.
+    explanation : Explanation
+    signals : Layout
+        Of r, what is known beforehand; nothing by default.
+    schedule : callable, optional
+        Of r, see `gnc_opt.control.controller.Schedule`.
+    span : tuple of two floats, optional
+        Times (s) between which it changes.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> _, memory = ekf(0.0, [1.05], [0.0])
+    >>> print(np.round(ekf.estimate(memory), 3), np.round(np.sqrt(np.diag(ekf.covariance(memory))), 4))
+    [1.05 0.  ] [0.0022 0.02  ]
+    """
+
+    name: str
+    update: Any
+    predict: Any
+    first: Array
+    states: Layout
+    errors: Layout
+    measured: Layout
+    commands: Layout
+    covariances: Covariances
+    memory: Layout
+    error: Any
+    sizes: dict[str, int]
+    dt: float
+    explanation: Explanation
+    gates: dict[str, float] = field(default_factory=dict)
+    signals: Layout = field(default_factory=partial(Layout, "signal"))
+    schedule: Schedule | None = None
+    span: tuple[float, float] | None = None
+
+    def explain(self) -> Explanation:
+        """Return the facts of the design; print them to read them."""
+        return self.explanation
+
+    def __call__(
+        self, t: float, y: ArrayLike, u: ArrayLike, z: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Evaluate one step: return the estimated states (n_states,) at t and the memory (n_memory,) of the next step.
+
+        Parameters
+        ----------
+        t : float
+            Beginning of the step, s.
+        y : array (n_measured,)
+            Samples; those that are missing are not-a-number.
+        u : array (n_commands,)
+            Applied from t to the next step.
+        z : array (n_memory,), optional
+            Memory; without it the step is the first.
+        """
+        sample = as_point(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
+        command = as_point(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
+        row = np.zeros(0) if self.schedule is None else self.schedule(np.array([float(t)]), self.dt)[:, 0]
+        x, after = self.update(float(t), sample, row, self.first if z is None else self._memory(z))
+        return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
+
+    def estimate(self, memory: ArrayLike) -> Array:
+        """Return the states of memories (n_memory,) or (n_memory, n), predictions for the times of the memories."""
+        told, names = self._memory(memory), [f"{name}_hat" for name in self.states.names]
+        return np.concatenate([told[self.memory.slice(n)] for n in names])
+
+    def covariance(self, memory: ArrayLike) -> Array:
+        """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
+        (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
+        return self.covariances.of(self._memory(memory), self.memory)[
+            ..., : self.errors.size, : self.errors.size
+        ]
+
+    def _memory(self, given: ArrayLike) -> Array:
+        """Return the estimator's rows of a memory, which come first in that of `output_feedback`."""
+        what = f"the memory given to '{self.name}'"
+        memory = read_numbers(given, what)
+        if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
+            raise ArgumentError(f"{what} has the shape {memory.shape}: it has {self.memory.size} rows.")
+        return memory[: self.memory.size]
+
+
+def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
+    """Return the controller that feeds back what an estimator makes of measurements.
+
+    While nothing has been measured for longer than the estimator's ``hold``, the controller gets what is no number:
+    its own provision for lost samples acts, see `bridge_dropouts`.
+
+    Parameters
+    ----------
+    controller : Controller
+        Of states that are estimated.
+    estimator : Estimator
+        Its commands are among those of the controller; it takes them as applied as they are.
+
+    Returns
+    -------
+    Controller
+        Its ``states`` are the measurements, in the order of the design; its memory is the estimator's and, below it,
+        the controller's.
+
+    Raises
+    ------
+    ArgumentError
+        They do not fit.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> law = go.output_feedback(regulator, ekf)
+    >>> print(regulator.states.names, law.states.names)  # the speed is not measured any more
+    ('q', 'v') ('q',)
+    """
+    expect(controller, Controller, "what output_feedback() got", "give what a design function returned")
+    expect(
+        estimator, Estimator, "what output_feedback() got", "give what design_ekf() or design_ukf() returned"
+    )
+    if controller.estimated is not None:
+        raise ArgumentError(
+            f"controller '{controller.name}' is fed by an estimator already: give the one inside."
+        )
+    controller.step_length(estimator.dt)
+    fed = _places(controller.states, estimator.states, "state", controller.name, estimator.name)
+    sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
+    _check_names(controller, estimator)
+    step, start = _functions(controller, controller.step, estimator, fed, sent)
+    easy = controller.easy and _functions(controller, controller.easy, estimator, fed, sent)[0]
+    told, flight = controller.explanation, controller.flight
+    return replace(
+        controller,
+        name=f"{controller.name}_{estimator.name}",
+        step=step,
+        start=start,
+        states=estimator.measured,
+        estimated=controller.states,
+        **_known_beforehand(controller, estimator),
+        memory=Layout(
+            "memory",
+            (*estimator.memory.variables, *controller.memory.variables),
+            f"controller '{controller.name}' fed by '{estimator.name}'",
+        ),
+        dt=estimator.dt,
+        explanation=Explanation(
+            f"{told.title}, fed by the {estimator.explanation.title}",
+            (*told.facts, *estimator.explanation.facts),
+        ),
+        unbridged=None,
+        flight=None
+        if flight is None
+        else replace(flight, controller=output_feedback(flight.controller, estimator)),
+        easy=easy,
+    )
+
+
+def _known_beforehand(controller: Controller, estimator: Estimator) -> dict[str, Any]:
+    """Return signals, schedule and span of both."""
+    if estimator.schedule is None:
+        return {}
+    spans = [span for span in (controller.span, estimator.span) if span is not None]
+    whole = len(spans) == 2 or (len(spans) == 1 and not controller.signals.size)
+    return {
+        "signals": Layout(
+            "signal", (*controller.signals.variables, *estimator.signals.variables), "the schedule"
+        ),
+        "schedule": StackedSchedule(controller.schedule, estimator.schedule),
+        "span": (min(begin for begin, _ in spans), max(end for _, end in spans)) if whole else None,
+    }
+
+
+def _functions(
+    controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
+) -> tuple[Any, Any]:
+    """Return the law and the first memory of both, of the controller's law or its easy form."""
+    scalar = bare.is_a("SXFunction") and controller.start.is_a("SXFunction")
+    kind = ca.SX if scalar else ca.MX
+    size = estimator.memory.size
+    t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
+    sizes = controller.signals.size, controller.signals.size + estimator.signals.size
+    row, z = kind.sym("r", sizes[1]), kind.sym("z", size + controller.memory.size)
+    r, known = ca.vertsplit(row, [0, *sizes])
+    own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
+    x, after = estimator.update(t, y, known, own)
+    u, inner_after, *enough = bare(t, x[fed], r, inner)
+    step = law(t, y, row, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
+    x_first, _ = estimator.update(t, y, known, ca.DM(estimator.first))
+    begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
+    return step, first_memory(t, y, row, begun)
+
+
+def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+    """Return the rows of all wanted variables among those that are there."""
+    rows: list[int] = []
+    for v in wanted.variables:
+        if v.name not in there:
+            raise ArgumentError(
+                f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not give: "
+                f"{did_you_mean(v.name, there.names)}"
+            )
+        if there[v.name].size != v.size:
+            raise ArgumentError(
+                f"{kind} '{v.name}' has {v.size} components in '{whose}' and {there[v.name].size} in '{where}'."
+            )
+        place = there.slice(v.name)
+        rows += range(place.start, place.stop)
+    return rows
+
+
+def _check_names(controller: Controller, estimator: Estimator) -> None:
+    for name in estimator.memory.names:
+        if name in controller.memory:
+            raise ArgumentError(
+                f"'{controller.name}' and '{estimator.name}' both remember a '{name}': rename the state or the output."
+            )
+    for name in estimator.signals.names:
+        if name in controller.signals:
+            raise ArgumentError(
+                f"the schedules of '{controller.name}' and '{estimator.name}' both have a '{name}': rename the output."
+            )

@@ -1,0 +1,347 @@
+r"""Filter: one control step of an estimator as symbolic functions.
+
+**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of `linearization`
+at the prediction and R the covariance of the noise, the measurements are taken one after the other. What is not
+finite, not due or refused by the gate,
+
+.. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
+
+is left out. The rest is whitened and taken component by component, in Joseph's form,
+
+.. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
+
+so that P stays a covariance also where a good sensor meets a bad guess. Where h has one entry only, as for states that
+are measured as they are, this is :math:`P h = k` put in its place, at half of the cost. In the end the state moves by
+the error found. A turn of an attitude turns the axes of its error, too; that is of second order and left out.
+
+**Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
+halfway, R and D of `space`,
+
+.. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
+   P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
+
+by Simpson's rule with the exponential up to its fourth power, which is how the Runge-Kutta method moves errors of a
+linear system (that from h/2 on, of the noise, up to its second); the unscented filter carries its points in place of
+the first term. Exact for chains of two integrators; of second order in h where A changes.
+
+References
+----------
+R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Engineering 82 (1960).
+R. S. Bucy, P. D. Joseph, Filtering for Stochastic Processes with Applications to Guidance (1968).
+Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.
+
+Tally: which samples are due, which were taken, and how long there has been none, in the memory of a filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Authority, saturated
+from gnc_opt.estimation.augmented_model import AugmentedModel, Channel
+from gnc_opt.estimation.chi_square import chi_square
+from gnc_opt.estimation.linearization import Approximation, Map, Tangent, cholesky, solved_left
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.tolerances import LARGEST
+
+LOST = "lost_steps"
+"""The entry that counts control steps in a row that should have brought a sample and brought none."""
+
+
+def counters(channels: Sequence[Channel]) -> list[Variable]:
+    """Return the entries of a memory that are counted in, `LOST` last."""
+    entries = []
+    for channel in channels:
+        entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
+        if channel.counted:
+            entries.append(Variable(f"{channel.name}_next"))
+    return [*entries, Variable(LOST)]
+
+
+class Tally:
+    """The samples of one control step.
+
+    Parameters
+    ----------
+    memory : Layout
+    z : casadi SX (n_memory, 1)
+
+    Attributes
+    ----------
+    entries : dict of str to SX
+        Of the memory, by name; `take` and `told` move the counters on.
+    """
+
+    def __init__(self, memory: Layout, z: Any) -> None:
+        self.entries = {name: z[memory.slice(name)] for name in memory.names}
+        self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
+
+    def due(self, channel: Channel) -> Any:
+        """Return whether a sample is expected now."""
+        return self.entries[f"{channel.name}_next"] < 0.5 if channel.counted else ca.SX(1)
+
+    def good(self, channel: Channel, sample: Any) -> Any:
+        """Return whether one is, and has come."""
+        whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
+        return ca.logic_and(whole, self.due(channel)) if channel.counted else whole
+
+    def take(self, channel: Channel, good: Any, nis: Any) -> Any:
+        """Count a sample with its normalised innovation squared; return whether it passes the gate."""
+        name, gate = channel.name, channel.measurement.gate
+        taken = good
+        if gate is not None:
+            passes = nis <= chi_square(channel.space.errors, gate)
+            taken = ca.logic_and(good, passes)
+            self.entries[f"{name}_refused"] += ca.logic_and(good, ca.logic_not(passes))
+        due = self.due(channel)
+        self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
+        self.entries[f"{name}_taken"] += taken
+        if channel.counted:
+            left = self.entries[f"{name}_next"]
+            self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
+        self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
+        return taken
+
+    def told(self, x: Any, hold: int) -> Any:
+        """Return the states x, or what is no number if samples have failed to come for longer than ``hold`` steps."""
+        lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
+        self.entries[LOST] = lost
+        return ca.if_else(lost < hold + 0.5, x, np.nan)
+
+
+COVARIANCE = "covariance"
+"""The entry of the memory with what of the lower triangle of P can differ from zero, column by column."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The functions of a filter.
+
+    Attributes
+    ----------
+    update : casadi.Function
+        ``(t, y, r, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory;
+        r has no rows.
+    predict : casadi.Function
+        ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
+    memory : Layout
+    pattern : casadi.Sparsity
+        Of the lower triangle of P, column by column, in the memory.
+    """
+
+    update: Any
+    predict: Any
+    memory: Layout
+    pattern: Any
+
+
+def build_filter(
+    augmented: AugmentedModel,
+    linearization: Approximation,
+    noise: Array,
+    limits: Authority | None,
+    substeps: int,
+    hold: int,
+) -> Filter:
+    """Return the filter; ``noise`` (n_errors,) are densities by error, unit per square root of a second."""
+    builder = _Builder(augmented, linearization, noise, limits, substeps, hold)
+    return Filter(builder.update(), builder.predict(), builder.memory, builder.pattern)
+
+
+class _Builder:
+    def __init__(
+        self,
+        augmented: AugmentedModel,
+        linearization: Approximation,
+        noise: Array,
+        limits: Authority | None,
+        substeps: int,
+        hold: int,
+    ) -> None:
+        self.augmented, self.linearization = augmented, linearization
+        self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
+        self.limits, self.substeps, self.hold = limits, substeps, hold
+        self.no_row = ca.SX.sym("r", 0)
+        self.pattern = self._pattern()
+        self.memory = self._layout()
+
+    def _layout(self) -> Layout:
+        augmented = self.augmented
+        entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
+        entries += [Variable(COVARIANCE, self.pattern.nnz()), *counters(augmented.channels)]
+        return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
+
+    def _pattern(self) -> Any:
+        """Return the sparsity of the lower triangle of P: what can ever differ from zero.
+
+        Errors that neither the dynamics nor a measurement connects stay uncorrelated.
+        """
+        augmented, n = self.augmented, self.augmented.errors.size
+        if not self.linearization.keeps_zeros:
+            return ca.Sparsity.lower(n)
+        t, x, u = (
+            ca.SX.sym("t"),
+            ca.SX.sym("x", augmented.space.size),
+            ca.SX.sym("u", augmented.model.controls.size),
+        )
+        F, early, late = augmented.transition(t, x, x, u, augmented.dt, self.density)
+        maps = [_mask(F)]
+        if augmented.remembers:
+            maps.append(_mask(self._tangent_of_shift(t, x)[1]))
+        rows = np.vstack([_mask(view.slope) for view in self._views(t, x, ca.SX(n, n))])
+        P = np.eye(n, dtype=bool) | _mask(early) | _mask(late)
+        while True:
+            new = P.copy()
+            for each in maps:
+                new |= each @ new @ each.T
+            for seen in rows:
+                touched = new @ seen
+                new |= np.outer(touched, touched)
+            if np.array_equal(new, P):
+                return ca.DM(ca.sparsify(ca.DM(np.tril(P).astype(float)))).sparsity()
+            P = new
+
+    def _state(self, z: Any) -> tuple[Any, Any]:
+        """Return the augmented state and its covariance in a memory."""
+        half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
+        return z[: self.augmented.states.size], ca.tril2symm(half)
+
+    def _memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
+        """Return the column of the memory with another state and covariance."""
+        new = dict(entries)
+        for name in self.augmented.states.names:
+            new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
+        new[COVARIANCE] = ca.project(ca.tril(P), self.pattern).nz[:]
+        return ca.vertcat(*[new[name] for name in self.memory.names])
+
+    def _tangent_of_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
+        shift, space = self.augmented.shift(), self.augmented.space
+        return Tangent().fit(lambda own: shift(t, own), space, space, x, None)[:2]
+
+    # --- update -------------------------------------------------------------------------------------------
+
+    def update(self) -> Any:
+        """Return ``(t, y, r, z) -> (x, z)``."""
+        augmented = self.augmented
+        sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
+        t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
+        x, P = self._state(z)
+        views, tally = self._views(t, x, P), Tally(self.memory, z)
+        error = ca.SX.zeros(augmented.errors.size)
+        for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
+            good = tally.good(channel, sample)
+            nu = solved_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
+            gated = channel.measurement.gate is not None
+            after, found, nis = _joseph(P, view.slope, nu, ca.SX(1) if gated else good, error)
+            taken = tally.take(channel, good, nis)
+            error, P = (_chosen(taken, after, error), _chosen(taken, found, P)) if gated else (after, found)
+        x = augmented.space.retraction(x, error)
+        told = tally.told(x[: augmented.model.states.size], self.hold)
+        outputs = ca.cse([told, self._memory(tally.entries, x, P)])
+        return ca.Function("update", [t, y, self.no_row, z], outputs, ["t", "y", "r", "z"], ["x", "z_next"])
+
+    def _views(self, t: Any, x: Any, P: Any) -> list[_View]:
+        """Return how the measurements see the errors of x at t."""
+        augmented, views = self.augmented, []
+        for channel in augmented.channels:
+            observed, space = augmented.observed(channel), channel.space
+            slope = augmented.direct_slope(channel)
+            if slope is None:
+                y, slope, left = self.linearization.fit(partial(observed, t), augmented.space, space, x, P)
+            else:
+                y, left = observed(t, x), ca.SX(space.errors, space.errors)
+            noise = ca.SX(ca.diag(ca.DM(channel.measurement.values("sigma", space.errors) ** 2)))
+            root = cholesky(noise + left)
+            views.append(_View(y, solved_left(root, slope), root))
+        return views
+
+    # --- prediction ---------------------------------------------------------------------------------------
+
+    def predict(self) -> Any:
+        """Return ``(t, u, z) -> z``."""
+        augmented = self.augmented
+        t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
+        command = ca.SX.sym("u", augmented.model.controls.size)
+        u = saturated(command, self.limits)
+        entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
+        x, P = self._state(z)
+        space = augmented.space
+        if augmented.remembers:
+            shift = augmented.shift()
+            x, P = self.linearization.carry(
+                lambda own: shift(t, own), space, x, P, *self._tangent_of_shift(t, x)
+            )
+        h = augmented.dt / self.substeps
+        flow = augmented.flow(h)
+        for i in range(self.substeps):
+            begin = t + i * h
+            after = flow(begin, x, u)
+            F, early, late = augmented.transition(begin, x, after, u, h, self.density)
+            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P + early, after, F)
+            P = P + late
+        outputs = ca.cse([self._memory(entries, x, P)])
+        return ca.Function("predict", [t, command, z], outputs, ["t", "u", "z"], ["z_next"])
+
+
+@dataclass(frozen=True)
+class _View:
+    """How a measurement sees the errors: its prediction y, its slope whitened by the root of its covariance."""
+
+    y: Any
+    slope: Any
+    root: Any
+
+
+def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
+    """Return the error with what whitened components with the slopes H (m, n) and innovations nu tell, P, and the NIS.
+
+    ``error`` is what the measurements before have told, P the covariance of what is left. Neither changes if the
+    components are not taken. The NIS is the sum of those of the components one after the other, which are independent.
+    """
+    nis = ca.SX(0)
+    for i in range(H.shape[0]):
+        h = ca.sparsify(H[i, :].T)
+        g = P @ h
+        information, left_over = 1 / (ca.dot(h, g) + 1), nu[i] - ca.dot(h, error)
+        nis += left_over**2 * information
+        k = taken * information * g
+        error = error + k * left_over
+        left = ca.tril2symm(ca.tril(P - k @ g.T))
+        if h.nnz() == 1:
+            # left h is k where rounding is left out: with it in its place no difference is left in that column
+            (j,) = h.sparsity().row()
+            left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
+            P = _mirrored(left, j)
+        else:
+            P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
+    return error, P, nis
+
+
+def _chosen(condition: Any, yes: Any, no: Any) -> Any:
+    """Return the one matrix or the other, symmetric both of them if they are square."""
+    if yes.shape[0] != yes.shape[1]:
+        return ca.if_else(condition, yes, no)
+    return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
+
+
+def _mirrored(matrix: Any, j: int) -> Any:
+    """Return the symmetric matrix of the lower part, with its row j from its column j."""
+    matrix[j, :] = matrix[:, j].T
+    return ca.tril2symm(ca.tril(matrix))
+
+
+def _held(flow: Any, t: Any, u: Any) -> Map:
+    """Return the flow from t under a held command as a function of the state alone."""
+    return lambda x: flow(t, x, u)
+
+
+def _mask(matrix: Any) -> Any:
+    """Return where a matrix is not zero by its structure, bool array."""
+    return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -1,0 +1,171 @@
+r"""Linearization of a function of a random quantity: by its tangent, or by statistical regression.
+
+Both describe :math:`f(x)`, x of mean :math:`\hat x` and covariance P of its error e, as
+
+.. math:: f(x) \approx \hat f + F e + \omega, \qquad \omega \sim (0, \Omega) .
+
+*Tangent* (extended Kalman filter): :math:`\hat f = f(\hat x)`, F the Jacobian, :math:`\Omega = 0`.
+
+*Regression* (unscented Kalman filter), with :math:`P = L L^T`, points :math:`\pm c L_i`, the errors :math:`f_i^\pm`
+of their images relative to :math:`f(\hat x)` and :math:`s_i = (f_i^+ + f_i^-) / 2`:
+
+.. math:: \bar f = \frac{1}{c^2} \sum_i s_i, \quad F = A L^{-1}, \quad A_i = \frac{f_i^+ - f_i^-}{2c}, \quad
+   \Omega = \frac{c^2 - 1}{c^4} \sum_i s_i s_i^T .
+
+This is what the directions i make of f one by one, added up. With :math:`c^2 = 3` each is integrated by Gauss and
+Hermite: right for what bends by a square in any number of directions, and no direction changes what another one leaves.
+A given :math:`\kappa` stands for the transform of Julier and Uhlmann,
+
+.. math:: c^2 = n + \kappa, \qquad \Omega = \frac{1}{c^2} \sum_i s_i s_i^T - \bar f \bar f^T .
+
+Of what bends in one of n directions alone, it leaves :math:`(n + \kappa - 1) / 2` times what it should: right for
+:math:`\kappa = 3 - n`, where for n > 3 no covariance is certain any more, too much for others.
+
+References
+----------
+S. Julier, J. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004), eq. 12.
+M. Norgaard, N. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems, Automatica 36 (2000):
+second-order divided differences with the interval sqrt(3).
+T. Lefebvre, H. Bruyninckx, J. De Schutter, Comment on "A new method for the nonlinear transformation of means and
+covariances", IEEE Trans. Automatic Control 47 (2002).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+import casadi as ca
+
+from gnc_opt.estimation.error_space import Space
+from gnc_opt.tolerances import ROUNDING
+
+Map: TypeAlias = Callable[[Any], Any]
+
+
+class Approximation(Protocol):
+    """How a filter describes functions; f takes and returns an SX column, x and P are SX symbols."""
+
+    @property
+    def keeps_zeros(self) -> bool:
+        """Whether errors that f does not connect stay uncorrelated to the last bit."""
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the mean of f(x) and the covariance of its error; ``value`` and ``slope`` are those of the tangent."""
+
+    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
+        """Return the mean of f(x), the slope F of its error and the covariance of what is left."""
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """By the Jacobian at the mean."""
+
+    @property
+    def keeps_zeros(self) -> bool:
+        """Slopes have the zeros of what they are slopes of."""
+        return True
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the tangent's value, and P carried by its slope."""
+        return value, slope @ P @ slope.T
+
+    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
+        """Return f at the mean, the slope of its error and no remainder."""
+        value = f(x)
+        slope = target.error_slope(value) @ ca.jacobian(value, x) @ source.move_slope(x)
+        return value, slope, ca.SX(target.errors, target.errors)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """By 2 n + 1 points.
+
+    Attributes
+    ----------
+    kappa : float, optional
+        Of the unscented transform of n errors, >= 0: no weight is negative, so that covariances stay covariances. 0:
+        the cubature filter. Default: direction by direction.
+    """
+
+    kappa: float | None = None
+
+    @property
+    def keeps_zeros(self) -> bool:
+        """Points mix all errors."""
+        return False
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the mean of f(x) and the covariance of its error, from the points alone."""
+        mean, spread, remainder, _ = self._images(f, space, space, x, P)
+        return mean, spread @ spread.T + remainder
+
+    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
+        """Return the mean of f(x), the slope of its error and the covariance of what is left."""
+        value, spread, remainder, root = self._images(f, source, target, x, P)
+        return value, solved_right(spread, root), remainder
+
+    def _images(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any, Any]:
+        root = cholesky(P)
+        square = 3.0 if self.kappa is None else source.errors + self.kappa
+        c = math.sqrt(square)
+        centre = f(x)
+        sums, differences = [], []
+        for i in range(source.errors):
+            step = c * root[:, i]
+            plus, minus = (target.difference(f(source.retraction(x, way)), centre) for way in (step, -step))
+            sums.append((plus + minus) / 2)
+            differences.append((plus - minus) / (2 * c))
+        bends, spread = ca.horzcat(*sums), ca.horzcat(*differences)
+        mean = ca.sum2(bends) / square
+        if self.kappa is None:
+            remainder = (square - 1) / square**2 * (bends @ bends.T)
+        else:
+            left = bends - ca.repmat(mean, 1, source.errors)  # no difference of squares: stays a covariance
+            remainder = (left @ left.T + self.kappa * (mean @ mean.T)) / square
+        return target.retraction(centre, mean), spread, remainder, root
+
+
+def cholesky(P: Any) -> Any:
+    """Return L (n, n) with P = L L', lower, of a symmetric SX that may be singular; only its lower part is read.
+
+    Where nothing is left of a variance (no more than rounding), the column is zero.
+    """
+    n = P.shape[0]
+    root = ca.SX.zeros(n, n)
+    for j in range(n):
+        left = P[j, j] - ca.sumsqr(root[j, :j])
+        there = left > ROUNDING * P[j, j]
+        pivot = ca.sqrt(ca.if_else(there, left, 0))
+        root[j, j] = pivot
+        for i in range(j + 1, n):
+            root[i, j] = ca.if_else(
+                there, (P[i, j] - ca.dot(root[i, :j], root[j, :j])) / ca.if_else(there, pivot, 1), 0
+            )
+    return root
+
+
+def solved_left(root: Any, b: Any) -> Any:
+    """Return L^-1 b of a lower SX L; components with a zero on the diagonal are zero."""
+    rows: list[Any] = []
+    for i in range(root.shape[0]):
+        value = b[i, :]
+        for k, row in enumerate(rows):
+            value = value - root[i, k] * row
+        there = root[i, i] > 0
+        rows.append(ca.if_else(there, value / ca.if_else(there, root[i, i], 1), 0))
+    return ca.vertcat(*rows)
+
+
+def solved_right(a: Any, root: Any) -> Any:
+    """Return F with F L = a of a lower SX L; columns with a zero on the diagonal are zero."""
+    columns: dict[int, Any] = {}
+    for j in reversed(range(root.shape[0])):
+        value = a[:, j]
+        for k in range(j + 1, root.shape[0]):
+            value = value - columns[k] * root[k, j]
+        there = root[j, j] > 0
+        columns[j] = ca.if_else(there, value / ca.if_else(there, root[j, j], 1), 0)
+    return ca.horzcat(*[columns[j] for j in range(root.shape[0])])

@@ -1,0 +1,165 @@
+"""Measurement: what one sensor tells, how well, how often and how late.
+
+What filters can be told beside the model and the numbers of its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.control_limits import Limits
+from gnc_opt.control.dropout import HOLD
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.model.variables import as_vector
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FilterOptions:
+    """What filters can be told beside the model and the numbers of its noise.
+
+    Attributes
+    ----------
+    limits : tuple of two arrays (n_controls,) or numbers, optional
+        Lower and upper limits of the actuators: the prediction takes the command within them.
+    t0 : float
+        Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
+    substeps : int
+        Runge-Kutta steps of the prediction per control step.
+    hold : int
+        Control steps in a row that should have brought a sample and brought none for which the prediction is told;
+        then what is no number, until the next sample is taken.
+    name : str, optional
+        For messages and reports; default "EKF" or "UKF".
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import FilterOptions, Measurement
+    >>> options = FilterOptions(substeps=2, hold=10, name="navigation")
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
+    >>> print(ekf.name)
+    navigation
+    """
+
+    limits: Limits | None = None
+    t0: float = 0.0
+    substeps: int = 1
+    hold: int = HOLD
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UnscentedOptions(FilterOptions):
+    """What an unscented filter can be told.
+
+    Attributes
+    ----------
+    kappa : float, optional
+        Of the transform of Julier and Uhlmann: points at sqrt(n + kappa) standard deviations of n errors; >= 0, so that
+        no weight is negative. 0: the cubature filter. With n it takes more and more for noise what bends: what n
+        directions leave is right for one of them with kappa = 3 - n. Default: points at sqrt(3), and what each
+        direction leaves is added up, whatever n is.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement, UnscentedOptions
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> options = UnscentedOptions(kappa=1.0)  # 3 - n of two errors
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
+    """
+
+    kappa: float | None = None
+
+
+def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
+    """Return the options with a name."""
+    told = FilterOptions() if options is None else options
+    expect(told, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
+    return replace(told, name=name) if told.name is None else told
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A sensor as an estimator sees it: ``y = h(x) + bias + noise``.
+
+    Parameters
+    ----------
+    of : str
+        The state or the output of the model that is measured; the sensor's signal in a loop has the same name.
+    sigma : float or one per component
+        Standard deviation of the white noise of a sample, unit of what is measured, > 0. Attitudes have as many
+        components as their difference.
+    period : float, optional
+        Time between two new samples, s, a multiple of the control step; default every control step. In between, the old
+        sample may be held (`Sampling`) or there may be none.
+    delay : float
+        Time by which samples arrive late, s, a multiple of the control step (`SensorDelay`, behind `Sampling`).
+    bias : float or one per component
+        Standard deviation of a constant error, which then is estimated, too; its first value is 0.
+    bias_walk : float or one per component
+        Standard deviation by which that error changes, unit per square root of a second (`RandomWalk`).
+    gate : float, optional
+        Probability with which a right sample passes, in (0, 1); what lies outside is refused as an outlier. Default:
+        all samples are taken.
+    difference : callable, optional
+        ``difference(y, y_hat)`` of SX columns, where subtraction is not the answer (an angle that jumps by a turn);
+        default that of the state, see `Model.difference`.
+
+    Raises
+    ------
+    ArgumentError
+        Numbers that cannot be meant.
+
+    Examples
+    --------
+    >>> from gnc_opt.estimation import Measurement
+    >>> camera = Measurement("q", 0.01, period=1.0, delay=0.2, bias=0.05, gate=0.9999)
+    """
+
+    of: str
+    sigma: ArrayLike
+    period: float | None = None
+    delay: float = 0.0
+    bias: ArrayLike = 0.0
+    bias_walk: ArrayLike = 0.0
+    gate: float | None = None
+    difference: Callable[[Any, Any], Any] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.of, str):
+            raise ArgumentError(f"a measurement of {shown(self.of)}: name a state or an output of the model.")
+        for name in ("sigma", "bias", "bias_walk"):
+            numbers = read_numbers(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
+            if not np.all(np.isfinite(numbers)) or not np.all(
+                numbers > 0 if name == "sigma" else numbers >= 0
+            ):
+                least = "> 0" if name == "sigma" else ">= 0"
+                raise ArgumentError(
+                    f"the {name} of the measurement of '{self.of}' is {numbers}: give finite numbers {least}."
+                )
+        if self.period is not None:
+            read_positive(self.period, f"the period of the measurement of '{self.of}'")
+        read_positive(self.delay, f"the delay of the measurement of '{self.of}'", or_zero=True)
+        if self.gate is not None and not 0 < read_positive(self.gate, f"the gate of '{self.of}'") < 1:
+            raise ArgumentError(
+                f"the gate of the measurement of '{self.of}' is {self.gate:g}: give the probability in (0, 1) with "
+                "which a right sample passes."
+            )
+
+    @property
+    def biased(self) -> bool:
+        """Whether a constant or drifting error is estimated."""
+        return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
+
+    def values(self, name: str, size: int) -> Array:
+        """Return ``sigma``, ``bias`` or ``bias_walk`` with one number per component of the error, (size,)."""
+        return as_vector(
+            getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError
+        )

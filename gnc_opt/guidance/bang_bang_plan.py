@@ -1,0 +1,243 @@
+r"""SwitchingPlan: a bang-bang solution as what its controls are at first and when they jump.
+
+Prediction: where a switching plan leads from any state, and the flight that ends where it should.
+
+Between the switches the controls are constant and the states are integrated by the Runge-Kutta method of fourth order,
+in a fixed number of steps per arc: a fixed number of operations. From a state x at t it gives
+
+.. math:: \psi(\tau; t, x) = x(t_f) \ominus x_f, \qquad \nabla_\tau (\nu^T \psi),
+
+:math:`\tau` the switch times and the end :math:`t_f`; what has passed at t changes nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sampled_data import in_order
+from gnc_opt.errors import DesignError
+from gnc_opt.planning.problem.arcs import Arc
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+
+
+@dataclass(frozen=True)
+class RegulatedEnd:
+    """The last part of a flight, in which a regulator follows what is left of the plan.
+
+    Attributes
+    ----------
+    length : float
+        s.
+    reserve : float
+        Share of the planned controls that is left to it.
+    """
+
+    length: float
+    reserve: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A switching plan as it is flown, symbolic.
+
+    Attributes
+    ----------
+    plan : SwitchingPlan
+    ending : RegulatedEnd
+    steps : int
+        Runge-Kutta steps per arc.
+    """
+
+    plan: SwitchingPlan
+    ending: RegulatedEnd
+    steps: int
+    _unknowns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_unknowns", self.plan.times.size)
+
+    def controls(self, s: Any, tau: Any) -> Any:
+        """Return the controls (SX) at a time s before the end."""
+        late = s > tau[-1] - self.ending.length
+        return self.plan.control(s, tau) * (1 - self.ending.reserve * late)
+
+    def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
+        """Return their mean (SX) over a step; after the end they keep the final state at rest."""
+        late = _share(begin, length, tau[-1] - self.ending.length)
+        over, rest = _share(begin, length, tau[-1]), self.plan.reference.tail_control
+        before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
+        return before * (1 - over) + ca.DM(rest) * over
+
+    @cached_property
+    def ends(self) -> Any:
+        """``(t, x, tau, nu) -> (psi, gradient of nu' psi)``, columns."""
+        model = self.plan.reference.model
+        t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
+        nu, after = ca.SX.sym("nu", model.errors.size), x
+        for begin, end in itertools.pairwise(self._edges(t, tau)):
+            after = self._arc(begin, after, self.controls(0.5 * (begin + end), tau), end - begin)
+        psi = model.error_expression(after, ca.SX(self.plan.final))
+        return ca.Function("ends", [t, x, tau, nu], [psi, ca.jtimes(psi, tau, nu, True)])
+
+    @cached_property
+    def reference(self) -> Any:
+        """``(t, tau) -> x``: the state at t from which the plan leads to its end; after the end, that."""
+        t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
+        x = ca.SX(self.plan.final)
+        for begin, end in reversed(list(itertools.pairwise(self._edges(t, tau)))):
+            x = self._arc(end, x, self.controls(0.5 * (begin + end), tau), begin - end)
+        return ca.Function("reference", [t, tau], [x])
+
+    def _edges(self, t: Any, tau: Any) -> list[Any]:
+        """Return the times from t to the end between which the controls are constant."""
+        end = ca.fmax(tau[-1], t)
+        inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
+        return [t, *in_order([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
+
+    @cached_property
+    def _arc(self) -> Any:
+        """``(t, x, u, length) -> x`` with constant controls."""
+        model = self.plan.reference.model
+        f, p = model.function, model.parameter_values
+        t, x, u, length = (
+            ca.SX.sym(n, size) for n, size in (("t", 1), ("x", model.states.size), ("u", model.controls.size), ("l", 1))
+        )  # fmt: skip
+        h, now, after = length / self.steps, t, x
+        for _ in range(self.steps):
+            k1 = f(now, after, u, p)
+            k2 = f(now + h / 2, after + h / 2 * k1, u, p)
+            k3 = f(now + h / 2, after + h / 2 * k2, u, p)
+            k4 = f(now + h, after + h * k3, u, p)
+            now, after = now + h, after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return ca.Function("arc", [t, x, u, length], [after])
+
+
+def _share(begin: Any, length: float, since: Any) -> Any:
+    """Return which share of a step is later than a time."""
+    return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingPlan:
+    """Controls that jump between their limits, from a start to an end at which all states are given.
+
+    Attributes
+    ----------
+    reference : Reference
+        The flight as it was planned.
+    first : array (n_controls,)
+        Controls at the start.
+    channels : tuple of int
+        The control that each switch is of, in the order of time.
+    jumps : array (n_switches,)
+        By how much it jumps there.
+    times : array (n_switches + 1,)
+        Switch times and the end, s.
+    """
+
+    reference: Reference
+    first: Array
+    channels: tuple[int, ...]
+    jumps: Array
+    times: Array
+
+    @property
+    def initial_time(self) -> float:
+        """s."""
+        return self.reference.initial_time
+
+    @property
+    def initial(self) -> Array:
+        """Planned initial state (n_states,)."""
+        return self.reference.x(self.reference.initial_time)
+
+    @property
+    def final(self) -> Array:
+        """Final state (n_states,)."""
+        return self.reference.x(self.reference.final_time)
+
+    def control(self, s: Any, times: Any) -> Any:
+        """Return the controls (SX) at a time s for these switch times; a switch counts from its time on."""
+        u = ca.vertsplit(ca.SX(self.first))
+        for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
+            u[channel] += jump * (s > times[k])
+        return ca.vertcat(*u)
+
+    def mean_control(self, begin: Any, length: float, times: Any) -> Any:
+        """Return the mean of the controls (SX) over a step, without regard to the end."""
+        u = ca.vertsplit(ca.SX(self.first))
+        for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
+            u[channel] += jump * ca.fmin(1, ca.fmax(0, (begin + length - times[k]) / length))
+        return ca.vertcat(*u)
+
+    @classmethod
+    def of(cls, solution: Solution) -> SwitchingPlan:
+        """Read a solution.
+
+        Raises
+        ------
+        DesignError
+            It has several phases, path or point constraints, a control between its limits, a fixed end time, or
+            states that are not given at the end.
+        """
+        reference = Reference(solution)
+        name = solution.problem_name
+        if len(solution.phases) != 1:
+            raise DesignError(f"the plan '{name}' has {len(solution.phases)} phases: plan in one.")
+        (leg,) = solution.phases.values()
+        if leg.path_labels or solution.need_problem("follow").constraints:
+            raise DesignError(
+                f"the plan '{name}' has constraints beside its limits of controls, which the guidance does not "
+                "know: follow it by design_tvlqr() or design_mpc()."
+            )
+        loose = [
+            label for label, fixed in zip(leg.states.labels, leg.final_bounds.fixed, strict=True) if not fixed
+        ]
+        if loose:
+            raise DesignError(
+                f"the plan '{name}' does not give '{loose[0]}' at the end: fix it with final()."
+            )
+        if leg.final_time_bounds.fixed[0] or leg.duration_bounds.fixed[0]:
+            raise DesignError(f"the plan '{name}' ends at a fixed time: leave the end free and minimise it.")
+        first, switches = _switches(solution, leg)
+        return cls(
+            reference,
+            first,
+            tuple(channel for _, channel, _ in switches),
+            np.array([jump for *_, jump in switches]),
+            np.array([*(time for time, *_ in switches), leg.final_time]),
+        )
+
+
+def _switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
+    """Return the first controls, and time, channel and jump of each switch."""
+
+    def level(arc: Arc, channel: int) -> float:
+        bounds = leg.control_bounds
+        return float((bounds.upper if arc.kind.sign > 0 else bounds.lower)[channel])
+
+    first, switches = np.zeros(leg.controls.size), []
+    for channel, label in enumerate(leg.controls.labels):
+        arcs = [arc for arc in solution.structure if arc.channel == label]
+        inner = next((arc for arc in arcs if not arc.kind.at_limit), None)
+        if not arcs or inner is not None:
+            where = f" from {inner.start:g} s to {inner.end:g} s" if inner is not None else ""
+            raise DesignError(
+                f"'{label}' of the plan '{solution.problem_name}' is not known to be on its limits{where}: refine the "
+                "solution, or follow it by design_tvlqr() if it is not bang-bang."
+            )
+        first[channel] = level(arcs[0], channel)
+        switches += [
+            (float(after.start), channel, level(after, channel) - level(before, channel))
+            for before, after in itertools.pairwise(arcs)
+        ]
+    return first, sorted(switches)

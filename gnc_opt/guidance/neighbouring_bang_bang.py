@@ -1,0 +1,490 @@
+r"""Neighbouring-optimal guidance: a bang-bang plan whose switches and end follow what is measured.
+
+At each control step that begins at t with the state x, for the switches that are still to come (and the end),
+
+.. math:: (S^T W S + \epsilon H + \lambda) \, \delta\tau = -(S^T W \psi + \epsilon \nabla_\tau L),
+
+with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the present :math:`\tau` and x, and S, H, :math:`\nu` of
+the plan (`Optimum`): a Newton step of fixed cost towards the neighbouring extremal, which meets the end conditions and
+among the ways to do so takes the fastest (Bryson and Ho, Applied Optimal Control, section 6.4, for switch times). While
+there are fewer switches left than conditions, the weights W decide what is missed. :math:`\lambda` keeps noise from
+moving switches that have little effect.
+
+In the last part of the flight a regulator follows what is left of the plan, with the reserve that the plan leaves it;
+the reference is flown backward from the end, so that what the switches could not correct is an error to it.
+
+Optimum: the switch times of least time for a plan as it is flown, with its second-order condition.
+
+Of :math:`L = t_f + \nu^T \psi(\tau)` Newton's method finds
+
+.. math:: \begin{pmatrix} H & S^T \\ S & 0 \end{pmatrix} \begin{pmatrix} \delta\tau \\ \delta\nu \end{pmatrix} =
+   -\begin{pmatrix} \nabla_\tau L \\ \psi \end{pmatrix}, \qquad S = \psi_\tau, \quad H = L_{\tau\tau},
+
+from the switch times of the solution. It is a strict minimum if S has full rank and H is positive definite where
+:math:`S \delta\tau = 0` (Maurer and Osmolovskii, SIAM J. Control Optim. 42(6), 2004): then the minimum moves smoothly
+with the initial state, and the guidance exists.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, DesignError, shown
+from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import RANK, TINY
+
+_DIFFERENCE = 4e-5
+"""Step of the central differences, in shares of the duration: their errors are squares of it."""
+
+_STEPS = 20
+_LARGEST = 0.02
+"""Of a step, in shares of the duration."""
+
+_SETTLED = 1e-8
+"""Step at which Newton's method has ended, in shares of the duration."""
+
+_MET = 1e-6
+"""By how much the switch times that are found may miss the end, in shares of the duration by which they would have to
+move for it."""
+
+_STATIONARY = 1e-3
+"""Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
+
+_CURVED = 1e-6
+"""Least curvature, times the duration: below it the condition cannot be told from its failure."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Switch times of least time.
+
+    Attributes
+    ----------
+    tau : array (n_unknowns,)
+        Switch times and the end, s.
+    nu : array (n_errors,)
+        Multipliers of the final state, s per its unit.
+    S : array (n_errors, n_unknowns)
+    H : array (n_unknowns, n_unknowns)
+    curvature : float
+        Least eigenvalue of H where S vanishes, times the duration; infinite where that is nowhere.
+    """
+
+    tau: Array
+    nu: Array
+    S: Array
+    H: Array
+    curvature: float
+
+
+def find_optimum(prediction: Prediction) -> Optimum:
+    """Return the optimum next to the plan.
+
+    Raises
+    ------
+    DesignError
+        The switch times cannot steer the end, are not those of least time, or fail the second-order condition.
+    """
+    plan = prediction.plan
+    name, tau = plan.reference.model.name, plan.times.copy()
+    duration = tau[-1] - plan.initial_time
+    errors = plan.reference.model.errors.size
+    if tau.size < errors:
+        raise DesignError(
+            f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
+            "such a plan cannot be corrected by them; follow it by design_tvlqr()."
+        )
+    step = np.full(tau.size, np.inf)
+    for _ in range(_STEPS):
+        optimum, gradient, psi = _derivatives(prediction, tau, _DIFFERENCE * duration)
+        if not _steers(optimum.S) or np.max(np.abs(step)) <= _SETTLED * duration:
+            break
+        kkt = np.block([[optimum.H, optimum.S.T], [optimum.S, np.zeros((errors, errors))]])
+        step = np.linalg.lstsq(kkt, -np.concatenate([gradient, psi]), rcond=RANK)[0][: tau.size]
+        tau = tau + step * min(1.0, _LARGEST * duration / max(np.max(np.abs(step)), TINY))
+    if not _steers(optimum.S) and not np.isfinite(step).all():
+        raise DesignError(
+            f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
+        )
+    missed = np.max(np.abs(psi) / _lengths(optimum.S))  # steps vanish where the end cannot be met, too
+    if np.max(np.abs(step)) > _SETTLED * duration or missed > _MET * duration or not _steers(optimum.S):
+        raise DesignError(
+            f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
+            "smaller reserve or a shorter last part."
+        )
+    if np.max(np.abs(gradient)) > _STATIONARY:
+        raise DesignError(
+            f"the switch times of the plan of '{name}' are not those of least time (gradient "
+            f"{np.max(np.abs(gradient)):.2g} s/s): minimise the final time, and refine the solution."
+        )
+    if not optimum.curvature > _CURVED:
+        raise DesignError(
+            f"the plan of '{name}' fails the second-order condition (least curvature {optimum.curvature:.2g} "
+            "along what keeps the end): its switch times do not follow the state uniquely; follow it by "
+            "design_tvlqr()."
+        )
+    return optimum
+
+
+def _lengths(S: Array) -> Array:
+    return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
+
+
+def _steers(S: Array) -> bool:
+    """Whether every condition at the end can be moved by itself."""
+    sizes = np.linalg.svd(S / _lengths(S)[:, None], compute_uv=False)
+    return bool(sizes[-1] > RANK * sizes[0])
+
+
+def _derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum, Array, Array]:
+    """Return S, H and the multipliers of least squares at these times, with the gradient of L and psi."""
+    plan = prediction.plan
+    nothing = np.zeros(plan.reference.model.errors.size)
+
+    def ends(times: Array, nu: Array = nothing) -> tuple[Array, Array]:
+        psi, slope = prediction.ends(plan.initial_time, plan.initial, times, nu)
+        return psi.full()[:, 0], slope.full()[:, 0]
+
+    moves = d * np.eye(tau.size)
+    S = np.stack([(ends(tau + m)[0] - ends(tau - m)[0]) / (2 * d) for m in moves], axis=1)
+    g = np.eye(tau.size)[-1]
+    nu = np.linalg.lstsq(S.T, -g, rcond=None)[0]
+    psi, slope = ends(tau, nu)
+    H = np.stack([(ends(tau + m, nu)[1] - ends(tau - m, nu)[1]) / (2 * d) for m in moves], axis=1)
+    H = 0.5 * (H + H.T)
+    kernel = scipy.linalg.null_space(S)
+    curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
+    least = float(curvatures[0]) * (tau[-1] - plan.initial_time) if curvatures.size else np.inf
+    return Optimum(tau.copy(), nu, S, H, least), g + slope, psi
+
+
+OFF = 0.1
+"""Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
+
+_MOST_STEPS = 64
+
+_TIME = 0.03
+"""Weight of the flight time: this duration counts as one accepted error, squared, per flight."""
+
+_SHIFT = 0.04
+"""A correction by this share of the flight weighs as much as an accepted error."""
+
+_TRIES = 15
+"""Corrections after which a deviation of the start has to be met."""
+
+_HALVINGS = 7
+"""Deviations of the start that are tried: the range of the state in the plan, and halves of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuidanceOptions:
+    """What `design_neighbouring_optimal` can be told beside the plan and what is accepted at its end.
+
+    Attributes
+    ----------
+    reserve : float
+        Share of the planned controls that the plan leaves to the regulator in the last part, in [0, 1).
+    delay : float
+        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
+    corrections : int
+        Newton steps per control step.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of its range.
+
+    Examples
+    --------
+    >>> from gnc_opt.guidance import GuidanceOptions
+    >>> options = GuidanceOptions(reserve=0.0, corrections=2)
+    >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=1.0, last=0.5, options=options)
+    >>> print(guided.explain()["last part"])
+    0.5
+    """
+
+    reserve: float = 0.1
+    delay: float = 0.0
+    corrections: int = 1
+
+    def __post_init__(self) -> None:
+        read_positive(self.reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
+        if self.reserve >= 1:
+            raise ArgumentError(f"the reserve is {shown(self.reserve)}: give a share in [0, 1).")
+        read_positive(self.delay, "the delay of neighbouring-optimal guidance", or_zero=True)
+        read_integer(self.corrections, "the number of corrections of neighbouring-optimal guidance", 1)
+
+
+@one_thread()
+def design_neighbouring_optimal(
+    solution: Solution,
+    regulator: Controller,
+    *,
+    Q: Weight,
+    last: float,
+    dt: float | None = None,
+    name: str = "neighbouring-optimal guidance",
+    options: GuidanceOptions | None = None,
+) -> Controller:
+    """Design the guidance that corrects the switch times and the end of a bang-bang plan of least time.
+
+    Parameters
+    ----------
+    solution : Solution
+        Refined, of one phase without constraints beside limits of controls (limits of states are not watched), all
+        states given at the end, which is free.
+    regulator : Controller
+        Holds the end and follows the last part; of a design that follows references, such as `design_lqr` about the
+        final state.
+    Q : weight
+        Of the errors at the end, 1 over the squares of what is accepted: `bryson` makes them.
+    last : float
+        Length of the last part, s; switches after its beginning are not corrected any more.
+    dt : float, optional
+        Control step, s; default the regulator's.
+    name : str
+        For messages and reports.
+    options : GuidanceOptions, optional
+        Reserve of the last part, delay of the actuators, corrections per step.
+
+    Returns
+    -------
+    Controller
+        Its memory has ``switch_times`` and ``final_time`` (s) as they are planned now, ``tracking`` (1 in the last
+        part), ``miss`` (predicted, in shares of the accepted errors) and the memory of the regulator.
+
+    Raises
+    ------
+    DesignError
+        The plan is not bang-bang or not of least time, its switches cannot steer the end, or it fails the second-order
+        condition; the message names what to do.
+    ArgumentError
+        A regulator of another model or without a reference, or bad numbers.
+
+    Examples
+    --------
+    >>> Q = go.bryson(cart.states, q=0.01, v=0.01)
+    >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=Q, last=0.5)
+    >>> print(guided.explain()["switches"])
+    1
+    """
+    expect(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
+    expect(regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)")
+    plan = SwitchingPlan.of(solution)
+    inner = regulator.unbridged or regulator
+    step = inner.step_length(dt)
+    _check_regulator(inner, plan)
+    weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
+    require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
+    options = GuidanceOptions() if options is None else options
+    expect(
+        options, GuidanceOptions, "the options of design_neighbouring_optimal()", "give GuidanceOptions(...)"
+    )
+    ending = _read_ending(last, options.reserve, plan)
+    prediction = _accurate(plan, ending, weight)
+    optimum = find_optimum(prediction)
+    guidance = _Guidance(prediction, optimum, weight, inner, step, options)
+    signals = reference_signals(plan.reference)
+    law_, start = guidance.functions(signals.size)
+    own = (
+        Variable("switch_times", plan.times.size - 1, "s"),
+        Variable("final_time", 1, "s"),
+        Variable("tracking"),
+        Variable("miss"),
+    )
+    controller = Controller(
+        name=name,
+        step=law_,
+        start=start,
+        states=inner.states,
+        commands=inner.commands,
+        signals=signals,
+        memory=Layout("memory", (*own, *inner.memory.variables), f"controller '{name}'"),
+        schedule=ReferenceSchedule(plan.reference),
+        dt=step,
+        alarms=inner.alarms,
+        span=(plan.reference.initial_time, plan.reference.final_time),
+        explanation=Explanation(f"{name} of '{plan.reference.model.name}'", tuple(guidance.facts())),
+    )
+    return bridge_dropouts(controller)
+
+
+def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
+    model = plan.reference.model
+    for what, found, needed in (
+        ("states", regulator.states, model.states),
+        ("commands", regulator.commands, model.controls),
+    ):
+        if found.labels != needed.labels:
+            raise ArgumentError(
+                f"the regulator '{regulator.name}' has the {what} {list(found.names)}, the plan {list(needed.names)}: "
+                "design it with the model of the plan."
+            )
+    if regulator.signals.labels != reference_signals(plan.reference).labels:
+        raise ArgumentError(
+            f"the regulator '{regulator.name}' takes {list(regulator.signals.names)} beside the state, where a "
+            "reference is given to it: use one with constant gains, such as design_lqr() about the final state."
+        )
+
+
+def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
+    length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
+    duration = plan.times[-1] - plan.initial_time
+    if length >= duration:
+        raise ArgumentError(
+            f"the last part of {length:g} s is no part of a flight of {duration:g} s: shorten it."
+        )
+    return RegulatedEnd(length, reserve)
+
+
+def _accurate(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
+    """Return the prediction with so many steps per arc that it leads the plan to its end."""
+    nothing, steps = np.zeros(len(weight)), 1
+    while True:
+        psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).ends(
+            plan.initial_time, plan.initial, plan.times, nothing
+        )[0]
+        off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
+        if off <= OFF:
+            return Prediction(plan, ending, steps)
+        if steps >= _MOST_STEPS:
+            raise DesignError(
+                f"the plan of '{plan.reference.model.name}', flown by its switch times, misses its end by {off:.2g} "
+                "of the accepted errors: refine the solution."
+            )
+        steps *= 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Guidance:
+    prediction: Prediction
+    optimum: Optimum
+    weight: Array
+    regulator: Controller
+    dt: float
+    options: GuidanceOptions
+
+    @property
+    def plan(self) -> SwitchingPlan:
+        return self.prediction.plan
+
+    @cached_property
+    def correct(self) -> Any:
+        """``(t, x, tau) -> (tau, miss)``: one correction of what takes effect after t + delay."""
+        plan, best = self.plan, self.optimum
+        t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial.size), ca.SX.sym("tau", best.tau.size)
+        psi, slope = self.prediction.ends(t, x, tau, best.nu)
+        duration = plan.times[-1] - plan.initial_time
+        price = _TIME / duration
+        system = best.S.T @ self.weight @ best.S + price * best.H
+        right = (best.S.T @ self.weight) @ psi + price * (slope + ca.DM(np.eye(best.tau.size)[-1]))
+        open_ = ca.vertcat(*[tau[k] > t + self.options.delay for k in range(best.tau.size - 1)], 1)
+        matrix = (open_ @ open_.T) * system + ca.diag(ca.if_else(open_, (_SHIFT * duration) ** -2, 1))
+        step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
+        miss = ca.sqrt(psi.T @ self.weight @ psi)
+        return ca.Function("correct", [t, x, tau], [self._in_turn(t, tau, open_, tau + open_ * step), miss])
+
+    def _in_turn(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
+        """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
+        soonest, found = t + self.options.delay, ca.vertsplit(new)
+        before: dict[int, Any] = {}
+        for k, channel in enumerate(self.plan.channels):
+            least = ca.fmax(soonest, before[channel]) if channel in before else soonest
+            found[k] = before[channel] = ca.if_else(open_[k], ca.fmax(new[k], least), tau[k])
+        found[-1] = ca.fmax(found[-1], soonest)
+        return ca.vertcat(*found)
+
+    def functions(self, n_signals: int) -> tuple[Any, Any]:
+        """Return the law and its first memory."""
+        n, inner = self.optimum.tau.size, self.regulator
+        t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
+        z = ca.SX.sym("z", n + 2 + inner.memory.size)
+        planned, tracked, own = z[:n], z[n], z[n + 2 :]
+        tau = planned
+        for _ in range(self.options.corrections):
+            tau, miss = self.correct(t, x, tau)
+        # the last part begins with the step that it begins in; from then on the plan stays
+        tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
+        tau = ca.if_else(tracking, planned, tau)
+        means = self.prediction.mean_controls(t + self.options.delay, self.dt, tau)
+        row = ca.vertcat(self.prediction.reference(t, tau), means)
+        command, memory = inner.step(t, x, row, own)
+        u = ca.if_else(tracking, command, means)
+        after = ca.vertcat(tau, tracking, miss, ca.if_else(tracking, memory, own))
+        first = ca.vertcat(self.optimum.tau, 0, 0, inner.start(t, x, r))
+        return law(t, x, r, z, u, after), first_memory(t, x, r, first)
+
+    # --- what can be said -----------------------------------------------------------------------------------
+
+    def facts(self) -> list[Fact]:
+        """Return what the design says of itself."""
+        plan, best, ending = self.plan, self.optimum, self.prediction.ending
+        labels = ", ".join(plan.reference.states.labels)
+        how = "with the reserve" if ending.reserve else "without a reserve"
+        if f"{best.tau[-1]:.6g}" != f"{max(best.tau[-1], plan.times[-1]):.6g}":  # faster than the fastest
+            how += (
+                f", by a prediction that may miss the end by {OFF:g} of the accepted errors: larger Q, finer"
+            )
+        return [
+            Fact("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
+            Fact("switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"),
+            Fact(
+                "least curvature", best.curvature, "", "of the flight time along what keeps the end, times it"
+            ),
+            Fact(
+                "last part",
+                ending.length,
+                "s",
+                f"a reserve of {100 * ending.reserve:g} % for '{self.regulator.name}'",
+            ),
+            Fact(
+                "steps per arc",
+                str(self.prediction.steps),
+                "",
+                "of the prediction on board, Runge-Kutta of order 4",
+            ),
+            Fact("operations", str(self.correct.n_instructions()), "", "of a correction"),
+            Fact(
+                "corrected at the start",
+                self.validity(),
+                "",
+                f"deviations, each alone and both ways, that {_TRIES} corrections meet: {labels}",
+            ),
+        ]
+
+    def validity(self) -> Array:
+        """Return the largest of the deviations tried of each state at the start that the corrections meet."""
+        plan = self.plan
+        times = np.linspace(plan.initial_time, plan.reference.final_time, 50)
+        ranges = np.ptp(plan.reference.x(times), axis=1)
+        found = np.zeros(ranges.size)
+        for i, size in enumerate(ranges):
+            for k in range(_HALVINGS):
+                off = size * 0.5**k * np.eye(ranges.size)[i]
+                if self._met(plan.initial + off) and self._met(plan.initial - off):
+                    found[i] = size * 0.5**k
+                    break
+        return found
+
+    def _met(self, x: Array) -> bool:
+        at, tau = self.plan.initial_time - self.options.delay, self.optimum.tau
+        allowed = OFF + float(self.correct(at, self.plan.initial, tau)[1])
+        for _ in range(_TRIES):
+            tau, miss = self.correct(at, x, tau)
+        return bool(float(miss) <= allowed)  # false for not-a-number

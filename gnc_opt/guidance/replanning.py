@@ -1,0 +1,415 @@
+r"""Replanner: solving the problem of a plan again in flight, from the estimated state.
+
+At a control step that begins at t the state :math:`\hat x(t)` is what the controller would see, or what its estimator
+predicts. The new plan is to begin at :math:`t + \lambda`, :math:`\lambda` the latency, with the state that the model
+reaches until then under the controls of the old plan,
+
+.. math:: x_0 = \hat x(t) + \int_t^{t + \lambda} f(s, x, u_{\mathrm{old}}(s)) \, ds ,
+
+so that the vehicle, which flies the old plan meanwhile, meets the new one where it begins (R. Findeisen and
+F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC Proc. 37 (1), 2004). A solve that fails
+leaves the old plan in force.
+
+What is left of an optimal control problem once a part of its flight has been flown.
+
+By Bellman's principle the rest of a plan is the plan for the rest, provided that what is asked tells what was flown
+from what is to come: time limits move with the clock, but a budget that integrates over the whole phase, or a condition
+on where it began, would be granted anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Schedule
+from gnc_opt.control.feedforward import ReferenceSchedule
+from gnc_opt.control.reference import Reference
+from gnc_opt.errors import ArgumentError, GncOptError, in_words, shown
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.simulation.dormand_prince import dormand_prince
+from gnc_opt.tolerances import SAME_TIME
+
+_A_LITTLE = 0.02
+"""Share of the range of a state (of its limit, where there is only one) by which a start beyond it counts as on it."""
+
+_SAME_DIRECTION = 1e-9
+"""Two gradients of a cost point the same way if the sine of the angle between them is at most this."""
+
+
+def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
+    """Return what is left of a problem of one phase.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the whole flight.
+    began, begin : float
+        Its first time, and that of the rest, s.
+    start : dict
+        States there, by name; those that are a little beyond a limit begin on it.
+    """
+    (leg,) = problem.phases.values()
+    span, flown = leg.numbers.duration, begin - began
+    left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
+    return problem.with_time(initial=begin, duration=left).with_initial(**_within(leg, start))
+
+
+def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
+    """Return states, those that are a little beyond a limit on it.
+
+    A vehicle that flies along a limit is estimated beyond it as often as not; no plan begins there.
+    """
+    names, lower, upper = leg.model.states, leg.numbers.states.lower, leg.numbers.states.upper
+    width = upper - lower
+    sizes = np.where(np.isfinite(lower), np.abs(lower), np.abs(upper))
+    slack = _A_LITTLE * np.where(np.isfinite(width), width, np.where(np.isfinite(sizes), sizes, 0.0))
+    found = {}
+    for name, x in start.items():
+        at = names.slice(name)
+        kept = np.clip(x, lower[at], upper[at])
+        found[name] = np.where(np.abs(x - kept) <= slack[at], kept, x)
+    return found
+
+
+def check_remaining(problem: Problem) -> None:
+    """Raise `ArgumentError` if the rest of a problem of one phase does not ask for what the whole asks for."""
+    (leg,) = problem.phases.values()
+    names = [n for n in problem.parameters.names if n in leg.model.parameters]
+    if names:
+        raise ArgumentError(
+            f"parameter '{names[0]}' of model '{leg.model.name}' is chosen along with the plan of the Replanner, but "
+            "in flight the vehicle has one already: plan with its number, Model.parameter(name, number)."
+        )
+    whole = ca.vertcat(leg.ends("initial"), leg.initial_time, leg.integral_symbols())
+    for constraint in problem.constraints.values():
+        if ca.depends_on(constraint.expression, whole):
+            raise ArgumentError(
+                f"constraint '{constraint.name}' of problem '{problem.name}' is on the whole flight, and a Replanner "
+                "would ask it anew of each rest: limit the final value of a state that has the integrand as its rate, "
+                "give time(duration=...), or write numbers for what holds at the start."
+            )
+    if not _additive(problem, leg):
+        raise ArgumentError(
+            f"the cost of problem '{problem.name}' weighs the rest of a flight by what was flown before, so that a "
+            "Replanner would change the plan: write a sum of integrals and a function of the end."
+        )
+
+
+def _additive(problem: Problem, leg: Phase) -> bool:
+    """Whether the best rest is the same whatever was flown: the cost's gradient by the rest keeps its direction."""
+    rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
+    before = ca.vertcat(leg.ends("initial"), leg.initial_time)
+    gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])
+    numbers = np.random.default_rng(0)
+    n = leg.model.states.size
+    for _ in range(3):
+        y, b = numbers.uniform(2.0, 3.0, rest.numel()), numbers.uniform(0.0, 1.0, before.numel())
+        later, flown = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
+        flown[n + 1 : n + 1 + len(leg.integrands)] += numbers.uniform(0.1, 0.5, len(leg.integrands))
+        if not _parallel(gradient(b, flown), gradient(later, y)):
+            return False
+    return True
+
+
+def _parallel(first: Any, second: Any) -> bool:
+    a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
+    sizes = np.linalg.norm(a), np.linalg.norm(b)
+    if not np.isfinite(sizes).all() or min(sizes) == 0:  # cannot tell at these numbers
+        return True
+    return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= _SAME_DIRECTION)
+
+
+_REHEARSALS = 3
+"""Solves of which the slowest is the latency where none is stated."""
+
+_PREDICTED = 4
+"""Integration steps of the prediction per control step."""
+
+
+class Solver(Protocol):
+    """What solves variations of a problem again, see `gnc_opt.Resolver`."""
+
+    @property
+    def solution(self) -> Solution:
+        """The plan, with its problem."""
+
+    def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
+        """Return the solution of a variation."""
+
+
+def follow_plan(plan: Solution) -> Schedule:
+    """Return the schedule of a law with constant gains that follows a plan.
+
+    After its end come the controls that keep it at rest, or the last ones where none do.
+    """
+    with contextlib.suppress(ArgumentError):
+        return ReferenceSchedule(Reference(plan))
+    return ReferenceSchedule(Reference(plan, tail="hold"))
+
+
+@dataclass(frozen=True, eq=False)
+class Replanner:
+    """Solve the problem of the plan again while flying.
+
+    Parameters
+    ----------
+    resolver : callable
+        Without arguments, returns the `gnc_opt.Resolver` that knows the plan; called once in every process. For
+        campaigns on several processes a function at the top of a module.
+    every : float
+        Time between two re-plannings, s, a multiple of the control step.
+    when : callable, optional
+        ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and
+        those of the plan x_ref (n,) in the order of what the controller follows. Default: always.
+    latency : float, optional
+        How long solving takes on board, s; it is rounded up to control steps. Default: measured here, the slowest of
+        three solves.
+    slowdown : float
+        How many times slower the computer on board is than this one; for a latency that is measured.
+    last : float
+        Before the end of the plan in which it stays as it is, s.
+    follow : callable
+        ``follow(plan) -> schedule``: what the controller's law needs to know of a plan. Default: states and controls of
+        the plan, for laws with constant gains; for others what their design makes of it, such as ``lambda plan:
+        design_tvlqr(model, Reference(plan), ...).schedule``.
+
+    Raises
+    ------
+    ArgumentError
+        Bad numbers, a plan of several phases, or one that does not begin at a fixed time; constraints on the whole
+        flight or a cost that does not add up, which the rest of it would be granted anew.
+
+    Examples
+    --------
+    >>> from gnc_opt.guidance import Replanner
+    >>> planner = Replanner(lambda: go.Resolver(solution), every=0.5, latency=0.1, last=0.5)
+    >>> led = go.ClosedLoop(cart, go.feedforward(go.Reference(solution)), replanner=planner, dt=0.1)
+    >>> print(f"{led.simulate([1.1, 0.0], tf=2.5).replans[0].final_time:.3f}")
+    2.098
+    """
+
+    resolver: Callable[[], Solver]
+    every: float
+    when: Callable[[float, Array, Array], bool] | None = field(default=None, kw_only=True)
+    latency: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    slowdown: float = field(default=1.0, kw_only=True)
+    last: float = field(default=0.0, kw_only=True)
+    follow: Callable[[Solution], Schedule] = field(default=follow_plan, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not callable(self.resolver):
+            raise ArgumentError("the resolver of a Replanner is no function: write lambda: Resolver(plan).")
+        for name in ("when", "follow"):
+            given = getattr(self, name)
+            if given is not None and not callable(given):
+                raise ArgumentError(f"{name} of a Replanner is no function: see its description.")
+        set_ = object.__setattr__
+        set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
+        set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
+        set_(self, "slowdown", read_positive(self.slowdown, "the slowdown of a Replanner"))
+        self._check_plan()
+        if self.latency is None:
+            set_(self, "latency", self.slowdown * self._measured())
+        set_(self, "latency", read_positive(self.latency, "the latency of a Replanner", or_zero=True))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if not k.startswith("_")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @property
+    def solver(self) -> Solver:
+        """What solves again, made when it is needed for the first time."""
+        if "_solver" not in vars(self):
+            made = self.resolver()
+            if not isinstance(getattr(made, "solution", None), Solution):
+                raise ArgumentError(
+                    f"the resolver of a Replanner returned {shown(made)}: write lambda: Resolver(solve(problem))."
+                )
+            object.__setattr__(self, "_solver", made)
+        return self._solver  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def plan(self) -> Solution:
+        """The plan as it was before the flight."""
+        return self.solver.solution
+
+    @cached_property
+    def _drift(self) -> Any:
+        """``(t, x, u, dt) -> x`` after a control step under held controls."""
+        model = self.model
+        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
+        dt, p = ca.SX.sym("dt"), model.parameter_values
+
+        def rate(t: Any, x: Any, _: Any) -> Any:
+            return model.function(t, x, u, p)
+
+        return ca.Function("drift", [t, x, u, dt], [dormand_prince(rate, t, x, dt, _PREDICTED)[0]])
+
+    @property
+    def description(self) -> str:
+        """What decides the plans that it makes, for the fingerprint of a flight."""
+        about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
+        return " ".join(
+            (*about, repr((self.every, self.latency, self.last)), _named(self.follow), _named(self.when))
+        )
+
+    @property
+    def model(self) -> Model:
+        """Of the plan."""
+        (leg,) = self.plan.need_problem("solve again").phases.values()
+        return leg.model
+
+    def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+        """Refuse a controller that does not follow the plan.
+
+        Parameters
+        ----------
+        followed, signals : Layout
+            Of the controller.
+        dt : float
+            Control step, s.
+        row : callable
+            ``row(t)`` returns the controller's own row of its schedule (n_signals,).
+        """
+        for v in self.model.states.variables:
+            if v.name not in followed or followed[v.name].size != v.size:
+                raise ArgumentError(
+                    f"the plan of the Replanner begins with '{v.name}' ({v.size}), which the controller does not know: "
+                    f"it has {list(followed.names)}; estimate it, or feed it back."
+                )
+        if not math.isclose(self.every / dt, round(self.every / dt), rel_tol=1e-6) or self.every < dt / 2:
+            raise ArgumentError(
+                f"the time between two re-plannings is {self.every:g} s: give a multiple of the control step {dt:g} s."
+            )
+        (leg,) = self.plan.phases.values()
+        busy = self.every + self.latency + self.last
+        if busy >= leg.duration:
+            raise ArgumentError(
+                f"the Replanner would plan nothing: every, latency and last are {busy:g} s together, and its plan "
+                f"takes {leg.duration:g} s; make them shorter."
+            )
+        for share in (0.0, 0.5):
+            t = leg.initial_time + share * leg.duration
+            try:
+                own, found = row(t), self.rows(self.plan, np.array([t]), dt, signals.size)
+            except GncOptError:
+                raise
+            except Exception as error:
+                raise ArgumentError(
+                    f"follow= of the Replanner failed for its own plan, {in_words(error)}: let it return a schedule, "
+                    "schedule(times, dt) -> (n_signals, n_times)."
+                ) from error
+            if not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
+                raise ArgumentError(
+                    "the controller of the loop follows something else than the plan of its Replanner: design it for "
+                    "this plan, and give follow= a function that makes its schedule of a plan."
+                )
+
+    def wanted(self, t: float, x: Array, x_ref: Array) -> bool:
+        """Whether to re-plan at t (s), the estimated states x (n,) and those of the plan x_ref (n,)."""
+        if self.when is None:
+            return True
+        try:
+            said = self.when(t, x, x_ref)
+        except Exception as error:
+            raise ArgumentError(
+                f"when= of the Replanner failed at {t:g} s, {in_words(error)}: let it take (t, x, x_ref) and return "
+                "True or False."
+            ) from error
+        if not isinstance(said, (bool, np.bool_)):
+            raise ArgumentError(
+                f"when= of the Replanner returned {shown(said)} at {t:g} s: let it return True or False."
+            )
+        return bool(said)
+
+    def rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
+        """Return what the controller follows (size, n_times) of a plan at times (s)."""
+        rows = np.asarray(self.follow(plan)(times, dt), dtype=float)
+        if rows.shape != (size, times.size):
+            raise ArgumentError(
+                f"follow= of the Replanner gives a schedule of the shape {rows.shape} at {times.size} times: the "
+                f"controller needs ({size}, {times.size})."
+            )
+        if not np.isfinite(rows).all():
+            raise ArgumentError(
+                "follow= of the Replanner gives a schedule with numbers that are not finite: correct it."
+            )
+        return rows
+
+    def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
+        """Return the state (n_states,) to which the controls of a plan lead from x at t until then (s)."""
+        for begin in t + dt * np.arange(round((until - t) / dt)):
+            u = plan.mean_control([begin], dt)
+            x = np.asarray(self._drift(float(begin), x, u, dt).full()[:, 0])
+        return x
+
+    def solved(self, begin: float, x: Array, near: Solution) -> Solution:
+        """Return the plan from a time (s) and a state (n_states,) on."""
+        names = self.model.states
+        start = {name: x[names.slice(name)] for name in names.names}
+        (leg,) = self.plan.phases.values()
+        problem = remaining(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
+        plan = self.solver.solve(problem, near=near)
+        expect(plan, Solution, "what the resolver of a Replanner solved", "let it return a Solution")
+        (found,) = plan.phases.values()
+        if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
+            raise ArgumentError(
+                f"the plan that was made begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver "
+                "solve the problem that it is given."
+            )
+        return plan
+
+    def _check_plan(self) -> None:
+        plan = self.plan
+        expect(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
+        if len(plan.phases) != 1:
+            raise ArgumentError(f"the plan of a Replanner has {len(plan.phases)} phases: plan in one.")
+        (leg,) = plan.phases.values()
+        if not leg.initial_time_bounds.fixed[0]:
+            raise ArgumentError(
+                "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
+            )
+        check_remaining(plan.need_problem("solve again"))
+        if not callable(getattr(self.solver, "solve", None)):
+            raise ArgumentError(
+                f"the resolver of a Replanner returned {shown(self.solver)}, which has no solve(): write lambda: "
+                "Resolver(plan)."
+            )
+
+    def _measured(self) -> float:
+        """Return the longest time (s) that a solve from a state of the plan takes."""
+        (leg,) = self.plan.phases.values()
+        found = []
+        for k in range(1, _REHEARSALS + 1):
+            t = leg.initial_time + k / (_REHEARSALS + 1) * leg.duration
+            begun = time.perf_counter()
+            try:
+                self.solved(t, leg.x(t), self.plan)
+            except GncOptError as error:
+                raise ArgumentError(
+                    f"the Replanner cannot solve the rest of its own plan from {t:g} s on ({in_words(error)}): let its "
+                    "resolver solve from the start, with cold=True, or plan on another mesh."
+                ) from error
+            found.append(time.perf_counter() - begun)
+        return max(found)
+
+
+def _named(function: Any) -> str:
+    return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -1,0 +1,196 @@
+"""Dynamics that were written in CasADi first: the variables behind their symbols, and dx/dt in a model's own ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ModelError, shown, unknown_name
+from gnc_opt.model.variables import as_vector
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A variable to declare: its name, its number of components and the user's symbol, if there is one."""
+
+    name: str
+    size: int
+    symbol: Any = None
+
+    def value(self, values: Mapping[str, ArrayLike]) -> Array:
+        """Return the value (size,) that a parameter has among values by name."""
+        if self.name not in values:
+            raise ModelError(f"parameter '{self.name}' has no value: add it to values=.")
+        return as_vector(values[self.name], self.size, f"parameter '{self.name}'", ModelError)
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a model is made of that was written in CasADi first: its variables, values and units by name."""
+
+    states: list[Declared]
+    controls: list[Declared]
+    parameters: list[Declared]
+    values: Mapping[str, ArrayLike]
+    units: Mapping[str, str]
+
+    @classmethod
+    def read(
+        cls,
+        model: str,
+        x: Any,
+        u: Any,
+        p: Any,
+        values: Mapping[str, ArrayLike] | None,
+        units: Mapping[str, str] | None,
+    ) -> Given:
+        """Return what `Model.from_casadi` got for a model of this name."""
+        states, controls, parameters = (
+            declared(given, f"the {what} of model '{model}'")
+            for what, given in (("states", x), ("controls", u), ("parameters", p))
+        )
+        names = [v.name for v in (*states, *controls, *parameters)]
+        units = known_names(units, names, f"units= of '{model}'")
+        values = known_names(values, [v.name for v in parameters], f"values= of '{model}'")
+        return cls(states, controls, parameters, values, units)
+
+    def unit(self, variable: Declared) -> str:
+        """Return the unit of a variable, "" if there is none."""
+        return self.units.get(variable.name, "")
+
+    def symbols(self, t: Any) -> dict[str, list[Any]]:
+        """Return the symbols of t (or None), x, u and p, in the order of the model's arguments."""
+        groups = {"x": self.states, "u": self.controls, "p": self.parameters}
+        times = [] if t is None else [t]
+        return {"t": times} | {letter: [v.symbol for v in group] for letter, group in groups.items()}
+
+
+def declared(given: Any, what: str) -> list[Declared]:
+    """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
+
+    Parameters
+    ----------
+    given : casadi.SX or casadi.MX (n, 1), sequence of these, or mapping
+        Symbols without a mapping keep their names: ``SX.sym("r", 3)`` is one variable, whose elements CasADi calls
+        r_0, r_1, r_2; ``vertcat(q, v)`` are two.
+    what : str
+        For messages.
+
+    Raises
+    ------
+    ModelError
+        Neither symbols nor sizes.
+    """
+    if isinstance(given, Mapping):
+        return [_entry(name, value, what) for name, value in given.items()]
+    columns = given if isinstance(given, (list, tuple)) else [given]
+    return [entry for column in columns for entry in _named(_column(column, what))]
+
+
+def known_names(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
+    """Return what is given by name; raise `UnknownNameError` if a name is none of ``names``."""
+    for name in given or {}:
+        if name not in names:
+            raise unknown_name("variable", name, what, names)
+    return dict(given or {})
+
+
+def derivative_in(
+    f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
+) -> Any:
+    """Return dx/dt, SX (size, 1), in new symbols.
+
+    Parameters
+    ----------
+    f : casadi.Function, or casadi.SX or casadi.MX (size, 1), or a list of their rows
+        A function of some of t, x, u, p (by the names of its inputs), or an expression.
+    arguments : mapping
+        The new SX symbols (n, 1) of t, x, u and p.
+    symbols : mapping
+        Those that an expression is written in, a list for each of t, x, u and p, stacked like the new ones.
+    size : int
+        Number of states.
+    what : str
+        For messages.
+
+    Raises
+    ------
+    ModelError
+        Other inputs, sizes or symbols.
+    """
+    function = f if isinstance(f, ca.Function) else _function(f, symbols, what)
+    _check_inputs(function, arguments, what)
+    inputs = {name: arguments[name] for name in function.name_in()}
+    names = function.name_out()
+    if len(names) != 1 and "dx_dt" not in names:
+        raise ModelError(f"{what} returns {', '.join(names)}: return dx/dt alone, or call it dx_dt.")
+    value = function(**inputs)["dx_dt" if "dx_dt" in names else names[0]]
+    if tuple(value.shape) != (size, 1):
+        raise ModelError(f"{what} has the shape {tuple(value.shape)}: the states ask for ({size}, 1).")
+    return value
+
+
+def _function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
+    """Return an expression as a function of all of t, x, u, p."""
+    if any(symbol is None for stack in symbols.values() for symbol in stack):
+        raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
+    names = [name for name, stack in symbols.items() if stack]
+    try:
+        inputs = [ca.vertcat(*symbols[name]) for name in names]
+        column = ca.vertcat(*expression) if isinstance(expression, (list, tuple)) else expression
+        function = ca.Function("f", inputs, [column], names, ["dx_dt"], {"allow_free": True})
+    except (NotImplementedError, RuntimeError) as error:
+        raise ModelError(
+            f"{what} is {shown(expression)} or mixes SX and MX: give an expression in symbols of one kind, each once."
+        ) from error
+    if function.has_free():
+        free = ", ".join(function.get_free())
+        raise ModelError(f"{what} also uses {free}: name all its symbols, as t=, x, u or p=.")
+    return function
+
+
+def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> None:
+    for i, name in enumerate(function.name_in()):
+        if name not in arguments:
+            raise ModelError(f"{what} has the input '{name}': name its inputs among {', '.join(arguments)}.")
+        wanted = (arguments[name].shape[0], 1)
+        if tuple(function.size_in(i)) != wanted and (wanted[0] or function.numel_in(i)):
+            raise ModelError(
+                f"{what} takes {name} of shape {tuple(function.size_in(i))}: the variables make {wanted}."
+            )
+
+
+def _entry(name: str, value: Any, what: str) -> Declared:
+    if isinstance(value, Integral):
+        return Declared(name, int(value))
+    column = _column(value, what)
+    return Declared(name, column.shape[0], column)
+
+
+def _column(value: Any, what: str) -> Any:
+    if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
+        raise ModelError(f"{what} are given as {shown(value)}: give columns of SX or MX symbols.")
+    return value
+
+
+def _named(column: Any) -> Iterator[Declared]:
+    """Yield the variables of a column by the names of its symbols."""
+    if isinstance(column, ca.MX):
+        for part in column.primitives():
+            yield Declared(part.name(), part.shape[0], part)
+        return
+    names = [element.name() for element in ca.vertsplit(column)] if column.shape[0] else []
+    first = 0
+    while first < len(names):
+        stem = names[first].removesuffix("_0")
+        last = first + 1
+        while last < len(names) and names[last] == f"{stem}_{last - first}":
+            last += 1
+        yield Declared(stem if last > first + 1 else names[first], last - first, column[first:last])
+        first = last

@@ -1,0 +1,175 @@
+"""Controls that are stated as one and optimised as others: a difference, or a magnitude times a direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.variables import Variable
+from gnc_opt.tolerances import EQUAL
+
+
+@dataclass(frozen=True)
+class ComposedControl:
+    """A control u made of others.
+
+    Attributes
+    ----------
+    variable : Variable
+        Name, size and unit of u.
+    parts : tuple of str
+        Names of the controls that it is made of.
+    """
+
+    variable: Variable
+    parts: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Of u."""
+        return self.variable.name
+
+    def compose(self, *parts: Any) -> Any:
+        """Return u (size, ...), symbols or numbers, from its parts."""
+        raise NotImplementedError
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return parts that u (size, n_times) is made of; NaN where any would do."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SplitControl(ComposedControl):
+    """The sum of controls >= 0 less another one, of which an optimum that pays for all fills one after the other.
+
+    Attributes
+    ----------
+    corners : tuple of tuple of float
+        Where each part but the last one begins, for each component; the last one is what u is below the first corner.
+        Empty for two parts that meet at zero.
+    """
+
+    corners: tuple[tuple[float, ...], ...] = ()
+
+    def compose(self, *parts: Any) -> Any:
+        """Return the first corner and all parts but the last one, less the last one."""
+        first, *others, last = parts
+        value = sum(others, first) - last
+        if not self.corners or not any(self.corners[0]):
+            return value
+        return value + np.reshape(self.corners[0], (-1, *[1] * (np.ndim(first) - 1)))
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return what u has of each part."""
+        corners = np.array(self.corners or [(0.0,) * u.shape[0]])[:, :, None]
+        ends = np.concatenate([corners[1:], np.full((1, *corners.shape[1:]), np.inf)])
+        plus = (np.clip(u, start, end) - start for start, end in zip(corners, ends, strict=True))
+        return (*plus, np.maximum(corners[0] - u, 0.0))
+
+    def decompose_symbol(self, u: Any) -> tuple[Any, ...]:
+        """Return the same of a symbol (size, 1)."""
+        corners = [ca.DM(corner) for corner in self.corners] or [ca.DM.zeros(u.shape)]
+        plus = [ca.fmin(ca.fmax(u - a, 0.0), b - a) for a, b in pairwise(corners)]
+        return (*plus, ca.fmax(u - corners[-1], 0.0), ca.fmax(corners[0] - u, 0.0))
+
+
+@dataclass(frozen=True)
+class VectorControl(ComposedControl):
+    """The product of a magnitude >= 0 (one component) and a direction, a vector of length 1 where it matters."""
+
+    @property
+    def magnitude(self) -> str:
+        """Name of the control that is the norm."""
+        return self.parts[0]
+
+    @property
+    def direction(self) -> str:
+        """Name of the control that is the direction."""
+        return self.parts[1]
+
+    @property
+    def length(self) -> str:
+        """Name of the path constraint that limits the length of the direction."""
+        return f"{self.direction} squared"
+
+    def compose(self, *parts: Any) -> Any:
+        """Return first * second."""
+        first, second = parts
+        return first * second
+
+    def decompose(self, u: Array) -> tuple[Array, Array]:
+        """Return norm and direction."""
+        norm = np.linalg.norm(u, axis=0, keepdims=True)
+        return norm, np.divide(u, norm, out=np.full_like(u, np.nan), where=norm > 0)
+
+
+@dataclass(frozen=True)
+class AssembledControl(ComposedControl):
+    """Components of a vector that is a magnitude times a direction, and of other controls.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        Places of the components of u in the vector, followed by the other controls.
+    """
+
+    rows: tuple[int, ...] = ()
+
+    def compose(self, *parts: Any) -> Any:
+        """Return components of (first * second, others)."""
+        first, second, *others = parts
+        return np.concatenate([first * second, *others])[list(self.rows)]
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return NaN: other controls are needed, too."""
+        return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)
+
+
+@dataclass(frozen=True)
+class SwitchedControl(ComposedControl):
+    """A control that rests at a value, or is switched on beyond a corner: parts are a share and an excess per side.
+
+    Attributes
+    ----------
+    rest : tuple of float
+        Where each component is while it is off.
+    corners : tuple of tuple of float
+        Where each side begins, for each component.
+    senses : tuple of int
+        1 for a side above its corner, -1 for one below it.
+    spreads : tuple of tuple of float
+        Where an excess is unbounded, E of the part y that tells it, :math:`y / (1 - y / E)`: what is anything while the
+        side is off has to stay somewhere. Infinite where the part is the excess itself.
+    """
+
+    rest: tuple[float, ...] = ()
+    corners: tuple[tuple[float, ...], ...] = ()
+    senses: tuple[int, ...] = ()
+    spreads: tuple[tuple[float, ...], ...] = ()
+
+    def compose(self, *parts: Any) -> Any:
+        """Return the rest, and of each side its share of what it is beyond that."""
+        column = (-1, *[1] * (np.ndim(parts[0]) - 1))
+        rest = np.reshape(self.rest, column)
+        value = rest
+        for k, (corner, sense) in enumerate(zip(self.corners, self.senses, strict=True)):
+            share, told = parts[2 * k : 2 * k + 2]
+            excess = told / (1.0 - told / np.reshape(self.spreads[k], column))
+            value = value + share * (np.reshape(corner, column) + sense * excess - rest)
+        return value
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return which side is on, and how far beyond its corner."""
+        parts: list[Array] = []
+        rest = np.array(self.rest)
+        for corner, sense, spread in zip(map(np.array, self.corners), self.senses, self.spreads, strict=True):
+            excess = sense * (u - corner[:, None])
+            on = excess > -EQUAL * np.abs(corner - rest)[:, None]  # at the edge of a jump, too
+            excess = np.maximum(excess, 0.0)
+            parts += [1.0 * on, np.where(on, excess / (1.0 + excess / np.array(spread)[:, None]), np.nan)]
+        return tuple(parts)

@@ -1,0 +1,268 @@
+"""Norms in expressions: which nodes depend on some symbols by their Euclidean norm alone, told by numbers.
+
+A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``); what they
+share is that turning the vector changes nothing, and that a vector twice as long doubles them, or multiplies them by 4.
+
+The graph of a CasADi SX expression: its operations one by one.
+
+Smooth stand-ins for functions with kinks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.tolerances import EQUAL
+
+
+def nodes_of(expression: Any) -> Iterator[Any]:
+    """Yield every scalar node of an expression once, parents before their children."""
+    seen: set[int] = set()
+    waiting = list(reversed(ca.vertsplit(ca.densify(ca.vec(expression)))))
+    while waiting:
+        node = waiting.pop()
+        place = node.element_hash()
+        if place not in seen:
+            seen.add(place)
+            yield node
+            waiting += [node.dep(i) for i in range(node.n_dep())]
+
+
+def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+    """Return a column in which nodes are replaced; what is built of none of those stays the node that it is.
+
+    (So calls of tables, which are known by their nodes, are found again; ``casadi.substitute`` makes all nodes anew.)
+
+    Parameters
+    ----------
+    expression : casadi.SX
+        A column.
+    replacement : function
+        Returns what stands in place of a node, or None: then its operands are looked at.
+    """
+    done: dict[int, Any] = {}
+    elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
+    waiting = list(elements)
+    while waiting:
+        node = waiting[-1]
+        place = node.element_hash()
+        if place not in done:
+            operands = [node.dep(i) for i in range(node.n_dep())]
+            new = replacement(node)
+            if new is None:
+                missing = [operand for operand in operands if operand.element_hash() not in done]
+                if missing:
+                    waiting += missing
+                    continue
+                new = _same_operation(node, operands, [done[o.element_hash()] for o in operands])
+            done[place] = new
+        waiting.pop()
+    return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
+
+
+def replaced(expression: Any, instead: Mapping[int, Any]) -> Any:
+    """Return a column, as `rebuilt` does, with what stands in place of some nodes by their hashes."""
+    return rebuilt(expression, lambda node: instead.get(node.element_hash()))
+
+
+def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
+    if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
+        return node
+    return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
+
+
+def operations_in(expression: Any) -> set[int]:
+    """Return the codes of the operations (``casadi.OP_...``) in an expression; much faster than `nodes_of`."""
+    function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
+    return {function.instruction_id(i) for i in range(function.n_instructions())}
+
+
+def holds_nan(expression: Any) -> bool:
+    """Whether a constant in an expression is not a number."""
+    function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
+    places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
+    return any(math.isnan(function.instruction_constant(i)) for i in places)
+
+
+def smooth_abs(x: Any, width: float) -> Any:
+    """Return the absolute value of each component with its kink rounded off: ``sqrt(x^2 + width^2) - width``.
+
+    It is zero at zero, where its curvature is 1 / width, and less than the absolute value elsewhere, by ``width`` at
+    most: the pseudo-Huber function (R. Hartley and A. Zisserman, Multiple View Geometry, Cambridge 2003, A6.8).
+
+    Parameters
+    ----------
+    x : casadi.SX or float
+    width : float
+        > 0, in the unit of x.
+
+    Returns
+    -------
+    casadi.SX or float
+
+    Raises
+    ------
+    ArgumentError
+        The width is not a positive number.
+
+    Examples
+    --------
+    >>> print(f"{float(go.smooth_abs(-3.0, 1e-3)):.6f} {float(go.smooth_abs(0.0, 1e-3)):.6f}")
+    2.999000 0.000000
+    """
+    small = read_positive(width, "the width of smooth_abs()")
+    return ca.sqrt(x**2 + small**2) - small
+
+
+ROOTS = (ca.OP_SQRT, ca.OP_HYPOT)
+"""Operations whose derivative does not exist where a vector is zero."""
+
+_JUMPS = (
+    *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO),
+)
+"""Operations of which a few numbers tell nothing."""
+
+_LENGTHS = np.array([0.7, 1.3, 2.1])
+_DIRECTIONS, _DRAWS, _SEED = 3, 3, 20
+
+
+@dataclass(frozen=True, eq=False)
+class NormNodes:
+    """Nodes that are homogeneous functions of the norm of a vector.
+
+    Attributes
+    ----------
+    vector : casadi.SX
+        (k, 1); of a single component, the norm is its absolute value.
+    degrees : dict of int
+        1 or 2 by the hash of each node.
+    """
+
+    vector: Any
+    degrees: dict[int, int]
+
+    @classmethod
+    def of(cls, expression: Any, vector: Any) -> NormNodes:
+        """Find them in a column, SX."""
+        nodes = _smooth_nodes(expression, vector)
+        if not nodes:
+            return cls(vector, {})
+        values = _tried(ca.vertcat(*nodes), vector)
+        degrees = {n.element_hash(): d for n, d in zip(nodes, _degrees(values), strict=True) if d}
+        return cls(vector, degrees)
+
+    def __contains__(self, node: Any) -> bool:
+        return node.element_hash() in self.degrees
+
+    def replaced(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
+        """Return a column with another symbol for the norm of the vector, and other expressions for its components.
+
+        Parameters
+        ----------
+        expression : casadi.SX
+        norm : casadi.SX
+            >= 0.
+        instead : mapping
+            By the hash of a scalar symbol, what stands for it where it is not in a norm.
+        """
+        unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
+
+        def replacement(node: Any) -> Any | None:
+            place = node.element_hash()
+            degree = self.degrees.get(place)
+            if degree is None:
+                return instead.get(place)
+            factor = ca.substitute(node, self.vector, unit)
+            return factor * (norm if degree == 1 else norm**2)
+
+        return rebuilt(expression, replacement)
+
+
+def _smooth_nodes(expression: Any, vector: Any) -> list[Any]:
+    """Return the nodes that depend on a vector, by smooth operations alone."""
+    leaves = {s.element_hash() for s in ca.vertsplit(vector)}
+    depends: dict[int, bool] = {}
+    smooth: dict[int, bool] = {}
+    found = []
+    for node in _operands_first(expression):
+        place, operands = node.element_hash(), [node.dep(i).element_hash() for i in range(node.n_dep())]
+        depends[place] = place in leaves or any(depends[o] for o in operands)
+        jumps = depends[place] and node.op() in _JUMPS
+        smooth[place] = not jumps and all(smooth[o] for o in operands)
+        if depends[place] and smooth[place] and place not in leaves:
+            found.append(node)
+    return found
+
+
+def _operands_first(expression: Any) -> list[Any]:
+    """All nodes, operands before what is made of them."""
+    nodes = {node.element_hash(): node for node in nodes_of(expression)}
+    done: dict[int, Any] = {}
+    for root in nodes.values():
+        waiting = [root]
+        while waiting:
+            node = waiting[-1]
+            missing = [
+                nodes[h] for h in (node.dep(i).element_hash() for i in range(node.n_dep())) if h not in done
+            ]
+            if node.element_hash() in done or not missing:
+                done[node.element_hash()] = node
+                waiting.pop()
+            else:
+                waiting += missing
+    return list(done.values())
+
+
+def _tried(nodes: Any, vector: Any) -> Array:
+    """Values (n_nodes, n_directions, n_lengths, n_draws) for some directions and lengths of a vector."""
+    own = {s.element_hash() for s in ca.vertsplit(vector)}
+    others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]
+    function = ca.Function("nodes", [vector, ca.vertcat(*others) if others else ca.SX(0, 1)], [nodes])
+    rng = np.random.default_rng(_SEED)
+    turned = rng.normal(size=(_DIRECTIONS, vector.numel()))
+    turned[:2] = [np.abs(turned[0]), -np.abs(turned[0])]  # both signs, of a single component, too
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    rest = rng.uniform(0.5, 1.5, (_DRAWS, len(others))) * rng.choice([-1.0, 1.0, 1.0], (_DRAWS, len(others)))
+    vectors = np.einsum("di,l->dli", turned, _LENGTHS).reshape(-1, vector.numel())
+    columns = [function(vectors.T, np.tile(other[:, None], vectors.shape[0])).full() for other in rest]
+    return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _DRAWS)
+
+
+def _degrees(values: Array) -> list[int]:
+    """The degree of homogeneity, 1 or 2, of each row that no turn changes; 0 for others."""
+    with np.errstate(all="ignore"):
+        known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))
+        turned = np.abs(values / values[:, :1] - 1)
+        alike = np.all((turned < EQUAL) | ~known[:, None, None], axis=(1, 2, 3))
+        degrees = np.zeros(values.shape[0], dtype=int)
+        for degree in (1, 2):
+            expected = (_LENGTHS / _LENGTHS[0]) ** degree
+            grown = np.abs(values / values[:, :, :1] / expected[:, None] - 1)
+            scaled = np.all((grown < EQUAL) | ~known[:, None, None], axis=(1, 2, 3))
+            degrees[scaled & alike & np.any(known, axis=1)] = degree
+    return [int(d) for d in degrees]
+
+
+def degree_in(expression: Any, symbol: Any) -> int | None:
+    """Return k if a scalar is proportional to ``symbol**k``, k = 0, 1 or 2, as numbers > 0 tell; else None."""
+    others = [s for s in ca.symvar(expression) if s.element_hash() != symbol.element_hash()]
+    function = ca.Function("row", [symbol, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])
+    rest = np.random.default_rng(_SEED).uniform(-1.5, 1.5, (len(others), 5))
+    values = np.stack([function(np.full((1, 5), k), rest).full()[0] for k in _LENGTHS])
+    with np.errstate(all="ignore"):
+        grown = values / values[0]
+        known = np.isfinite(grown).all(axis=0)
+    for degree in (0, 1, 2):
+        expected = (_LENGTHS / _LENGTHS[0])[:, None] ** degree
+        if np.any(known) and np.all(np.abs(grown / expected - 1)[:, known] < EQUAL):
+            return degree
+    return None

@@ -1,0 +1,222 @@
+"""Records: named quantities along one axis, as tables of other packages and as files.
+
+Columns of numbers from a CSV file.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.environment import imported
+from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.model.variables import Layout, Variable
+
+
+def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
+    """Return columns of a CSV file by their names in its first row.
+
+    Parameters
+    ----------
+    path : Path
+    needed : iterable of str
+    others : iterable of str
+        Columns that may be missing; what is neither is not read.
+
+    Returns
+    -------
+    dict of str to array (n_rows,)
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ArgumentError
+        A missing column, no rows, or an entry that is no number.
+    """
+    needed = list(needed)
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = csv.DictReader(file, skipinitialspace=True)
+        known = lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
+        for name in needed:
+            if name not in known:
+                raise ArgumentError(f"{path} has no column {shown(name)}: {did_you_mean(str(name), known)}")
+        columns: dict[str, list[float]] = {name: [] for name in [*needed, *others] if name in known}
+        for line in lines:
+            for name, values in columns.items():
+                try:
+                    values.append(float(line[name]))
+                except (TypeError, ValueError):
+                    raise ArgumentError(
+                        f"line {lines.line_num} of {path} has no number in column '{name}': correct it."
+                    ) from None
+    if not columns or not next(iter(columns.values())):
+        raise ArgumentError(f"{path} has no rows below its first one: give the values.")
+    return {name: np.array(values) for name, values in columns.items()}
+
+
+@dataclass(frozen=True)
+class Records:
+    """Quantities that have a value at each point of an axis: times, or the numbers of runs.
+
+    Attributes
+    ----------
+    axis : Variable
+        Name and unit of the axis.
+    points : array (n,)
+    quantities : tuple of (Variable, array (size, n))
+        What there is; numbers, or words such as an outcome.
+    about : mapping
+        Attributes of the whole.
+    """
+
+    axis: Variable
+    points: Any
+    quantities: tuple[tuple[Variable, Any], ...]
+    about: Mapping[str, Any]
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Every component by its label, (n,)."""
+        return {
+            label: row
+            for variable, values in self.quantities
+            for label, row in zip(variable.labels, values, strict=True)
+        }
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of the axis and of every component."""
+        of = {label: variable.unit for variable, _ in self.quantities for label in variable.labels}
+        return {self.axis.name: self.axis.unit, **of}
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame with one column per component; units and attributes are in ``attrs``."""
+        pandas = imported("pandas", "data")
+        frame = pandas.DataFrame(self.columns, index=pandas.Index(self.points, name=self.axis.name))
+        frame.attrs = {**self.about, "units": self.units}
+        return frame
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset; vectors have a dimension for their components, each variable its unit."""
+        xarray = imported("xarray", "data")
+        axis = self.axis.name
+        variables = {}
+        for variable, values in self.quantities:
+            scalar = variable.size == 1
+            dimensions = (axis,) if scalar else (f"{variable.name}_component", axis)
+            variables[variable.name] = (
+                dimensions,
+                values[0] if scalar else values,
+                {"units": variable.unit},
+            )
+        return xarray.Dataset(variables, {axis: (axis, self.points, {"units": self.axis.unit})}, self.about)
+
+    def write(self, path: str | Path) -> Path:
+        """Write a file of the kind that its suffix names, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.csv``: a column per component, labels in the first row. ``.json``: columns, units and attributes.
+            ``.mat``: a matrix (n, size) per quantity, points in a column, ``units`` a structure. Dots in names become
+            underscores there. Numbers have all their digits; what is not a number is an empty field or null.
+
+        Raises
+        ------
+        ArgumentError
+            Another suffix.
+        """
+        target = Path(path)
+        if target.suffix not in _WRITERS:
+            known = ", ".join(_WRITERS)
+            raise ArgumentError(
+                f"'{target}' cannot be exported: its suffix says the kind of file, one of {known}."
+            )
+        _WRITERS[target.suffix](self, target)
+        return target
+
+
+def named(
+    layout: Layout, values: Array, prefix: str = "", length: int | None = None
+) -> Iterator[tuple[Variable, Array]]:
+    """Yield the variables of a layout with their rows of stacked values.
+
+    Parameters
+    ----------
+    layout : Layout
+    values : array (layout.size, n)
+    prefix : str
+        Put before each name.
+    length : int, optional
+        Of the axis, where the values end before it does: what is missing is not-a-number.
+    """
+    missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
+    whole = np.hstack([values, missing])
+    for variable in layout.variables:
+        yield replace(variable, name=f"{prefix}{variable.name}"), whole[layout.slice(variable.name)]
+
+
+def _write_csv(records: Records, path: Path) -> None:
+    rows = zip(records.points, *records.columns.values(), strict=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([records.axis.name, *records.columns])
+        writer.writerows([_plain(value, "") for value in row] for row in rows)
+
+
+def _write_json(records: Records, path: Path) -> None:
+    content = {
+        **records.about,
+        "units": records.units,
+        records.axis.name: _plain_list(records.points),
+        "columns": {label: _plain_list(values) for label, values in records.columns.items()},
+    }
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, default=str)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_mat(records: Records, path: Path) -> None:
+    content: dict[str, Any] = {_identifier(records.axis.name): np.asarray(records.points)[:, None]}
+    units = {_identifier(records.axis.name): records.axis.unit}
+    for variable, values in records.quantities:
+        name = _identifier(variable.name)
+        content[name] = (
+            np.array(list(values[0]), dtype=object)[:, None] if _is_words(values) else np.asarray(values).T
+        )
+        units[name] = variable.unit
+    scipy.io.savemat(path, {**content, "units": units}, long_field_names=True)
+
+
+_WRITERS: dict[str, Callable[[Records, Path], None]] = {
+    ".csv": _write_csv,
+    ".json": _write_json,
+    ".mat": _write_mat,
+}
+
+
+def _plain_list(values: Iterable[Any]) -> list[Any]:
+    return [_plain(value, None) for value in values]
+
+
+def _plain(value: Any, missing: Any) -> Any:
+    """Return a number or word of Python's own; a number that is none becomes what stands for it."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    return missing if isinstance(plain, float) and not np.isfinite(plain) else plain
+
+
+def _is_words(values: Any) -> bool:
+    return np.asarray(values).dtype.kind in "OU"
+
+
+def _identifier(name: str) -> str:
+    """Return a name that MATLAB takes."""
+    return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

@@ -1,0 +1,155 @@
+"""Optimal control: problem, transcription, solution, optimality check, refinement and studies."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the same names for type checkers
+    from gnc_opt.planning.direct.failure import (
+        SolveError,
+    )
+    from gnc_opt.planning.nlp import (
+        SolverOptions,
+        Status,
+    )
+    from gnc_opt.planning.problem import (
+        Phase,
+        Problem,
+    )
+    from gnc_opt.planning.problem.arcs import (
+        Arc,
+        ArcKind,
+    )
+    from gnc_opt.planning.problem.guess.data import (
+        guess_from_data,
+    )
+    from gnc_opt.planning.problem.guess.simulation import (
+        simulate_guess,
+    )
+    from gnc_opt.planning.refinement import (
+        RefinementLimits,
+        polish,
+        refine,
+    )
+    from gnc_opt.planning.solution import (
+        PhaseSolution,
+        Solution,
+        load,
+    )
+    from gnc_opt.planning.solution.history import (
+        History,
+        RefinementStatus,
+    )
+    from gnc_opt.planning.solution.verdict import (
+        Condition,
+        LowerBound,
+        Result,
+        Verdict,
+    )
+    from gnc_opt.planning.solution.warm_start import (
+        guess_from_solution,
+    )
+    from gnc_opt.planning.solver import (
+        Resolver,
+        solve,
+    )
+    from gnc_opt.planning.study import (
+        Continuation,
+        ContinuationStatus,
+        Minimum,
+        Multistart,
+        Sweep,
+        continue_in,
+        multistart,
+        sweep,
+    )
+    from gnc_opt.planning.study.lower_bound import (
+        bound_below,
+    )
+    from gnc_opt.planning.study.sensitivity import (
+        Sensitivity,
+        sensitivity,
+    )
+    from gnc_opt.planning.transcription.mesh import (
+        Mesh,
+    )
+    from gnc_opt.planning.verification import (
+        verify,
+        verify_trajectory,
+    )
+
+__all__ = [
+    "Arc",
+    "ArcKind",
+    "Condition",
+    "Continuation",
+    "ContinuationStatus",
+    "History",
+    "LowerBound",
+    "Mesh",
+    "Minimum",
+    "Multistart",
+    "Phase",
+    "PhaseSolution",
+    "Problem",
+    "RefinementLimits",
+    "RefinementStatus",
+    "Resolver",
+    "Result",
+    "Sensitivity",
+    "Solution",
+    "SolveError",
+    "SolverOptions",
+    "Status",
+    "Sweep",
+    "Verdict",
+    "bound_below",
+    "continue_in",
+    "guess_from_data",
+    "guess_from_solution",
+    "load",
+    "multistart",
+    "polish",
+    "refine",
+    "sensitivity",
+    "simulate_guess",
+    "solve",
+    "sweep",
+    "verify",
+    "verify_trajectory",
+]
+
+_NAMES_OF_MODULES = {
+    "planning.direct.failure": "SolveError",
+    "planning.nlp": "SolverOptions Status",
+    "planning.problem": "Phase Problem",
+    "planning.problem.arcs": "Arc ArcKind",
+    "planning.problem.guess.data": "guess_from_data",
+    "planning.problem.guess.simulation": "simulate_guess",
+    "planning.refinement": "RefinementLimits polish refine",
+    "planning.solution": "PhaseSolution Solution load",
+    "planning.solution.history": "History RefinementStatus",
+    "planning.solution.verdict": "Condition LowerBound Result Verdict",
+    "planning.solution.warm_start": "guess_from_solution",
+    "planning.solver": "Resolver solve",
+    "planning.study": (
+        "Continuation ContinuationStatus Minimum Multistart Sweep continue_in multistart sweep"
+    ),
+    "planning.study.lower_bound": "bound_below",
+    "planning.study.sensitivity": "Sensitivity sensitivity",
+    "planning.transcription.mesh": "Mesh",
+    "planning.verification": "verify verify_trajectory",
+}
+_MODULES = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is used first (PEP 562): all together take several times as long as NumPy and CasADi."""
+    if name in _MODULES:
+        value = getattr(import_module(f"gnc_opt.{_MODULES[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

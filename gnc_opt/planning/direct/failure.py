@@ -1,0 +1,119 @@
+"""A solve that failed, as an error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.planning.direct.solve_mesh import knows_trajectory
+from gnc_opt.planning.nlp import Status
+from gnc_opt.planning.problem.check_functions import norms_by_hand
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.solution import Solution
+
+GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
+"""Endings of a way through the iterates that another start may spare."""
+
+
+class SolveError(GncOptError, RuntimeError):
+    """The solver did not reach a solution; `solution` holds the last iterate and its status.
+
+    On its way to another process the iterate loses its problem, whose symbols cannot travel;
+    ``error.solution.with_problem(problem)`` joins the two again.
+    """
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+    def __reduce__(self) -> tuple[type[SolveError], tuple[str, Solution]]:
+        return type(self), (str(self), replace(self.solution, problem=None))
+
+
+def failure_message(solution: Solution) -> str:
+    """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms written by hand."""
+    worst = "all constraints hold at the last iterate"
+    if solution.violations:
+        first = solution.violations[0]
+        amount = "" if np.isnan(first.amount) else f" ({first.amount:.2g} of its scale)"
+        worst = f"worst: {first.name}{amount}"
+    problem = solution.problem
+    norms = (
+        [text for leg in problem.phases.values() for text in norms_by_hand(problem, leg)] if problem else []
+    )
+    return (
+        f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
+        f"status {solution.status.value}; {worst}. {solution.status.remedy}"
+        + (guess_to_give(problem) if problem and solution.status in GUESS_HELPS else "")
+        + "".join(f" And {text}." for text in norms)
+        + (f" And {missing}" if problem and (missing := bounds_to_give(problem)) else "")
+    )
+
+
+def guess_to_give(problem: Problem) -> str:
+    """Return which kind of guess can help, and the states of untold size; empty where a trajectory is given."""
+    if knows_trajectory(problem):
+        return ""
+    hint = (
+        " Guesses that help are trajectories: one that go.simulate_guess() flies, waypoints over time in "
+        "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
+        "coordinates), or a simpler problem's solution in go.guess_from_solution()."
+    )
+    untold = _untold(problem)
+    if not untold:
+        return hint
+    first = untold[0]
+    names = ", ".join(f"'{name}'" for name in untold)
+    return f"{hint} Begin with {names}: no bound, end or guess tells how large, as with_guess(phase, {first}=...) does."
+
+
+def bounds_to_give(problem: Problem) -> str:
+    """Return which controls lack bounds in a problem that costs time alone; empty if none does.
+
+    Of controls that move states at rates proportional to them, and that no path constraint and no integral contains.
+    """
+    times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
+    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
+    if ca.symvar(apart):
+        return ""
+    missing = [f"'{name}'" for leg in problem.phases.values() for name in _boundless(leg)]
+    if not missing:
+        return ""
+    names = ", ".join(dict.fromkeys(missing))
+    return (
+        f"time is all that costs, and neither bounds nor path constraints limit {names} to both sides: give bounds(), "
+        "or flights may take as little time as states allow."
+    )
+
+
+def _boundless(leg: Phase) -> list[str]:
+    """Return the controls of a phase that are affine in its dynamics, and that nothing limits or costs."""
+    box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
+    if leg.vectors:  # these are limited by their length
+        return []
+    limits = ca.vertcat(leg.path_expression(), leg.integrand_expression())
+    found = []
+    for i in np.flatnonzero(np.isinf(box.lower) | np.isinf(box.upper)):
+        slope = ca.jacobian(rates, u[int(i)])
+        used = slope.nnz() > 0 and not ca.depends_on(slope, u)
+        if used and not ca.depends_on(limits, u[int(i)]):
+            found.append(leg.model.controls.labels[i])
+    return found
+
+
+def _untold(problem: Problem) -> list[str]:
+    """Return the states of which neither a bound, nor an end, nor a guess is known in any phase."""
+    told: dict[str, bool] = {}
+    for leg in problem.phases.values():
+        numbers, states = leg.numbers, leg.model.states
+        boxes = (numbers.initial, numbers.final, numbers.states)
+        known = np.any([np.isfinite(limit) for box in boxes for limit in (box.lower, box.upper)], axis=0)
+        for name in states.names:
+            by_constraint = any(state == name for _, state in leg.told)
+            here = by_constraint or name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
+            told[name] = here or told.get(name, False)
+    return [name for name, known in told.items() if not known]

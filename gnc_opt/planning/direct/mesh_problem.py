@@ -1,0 +1,192 @@
+"""One problem on one mesh, ready to be solved: program, scaling, solver, and the way back to a solution."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.arrays import Indices
+from gnc_opt.environment import package_version
+from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.diagnosis import find_violations
+from gnc_opt.planning.solution.extract import extract_phases, unwound_controls
+from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scheme import Scheme
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+
+ShowIteration: TypeAlias = Callable[[IterationInfo], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """The program of a problem on given meshes, with numbers.
+
+    Attributes
+    ----------
+    transcription : Transcription
+    problem : Problem
+    solver : NlpSolver
+    options : SolverOptions
+        As asked for; the solver's may differ in what suits the mesh.
+    scaling : Scaling
+    start : ProgramStart
+    build_s : float
+        Wall time of all this.
+    reused : bool
+        Whether the solver served before.
+    progress : bool
+        Whether to show iterations.
+    """
+
+    transcription: Transcription
+    problem: Problem
+    solver: NlpSolver
+    options: SolverOptions
+    scaling: Scaling
+    start: ProgramStart
+    build_s: float
+    reused: bool
+    progress: bool = False
+
+    @classmethod
+    def prepare(
+        cls,
+        problem: Problem,
+        meshes: Mapping[str, Mesh],
+        scheme: Scheme,
+        guess: Solution | None,
+        options: SolverOptions,
+        *,
+        progress: bool = False,
+    ) -> Attempt:
+        """Transcribe and scale a problem, or take what an earlier solve left, and find a start.
+
+        Raises
+        ------
+        ProblemError
+            The guess does not fit the problem.
+        """
+        begin = time.perf_counter()
+        transcription = transcribe(problem, meshes, scheme)
+        suited = _suited(options, transcription)
+        reused = repr(suited) in transcription.built
+        solver = _solver(transcription, suited)
+        start = program_start(transcription, problem, guess)
+        scales = scale_variables(transcription, problem, start.x)
+        scaling = Scaling(scales, *scale_rows(transcription, problem, start.x, scales))
+        build_s = time.perf_counter() - begin
+        return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
+
+    def point(self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True) -> NlpPoint:
+        """Return the scaled numbers of the program: from a start, some variables held, with or without the cost."""
+        transcription, problem, scaling = self.transcription, self.problem, self.scaling
+        variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
+        if held is not None:
+            variables.lower[held] = variables.upper[held] = start.x[held]
+        scales, worth = scaling.variables, scaling.objective if with_cost else 0.0
+        return NlpPoint(
+            start.x / scales,
+            variables.lower / scales,
+            variables.upper / scales,
+            rows.lower * scaling.rows,
+            rows.upper * scaling.rows,
+            transcription.parameter_vector(problem, scales, scaling.rows, worth),
+            None if start.lam_x is None else start.lam_x * scales * worth,
+            None if start.lam_g is None else start.lam_g / scaling.rows * worth,
+        )
+
+    @contextmanager
+    def meter(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
+        """While open, iterations can be shown by the function that it yields, if they are to be shown at all."""
+        if not self.progress:
+            yield None
+            return
+        from gnc_opt.progress import solve_meter
+
+        worth = self.problem.sense * self.scaling.objective if with_cost else 1.0  # as it was stated
+        with solve_meter(self.problem.name) as show:
+            yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
+
+    def solution(self, result: NlpResult) -> Solution:
+        """Return what a result means in the problem's own terms; its problem is a frozen copy."""
+        transcription, problem, scaling = self.transcription, self.problem, self.scaling
+        iterate = Iterate(
+            result.x * scaling.variables,
+            result.lam_x / scaling.variables / scaling.objective,
+            result.lam_g * scaling.rows / scaling.objective,
+        )
+        box = transcription.variable_interval(problem)
+        # Scaling and unscaling rounds: a variable at its bound must sit exactly there.
+        iterate = replace(iterate, x=np.where(box.fixed, box.lower, iterate.x))
+        iterate = replace(iterate, x=unwound_controls(transcription, problem, iterate.x))
+        phases, gradients = extract_phases(transcription, problem, iterate)
+        places = transcription.parameter_places
+        return Solution(
+            problem_name=problem.name,
+            status=result.status,
+            objective=gradients.cost,
+            maximised=problem.sense < 0,
+            phases=phases,
+            free_parameters=problem.parameters,
+            parameter_values=iterate.x[places],
+            parameter_multipliers=iterate.lam_x[places],
+            constraint_labels=problem.constraint_labels(),
+            constraint_values=gradients.constraints,
+            constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
+            violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
+            statistics=self._statistics(result),
+            provenance=_provenance(problem, transcription, self.options),
+            problem=problem.frozen(),
+        )
+
+    def _statistics(self, result: NlpResult) -> Statistics:
+        return Statistics(
+            result.iterations,
+            self.build_s,
+            result.wall_time,
+            result.function_time,
+            result.linear_solver_time,
+            self.reused,
+        )
+
+
+def _suited(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+    """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
+    movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
+    if options.careful_pivoting is None and movable:
+        return replace(options, careful_pivoting=True)
+    return options
+
+
+def _solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
+    key = repr(options)
+    if key not in transcription.built:
+        transcription.built[key] = NlpSolver(transcription.nlp, options)
+    solver: NlpSolver = transcription.built[key]
+    return solver
+
+
+def _provenance(problem: Problem, transcription: Transcription, options: SolverOptions) -> dict[str, str]:
+    meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())
+    return {
+        "gnc_opt": package_version("gnc_opt"),
+        "casadi": package_version("casadi"),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "scheme": transcription.scheme,
+        "mesh": meshes,
+        "options": repr(options),
+        "fingerprint": problem.fingerprint(),
+    }

@@ -1,0 +1,179 @@
+"""Watching a solve: progress, interrupts and time limits, iterate by iterate."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class IterationInfo:
+    """What the progress callback is told.
+
+    Parameters
+    ----------
+    iteration
+        0 for the (projected) guess.
+    objective
+        f at the iterate.
+    infeasibility
+        Largest violation of a bound on x or g, >= 0.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
+    >>> x = ca.SX.sym("x")
+    >>> point = NlpPoint(x0=3.0, lbx=0.0, ubx=np.inf, lbg=[], ubg=[], p=[])
+    >>> solver = NlpSolver(NlpProblem(x, ca.SX(0, 1), ca.exp(x) - 2 * x, ca.SX(0, 1)))
+    >>> stopped = solver.solve(point, callback=lambda info: info.iteration == 2)
+    >>> print(stopped.status.value, stopped.iterations)
+    interrupted 2
+    """
+
+    iteration: int
+    objective: float
+    infeasibility: float
+
+
+ProgressCallback: TypeAlias = Callable[[IterationInfo], "bool | None"]
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds on a vector, (n,) each."""
+
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def of(cls, name: str, lower: Array, upper: Array) -> Box:
+        box = cls(lower, upper)
+        wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise ArgumentError(
+                f"the bounds of {name}[{i}] admit no number: {box.lower[i]} to {box.upper[i]}"
+            )
+        return box
+
+    @property
+    def fixed(self) -> Mask:
+        return np.asarray(self.lower == self.upper, dtype=np.bool_)
+
+    def violation(self, value: Array) -> float:
+        return max(
+            0.0,
+            float(np.max(self.lower - value, initial=0.0)),
+            float(np.max(value - self.upper, initial=0.0)),
+        )
+
+
+@dataclass
+class SolveWatch:
+    """What the monitor must know about the solve under way, and what it has seen of it."""
+
+    box_x: Box
+    box_g: Box
+    callback: ProgressCallback | None
+    deadline: float
+    stop: bool = False
+    count: int = 0
+    error: BaseException | None = None
+
+    def see(self, x: Array, f: float, g: Array) -> None:
+        """Note one iterate; sets `stop`, never raises."""
+        try:
+            if self.callback is not None:
+                infeasibility = max(self.box_x.violation(x), self.box_g.violation(g))
+                if self.callback(IterationInfo(self.count, f, infeasibility)):
+                    self.stop = True
+        except BaseException as error:  # must not travel through the solver; raised again after it
+            self.error, self.stop = error, True
+        self.count += 1
+        if time.perf_counter() > self.deadline:
+            self.stop = True
+
+
+class Monitor(ca.Callback):  # type: ignore[misc]
+    """The `iteration_callback` of `nlpsol`: shows each iterate to the run and tells the solver to stop.
+
+    It reads the solver's memory through buffers, which is several times cheaper than CasADi matrices. The
+    iterate itself is not kept, since `nlpsol` returns the last one when it is stopped.
+    """
+
+    def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
+        super().__init__()
+        self._rows = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": n_parameters}
+        self.run: SolveWatch | None = None
+        self.construct("monitor")
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return ca.Sparsity.dense(self._rows[ca.nlpsol_out(i)], 1)
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arg: Any, res: Any) -> int:
+        run = self.run
+        if run is not None:
+            x, f, g = (_view(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
+            run.see(x, float(f[0]), g)
+            _view(res[0], 1)[0] = float(run.stop)
+        return 0
+
+
+@contextlib.contextmanager
+def sigint_stops(run: SolveWatch) -> Iterator[None]:
+    """While open, the first Ctrl-C asks the run to stop and gives the next one back to the old handler."""
+    previous = signal.getsignal(signal.SIGINT)
+    ignored = previous in (None, signal.SIG_IGN)
+    if ignored or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        run.stop = True
+        signal.signal(signal.SIGINT, previous)
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def _view(buffer: Any, size: int) -> Array:
+    """View of a CasADi buffer, (size,); NaN for what the plugin does not tell."""
+    if size == 0 or buffer is None:
+        return np.full(size, np.nan)
+    return np.frombuffer(buffer, dtype=np.float64)
+
+
+def vector(name: str, value: npt.ArrayLike, size: int) -> Array:
+    """A fresh vector (size,) from a vector or a scalar."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        return np.full(size, float(array))
+    if array.shape != (size,):
+        raise ArgumentError(f"{name} must have shape ({size},), got {array.shape}")
+    return array.copy()

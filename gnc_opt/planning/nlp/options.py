@@ -1,0 +1,224 @@
+"""What to ask of a solver, and how `nlpsol` and its plugins want it said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import casadi as ca
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.errors import unknown_name
+from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
+
+DIVERGED = 1e15
+"""A variable beyond this magnitude, or an objective below minus this, counts as running off to infinity."""
+
+WARM_PUSH = 1e-9
+"""How far a warm start is moved off its bounds and its multipliers off zero (IPOPT's cold default: 1e-2)."""
+
+WARM_MU = 1e-6
+"""Barrier parameter at which a warm start begins (IPOPT's cold default: 0.1)."""
+
+# No "ma97": if its library is missing, IPOPT 3.14 answers Invalid_Option and then crashes as it is freed.
+_IPOPT_LINEAR_SOLVERS = (
+    "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
+)  # fmt: skip
+
+# By default MUMPS permutes and scales all matrices by the numbers of the first one. Where these are untypical, later
+# factorisations fill up: on some problems of the benchmarks iterations then take 10 to 100 times as long. Without,
+# badly scaled problems need pivots better than IPOPT's 1e-6. On ordinary problems the two cost about 5 %.
+_MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
+
+# From this many variables and constraints on MUMPS orders by METIS, which bears a dense row (a free final time) badly:
+# approximate minimum degree with quasi-dense rows needs half the time for the analysis and up to 40 % less afterwards.
+_LARGE = 10_000
+
+_MUMPS_LARGE = {"mumps_pivot_order": 6}
+
+# Nearly singular systems (badly scaled variables, very short segments) need larger pivots and balanced rows.
+_MUMPS_CAREFUL = {"mumps_pivtol": 1e-2, "mumps_scaling": 8}
+
+# For lam_p alone CasADi differentiates the whole NLP once more; these plugins can do without.
+_WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
+
+Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """What to ask of the solver.
+
+    Parameters
+    ----------
+    solver
+        CasADi `nlpsol` plugin.
+    linear_solver
+        IPOPT's linear solver. All but "mumps" and "spral" must be installed by the user; "ma97" is reached
+        only through `extra`, since IPOPT crashes the process where it is missing.
+    tolerance
+        On the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods).
+    max_iterations
+        Limit on the number of iterations.
+    max_wall_time
+        Limit in s; None for no limit. Looked at once per iteration.
+    bound_relax
+        IPOPT's `bound_relax_factor`. Zero, because IPOPT would otherwise widen every bound by 1e-8, and a
+        trajectory with a little more thrust than there is has a minimum time better than the true one.
+    careful_pivoting
+        Have MUMPS scale rows and columns and pivot at 1e-2 instead of IPOPT's 1e-6: some 20 % slower per iteration,
+        and what nearly singular systems need. None: on meshes with movable boundaries only.
+    mu_init
+        First barrier parameter of IPOPT; None for 0.1 cold (IPOPT's own) and 1e-6 warm.
+    extra
+        Options of `nlpsol` that win over all of the above, such as `{"expand": True, "ipopt.mu_strategy":
+        "adaptive"}`; a nested `{"ipopt": {...}}` means the same.
+    verbose
+        Let the solver print its log. Silent otherwise.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is out of range, or a solver's name is unknown.
+
+    Examples
+    --------
+    >>> careful = go.SolverOptions(tolerance=1e-11, max_iterations=200)
+    >>> print(go.solve(problem, mesh="10x3", tol=None, options=careful).status.value)
+    optimal
+    """
+
+    solver: str = "ipopt"
+    linear_solver: str = "mumps"
+    tolerance: float = 1e-9
+    max_iterations: int = 1000
+    max_wall_time: float | None = None
+    bound_relax: float = 0.0
+    mu_init: float | None = None
+    careful_pivoting: bool | None = None
+    extra: Mapping[str, object] = field(default_factory=dict)
+    verbose: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solver, str) or not ca.has_nlpsol(self.solver):
+            raise unknown_name("solver", self.solver, "this installation of CasADi", _installed_solvers())
+        known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
+        if self.solver == "ipopt" and not known:
+            raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
+        read_positive(self.tolerance, "the solver option tolerance")
+        read_integer(self.max_iterations, "the solver option max_iterations", 0)
+        if self.max_wall_time is not None:
+            read_positive(self.max_wall_time, "the solver option max_wall_time")
+        if self.mu_init is not None:
+            read_positive(self.mu_init, "the solver option mu_init")
+        read_positive(self.bound_relax, "the solver option bound_relax", or_zero=True)
+        expect(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
+
+
+def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:
+    """Everything for `nlpsol` but the callback; plugin options in their dotted form."""
+    quiet = {
+        "print_time": options.verbose,
+        "show_eval_warnings": options.verbose,
+        "error_on_fail": False,
+    }
+    if options.solver in _WITHOUT_NLP_GRAD:
+        quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
+    size = problem.n_variables + problem.n_constraints
+    plugin = _ipopt_options(options, start, size) if options.solver == "ipopt" else _other_options(options)
+    return (
+        quiet
+        | plugin
+        | _derivative_options(problem, options.solver)
+        | _flatten(options.extra, options.solver)
+    )
+
+
+def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str, Any]:
+    chosen: dict[str, Any] = {
+        "print_level": 5 if options.verbose else 0,
+        "sb": "yes",
+        "linear_solver": options.linear_solver,
+        "tol": float(options.tolerance),
+        "compl_inf_tol": _complementarity(options.tolerance),
+        "max_iter": int(options.max_iterations),
+        "bound_relax_factor": float(options.bound_relax),
+        "diverging_iterates_tol": DIVERGED,
+    }
+    if options.max_wall_time is not None:
+        chosen["max_wall_time"] = float(options.max_wall_time)
+    if options.linear_solver == "mumps":
+        chosen |= _MUMPS if size < _LARGE else _MUMPS | _MUMPS_LARGE
+        chosen |= _MUMPS_CAREFUL if options.careful_pivoting or start == "careful" else {}
+    if options.mu_init is not None or start in ("warm", "careful"):
+        chosen["mu_init"] = WARM_MU if options.mu_init is None else float(options.mu_init)
+    if start == "adaptive":
+        chosen["mu_strategy"] = "adaptive"
+    if start in ("warm", "careful"):
+        chosen["warm_start_init_point"] = "yes"
+        for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):
+            chosen[f"warm_start_{name}"] = WARM_PUSH
+    return {f"ipopt.{name}": value for name, value in chosen.items()}
+
+
+def _complementarity(tolerance: float) -> float:
+    """Return IPOPT's `compl_inf_tol`, which also ends the barrier parameter's descent.
+
+    The barrier keeps every bounded variable off its bound: at mu = tolerance a bang-bang time of 240 nodes is 1e-8
+    too long, and multipliers per unit of time are off by mu over the quadrature weight. Two digits more cost about
+    one iteration in a hundred; below 1e-11 rounding of slacks sets in.
+    """
+    return min(tolerance, max(1e-2 * tolerance, 1e-11))
+
+
+def last_barrier(tolerance: float) -> float:
+    """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10.
+
+    A warm start that begins there has one barrier problem to solve, and no other after it.
+    """
+    return _complementarity(tolerance) / (10.0 + 1.0)
+
+
+def _other_options(options: SolverOptions) -> dict[str, Any]:
+    """The same wishes for another plugin, as far as it has options for them."""
+    quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
+    wishes: dict[str, Any] = {
+        "max_iter": int(options.max_iterations),
+        "tol_pr": float(options.tolerance),
+        "tol_du": float(options.tolerance),
+        "print_header": options.verbose,
+        "print_iteration": options.verbose,
+        "print_status": options.verbose,
+        "qpsol": "qrqp",
+        "qpsol_options": {} if options.verbose else quiet_qp,
+    }
+    accepted = set(ca.nlpsol_options(options.solver))
+    return {name: value for name, value in wishes.items() if name in accepted}
+
+
+def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
+    """The problem's own derivatives in the form that the plugin takes; {} if it takes none."""
+    if solver in ("ipopt", "bonmin"):
+        given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}
+    elif solver == "sqpmethod":
+        given = {"jac_fg": joint_jacobian(problem), "hess_lag": full_hessian(problem)}
+    else:
+        given = {}
+    return {name: function for name, function in given.items() if function is not None}
+
+
+def _flatten(extra: Mapping[str, object], solver: str) -> dict[str, object]:
+    """Write a nested `{solver: {name: value}}` as `{"solver.name": value}`."""
+    flat: dict[str, object] = {}
+    for name, value in extra.items():
+        if name == solver and isinstance(value, Mapping):
+            flat.update({f"{solver}.{key}": inner for key, inner in value.items()})
+        else:
+            flat[name] = value
+    return flat
+
+
+def _installed_solvers() -> list[str]:
+    plugins = (entry.partition("::") for entry in ca.CasadiMeta.plugins().split(";"))
+    return sorted(name for kind, _, name in plugins if kind == "Nlpsol" and ca.has_nlpsol(name))

@@ -1,0 +1,344 @@
+"""The boundary to NLP solvers: minimise f(x, p) subject to lbx <= x <= ubx and lbg <= g(x, p) <= ubg.
+
+Any `nlpsol` plugin of CasADi can be behind it; IPOPT is the default and the one that is tuned. Multipliers
+follow CasADi's sign: L = f + lam_g . g + lam_x . x is stationary, so a multiplier is >= 0 at an upper bound
+and <= 0 at a lower bound.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.planning.nlp.monitor import Box, Monitor, ProgressCallback, SolveWatch, sigint_stops, vector
+from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
+from gnc_opt.planning.nlp.program import NlpProblem
+from gnc_opt.planning.nlp.status import Status, status_from_stats
+
+RUNAWAY = 1e10
+"""The same once the solver has given up anyway: scaled variables are of order one."""
+
+SUSPICIOUS = 1e8
+"""Magnitude at which an iterate that is merely acceptable counts as running off: its gradients fade out there."""
+
+_NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
+
+_MAY_HIDE_UNBOUNDED = (
+    Status.ITERATION_LIMIT,
+    Status.NOT_A_NUMBER,
+    Status.RESTORATION_FAILED,
+    Status.SEARCH_DIRECTION_FAILED,
+    Status.STEP_TOO_SMALL,
+    Status.FAILED,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class NlpPoint:
+    """The numbers of one solve: guess, bounds and parameters. Scalars stand for constant vectors.
+
+    Parameters
+    ----------
+    x0
+        (nx,): guess.
+    lbx, ubx
+        (nx,): bounds on x, may be infinite. Where they are equal x is fixed.
+    lbg, ubg
+        (ng,): bounds on g.
+    p
+        (np,): parameters.
+    lam_x0, lam_g0
+        (nx,) and (ng,): multipliers of a nearby solution. With either, the solver starts warm.
+
+    Examples
+    --------
+    >>> from gnc_opt.planning.nlp import NlpPoint
+    >>> point = NlpPoint(x0=[1.0, 1.0], lbx=0.0, ubx=np.inf, lbg=1.0, ubg=1.0, p=[])
+    >>> print(point.way)
+    cold
+    """
+
+    x0: npt.ArrayLike
+    lbx: npt.ArrayLike
+    ubx: npt.ArrayLike
+    lbg: npt.ArrayLike
+    ubg: npt.ArrayLike
+    p: npt.ArrayLike
+    lam_x0: npt.ArrayLike | None = None
+    lam_g0: npt.ArrayLike | None = None
+
+    @property
+    def way(self) -> Start:
+        """How to start from it: warm if there are multipliers, else cold."""
+        return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
+
+    def cold(self) -> NlpPoint:
+        """Return the point without its multipliers."""
+        return replace(self, lam_x0=None, lam_g0=None)
+
+    def arguments(self, problem: NlpProblem) -> dict[str, Array]:
+        """Return vectors of the right lengths by the names that `nlpsol` gives them."""
+        sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: vector(name, value, sizes.get(name, problem.n_variables))
+            for name, value in given.items()
+            if value is not None
+        }
+
+
+@dataclass(frozen=True)
+class NlpResult:
+    """The last iterate and how the solve ended.
+
+    Parameters
+    ----------
+    x, g
+        (nx,) and (ng,): variables and constraints.
+    f
+        Objective.
+    lam_x, lam_g
+        (nx,) and (ng,): multipliers; grad f + J^T lam_g + lam_x = 0 at a solution.
+    status
+        How it ended, and what to do about it.
+    raw_status
+        The solver's own word for it.
+    iterations
+        Number of iterations.
+    wall_time
+        In s, without the time to set the solver up.
+    function_time
+        In s, spent in the objective, the constraints and their derivatives.
+    linear_solver_time
+        In s, what remains of the wall time without functions and callback: linear algebra and line search.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
+    >>> x = ca.SX.sym("x", 2)
+    >>> nearest = NlpProblem(x, ca.SX(0, 1), ca.sumsqr(x), x[0] + x[1])  # of a line to the origin
+    >>> result = NlpSolver(nearest).solve(NlpPoint(x0=0.0, lbx=-1.0, ubx=1.0, lbg=1.0, ubg=1.0, p=[]))
+    >>> print(result.status.value, np.round(result.x, 6), np.round(result.lam_g, 6))
+    optimal [0.5 0.5] [-1.]
+    """
+
+    x: Array
+    f: float
+    g: Array
+    lam_x: Array
+    lam_g: Array
+    status: Status
+    raw_status: str
+    iterations: int
+    wall_time: float
+    function_time: float
+    linear_solver_time: float
+
+    def with_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
+        """Return this result with the iterations and times of all attempts that led to it."""
+        return replace(
+            self,
+            iterations=sum(r.iterations for r in attempts),
+            wall_time=sum(r.wall_time for r in attempts),
+            function_time=sum(r.function_time for r in attempts),
+            linear_solver_time=sum(r.linear_solver_time for r in attempts),
+        )
+
+
+class NlpSolver:
+    """Solve one NLP many times: for other bounds, parameters and guesses, cold or warm.
+
+    IPOPT takes its options when it is created, so each way to start has an instance of its own, created when it is
+    first needed. One object must not be used by two threads at once.
+
+    Parameters
+    ----------
+    problem
+        The programme.
+    options
+        What to ask of the solver.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
+    >>> x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    >>> solver = NlpSolver(NlpProblem(x, p, (x - p) ** 2, ca.SX(0, 1)))
+    >>> for wanted in (0.5, 2.0):
+    ...     point = NlpPoint(x0=0.0, lbx=0.0, ubx=1.0, lbg=[], ubg=[], p=[wanted])
+    ...     print(np.round(solver.solve(point).x, 6))
+    [0.5]
+    [1.]
+    """
+
+    def __init__(self, problem: NlpProblem, options: SolverOptions | None = None) -> None:
+        self.problem = problem
+        self.options = SolverOptions() if options is None else options
+        self._monitor = Monitor(problem.n_variables, problem.n_constraints, problem.n_parameters)
+        self._instances: dict[Start, Any] = {}
+
+    def solve(
+        self,
+        point: NlpPoint,
+        way: Start | None = None,
+        *,
+        callback: ProgressCallback | None = None,
+        deadline: float | None = None,
+    ) -> NlpResult:
+        """Solve once.
+
+        Ctrl-C ends the solve after the running iteration and returns the last iterate with
+        `Status.INTERRUPTED`; a second Ctrl-C acts as it does everywhere else.
+
+        Parameters
+        ----------
+        point
+            Where to start, within which bounds.
+        way
+            How to start; default: warm if there are multipliers, else cold.
+        callback
+            Called with an `IterationInfo` at every iteration; returning True stops the solve.
+        deadline
+            When to stop, as `time.perf_counter` counts; default: as the options say, from when the solver is set up.
+
+        Returns
+        -------
+        NlpResult
+            Also if the solve failed; look at its `status`.
+
+        Raises
+        ------
+        ArgumentError
+            If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
+        RuntimeError
+            If a plugin other than IPOPT breaks down instead of reporting its failure.
+        Exception
+            Whatever `callback` raises.
+        """
+        arguments = point.arguments(self.problem)
+        box_x = Box.of("x", arguments["lbx"], arguments["ubx"])
+        box_g = Box.of("g", arguments["lbg"], arguments["ubg"])
+        self.set_up(point, way)  # the limit is on solving, not on setting up
+        end = self.deadline() if deadline is None else deadline
+        return self._run(way or point.way, arguments, SolveWatch(box_x, box_g, callback, end))
+
+    def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
+        """Create what solves from such a point, if it has not been needed before.
+
+        Raises
+        ------
+        ArgumentError
+            If the plugin refuses its options.
+        """
+        self._instance(way or point.way)
+
+    def deadline(self) -> float:
+        """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
+        limit = self.options.max_wall_time
+        return math.inf if limit is None else time.perf_counter() + limit
+
+    def _run(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
+        solver = self._instance(start)
+        overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
+        self._monitor.run = run
+        begin = time.perf_counter()
+        try:
+            with sigint_stops(run), _swallow_stderr(overdetermined):
+                raw = solver(**arguments)
+        finally:
+            self._monitor.run = None
+        wall_time = time.perf_counter() - begin
+        if run.error is not None:
+            raise run.error
+        return self._result(raw, solver.stats(), run, arguments, wall_time)
+
+    def _instance(self, start: Start) -> Any:
+        """The `nlpsol` Function for one way to start, created when first asked for."""
+        key = start if self.options.solver == "ipopt" else "cold"
+        if key not in self._instances:
+            nlp = {name: getattr(self.problem, name) for name in ("x", "p", "f", "g")}
+            chosen = nlpsol_options(self.problem, self.options, key) | {"iteration_callback": self._monitor}
+            try:
+                self._instances[key] = ca.nlpsol("nlp", self.options.solver, nlp, chosen)
+            except RuntimeError as error:
+                reason = str(error).strip()
+                raise ArgumentError(
+                    f"CasADi cannot set up solver {self.options.solver!r}: {reason}"
+                ) from error
+        return self._instances[key]
+
+    def _result(
+        self,
+        raw: Mapping[str, Any],
+        stats: Mapping[str, Any],
+        run: SolveWatch,
+        arguments: Mapping[str, Array],
+        wall: float,
+    ) -> NlpResult:
+        status = _stopped_status(status_from_stats(stats), run)
+        started = run.count > 0 or status not in _NEVER_STARTED
+        x, lam_x, lam_g = (_flat(raw[name]) for name in ("x", "lam_x", "lam_g"))
+        f, g = float(raw["f"]), _flat(raw["g"])
+        if not started:  # the plugin's outputs are then whatever was in memory
+            x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
+        fixed = run.box_x.fixed
+        if fixed.any() or not status.solved:
+            f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
+            f, g = float(f_dm), _flat(g_dm)
+            lam_x[fixed] = -_flat(gradient)[fixed]
+        doubtful = status in _MAY_HIDE_UNBOUNDED and _diverged(x, f, RUNAWAY)
+        if started and (doubtful or (status is Status.ACCEPTABLE and _diverged(x, f, SUSPICIOUS))):
+            status = Status.UNBOUNDED
+        function_time = _time_in(stats, "t_wall_nlp_")
+        return NlpResult(
+            x=x,
+            f=f,
+            g=g,
+            lam_x=lam_x,
+            lam_g=lam_g,
+            status=status,
+            raw_status=str(stats.get("return_status", "")),
+            iterations=int(stats.get("iter_count", 0)) if started else 0,
+            wall_time=wall,
+            function_time=function_time,
+            linear_solver_time=max(0.0, wall - function_time - _time_in(stats, "t_wall_callback_fun")),
+        )
+
+
+@contextlib.contextmanager
+def _swallow_stderr(active: bool) -> Iterator[None]:
+    """Hide CasADi's warning about overdetermined problems, which no option turns off."""
+    if not active:
+        yield
+        return
+    with contextlib.redirect_stderr(io.StringIO()):
+        yield
+
+
+def _stopped_status(status: Status, run: SolveWatch) -> Status:
+    """INTERRUPTED if the run asked for a stop, whatever the plugin calls that, unless it had finished."""
+    return Status.INTERRUPTED if run.stop and not status.solved else status
+
+
+def _diverged(x: Array, f: float, limit: float) -> bool:
+    return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
+
+
+def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
+    return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
+
+
+def _flat(matrix: Any) -> Array:
+    return np.asarray(matrix.full(), dtype=np.float64).ravel()

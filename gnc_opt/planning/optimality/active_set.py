@@ -1,0 +1,331 @@
+r"""Touches of state constraints as conditions of a solution's program.
+
+At an isolated time at which a constraint :math:`S(t, x) \le 0` of order two or more pushes, all neighbouring
+trajectories have to keep their *largest* value of S on the limit. With a mesh boundary at that time which is a
+variable, that is :math:`S = \dot S = 0` there; S alone would let the boundary go to where less is held, and S leave
+its limit beside it. At an optimum :math:`\dot S = 0` has no multiplier, and that of S = 0 is by how much the costate
+jumps along :math:`\partial S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
+
+Along an arc on the limit all neighbouring trajectories stay on it, whether its multiplier is there or in the atoms at
+its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
+what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
+
+A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
+costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time. So
+do they where one limit of a control takes over from another, a bound and a path constraint say: the control goes on
+and no costate jumps, but to go over sooner or later would be to leave one of the two.
+
+Controls that active constraints determine: which directions are left to them.
+
+Along an arc on which a constraint :math:`c(t, x) = 0` without controls is active, its time derivatives vanish too, and
+the first in which controls appear, that of the order q of the constraint, determines as many of them as it has
+independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995,
+sec. 2); a constraint with controls is its own, q = 0. Only what is tangent to these is left for H to determine. A
+constraint that is met but does not push determines nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.problem.arcs import Arc, ArcKind, Junction
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraints import constraint_order
+from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.scales import STILL
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
+
+MOST_ORDER = 3
+"""Orders of state constraints that are looked for."""
+
+
+def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
+    """Return, for every sample, an orthonormal basis (m, k) of the free controls' directions that no constraint takes.
+
+    Parameters
+    ----------
+    free : bool array (m, n_samples)
+        Controls between their bounds.
+    unit : array (m,)
+        What a step of 1 in each control is.
+    """
+    rows, axes = _rows(s) * unit[None, :, None], np.eye(unit.size)
+    bases = [axes[:, here] for here in free.T]
+    if not rows.size:
+        return bases
+    for j, basis in enumerate(bases):
+        taken = rows[:, :, j] @ basis
+        taken = taken[np.any(taken != 0, axis=1)]
+        if taken.size and np.all(np.isfinite(taken)):
+            taken = taken / np.max(np.abs(taken), axis=1, keepdims=True)
+            _, sizes, across = np.linalg.svd(taken, full_matrices=True)
+            bases[j] = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
+    return bases
+
+
+def left(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
+    """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
+
+    Arguments as `left_free`; curvature of H that is at most ``flat`` is none. Where constraints take nothing, the
+    curvature is not looked at.
+    """
+    if not _rows(s).size:
+        return free, np.ones(s.times.size, dtype=bool)
+    bases = left_free(s, free, unit)
+    whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
+    hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
+    for j in np.flatnonzero(~whole):
+        bases[j] = _uncurved(bases[j], hessian[:, :, j], flat)
+    return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
+
+
+def _uncurved(basis: Array, hessian: Array, flat: float) -> Array:
+    """Return the directions of a basis in which a quadratic form is flat, or no number."""
+    reduced = basis.T @ hessian @ basis
+    if not reduced.size or not np.all(np.isfinite(reduced)):
+        return basis
+    values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+    return np.asarray(basis @ vectors[:, np.abs(values) <= flat])
+
+
+def _rows(s: PhaseSamples) -> Array:
+    """Gradients by the controls of what active constraints keep at zero (n, m, n_samples); zero where inactive."""
+    leg = s.leg
+    found = [np.zeros((0, leg.controls.size, s.times.size))]
+    if leg.path_labels:
+        # One that holds all along hardly moves: it is near by what could move it.
+        scale = np.where(s.path_scale > STILL * s.path_reach, s.path_scale, s.path_reach)
+        near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
+        found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
+    density = NEGLIGIBLE * s.cost_scale / s.span
+    on_state = _near(s.x, leg.state_bounds, s.state_scale)
+    on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
+    on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
+    if s.pure_paths.size:
+        pushes = np.abs(s.mu) * s.path_scale[:, None] > density
+        on_path[s.pure_paths] = (near & pushes)[s.pure_paths]
+    along = np.vstack([on_state, on_path])
+    # A limit that is met at one sample is touched: its derivatives need not vanish there.
+    beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
+    chosen = np.flatnonzero(np.any(beside, axis=1))
+    if chosen.size:
+        gradients = _order_gradients(s.functions, chosen)
+        numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
+        flat = evaluate_columns(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
+        rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
+        found.append(rows * beside[chosen][:, None])
+    return np.concatenate(found)
+
+
+def _near(values: Array, box: Any, scale: Array) -> Mask:
+    at_lower, at_upper = box.near(values, ACTIVE * scale)
+    return np.asarray(at_lower | at_upper)
+
+
+def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
+    """Gradients by u of the first time derivatives, of states and paths, in which it appears (n * m, row by row)."""
+    rates = functions.functions["rates"]
+    t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
+    numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]
+    f = rates(t, x, u, lam, mu, *numbers)
+    values = ca.vertcat(x, functions.functions["paths"](t, x, u, lam, mu, *numbers))
+    along, flow = ca.vertcat(t, x), ca.vertcat(1, f)
+    gradients = []
+    for i in chosen:
+        value = values[int(i)]
+        for _ in range(MOST_ORDER):
+            value = ca.jtimes(value, along, flow)
+            if ca.depends_on(value, u):
+                break
+        gradients.append(ca.densify(ca.jacobian(value, u)))
+    return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
+
+
+LEVEL, BESIDE = 1e-2, 1e-3
+"""A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
+(share of the segment) beside the boundary."""
+
+PUSHES = 1e-5
+"""Share of the cost from which a jump of the costate across what a constraint moves is a push."""
+
+
+def with_touches(solution: Solution) -> Problem:
+    """Return the problem of a solution with its state constraints held at movable boundaries at which they push.
+
+    Beside a touch they are released: what the barrier of an interior-point method leaves at points that come close to
+    the limit is no push. Phases in which arcs are held by hand are left as they are.
+    """
+    problem = solution.need_problem("linearise")
+    for name, s in solution.samples().items():
+        if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
+            problem = _held(problem, s, _touches(problem, s, _Rows.of(s)), [])
+    return problem
+
+
+def with_contacts(solution: Solution) -> Problem:
+    """Return the problem of a solution with its state constraints held at such touches and along their arcs."""
+    problem = solution.need_problem("linearise")
+    for name, s in solution.samples().items():
+        if problem.phases[name].numbers.arcs is None:
+            arcs = [found for arc in solution.structure for found in _arcs(problem, s, arc)]
+            ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
+            touches = _touches(problem, s, _Rows.of(s))
+            alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
+            problem = _held(problem, s, alone, arcs)
+    return problem
+
+
+@dataclass(frozen=True)
+class _HeldArc:
+    """An arc of order two or more: row, limit and order, and the segments ``first, ..., last - 1``."""
+
+    row: int
+    kind: ArcKind
+    order: int
+    first: int
+    last: int
+
+
+def _arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
+    """What an arc of the structure holds on this phase's mesh: itself, or nothing."""
+    leg = s.leg
+    labels = (*leg.path_labels, *leg.states.labels)
+    if arc.phase != leg.name or arc.channel not in labels or not arc.kind.at_limit:
+        return []
+    row = labels.index(arc.channel)
+    order = constraint_order(problem, problem.phases[leg.name], row).order
+    first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
+    if order is None or order < 2 or first == last:
+        return []
+    return [_HeldArc(row, arc.kind, order, first, last)]
+
+
+def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_HeldArc]) -> Problem:
+    leg, n_paths = s.leg, len(s.leg.path_labels)
+    if not touches and not arcs:
+        return problem
+    rows = _Rows.of(s)
+    kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
+    along = np.any(rows.near(rows.values(s.times, s.x, s.u)), axis=0)
+    for junction in touches:
+        for k in (junction.boundary - 1, junction.boundary):
+            if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
+                kinds[junction.constraint, k] = ArcKind.RELEASED
+    for arc in arcs:
+        kinds[arc.row, arc.first : arc.last] = arc.kind
+        for k in (arc.first - 1, arc.last):  # the ends of the arc say all that is held beside it
+            if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
+                kinds[arc.row, k] = ArcKind.RELEASED
+    entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
+    return problem.with_arcs(
+        leg.name,
+        arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
+        paths=kinds[:n_paths] if n_paths else None,
+        states=kinds[n_paths:],
+        junctions=(*touches, *entries),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Path constraints of a phase, then its states, with limits and scales (n_rows,)."""
+
+    samples: PhaseSamples
+    box: Interval
+    scales: Array
+
+    @classmethod
+    def of(cls, s: PhaseSamples) -> _Rows:
+        paths, states = s.leg.path_bounds, s.leg.state_bounds
+        box = Interval(
+            np.concatenate([paths.lower, states.lower]), np.concatenate([paths.upper, states.upper])
+        )
+        return cls(s, box, np.concatenate([s.path_scale, s.state_scale]))
+
+    def values(self, times: Array, x: Array, u: Array) -> Array:
+        return np.vstack([self.samples.functions.paths(times, x, u), x])
+
+    def near(self, values: Array) -> Mask:
+        """Whether they are at their lower, and at their upper limit (2, n_rows, n_times)."""
+        return np.asarray(np.stack(self.box.near(values, AT_LIMIT * self.scales)) & ~self.box.fixed[:, None])
+
+    def pushes(self, times: Array, x: Array, u: Array) -> Array:
+        """Jumps of costates along the gradient of each row, worth of the cost (n_rows, n_times)."""
+        s = self.samples
+        units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
+        by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
+        gradients = by_state * s.state_scale[:, None]
+        jumps = (s.leg.lam(times, "left") - s.leg.lam(times, "right")) * s.state_scale[:, None]
+        sizes = np.linalg.norm(gradients, axis=1)
+        along = np.einsum("ijk,jk->ik", gradients, jumps)
+        return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
+
+
+def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, ...]:
+    """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
+    boundaries = s.leg.mesh.movable
+    times = s.leg.breaks[list(boundaries)]
+    point = times, s.leg.x(times), s.leg.flown(times)
+    near, pushes = rows.near(rows.values(*point)), rows.pushes(*point)
+    found = []
+    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), near, strict=True):
+        for row, k in np.argwhere(here & (kind.sign * pushes > PUSHES * s.cost_scale)):
+            order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
+            if order is not None and order >= 2:
+                found.append(Junction(int(row), boundaries[k], kind, 2))
+            elif order == 1 and (side := _given_up(rows, int(row), boundaries[k])):
+                found.append(Junction(int(row), boundaries[k], kind, 0, side))
+    return tuple(found) + _handovers(problem, rows)
+
+
+def _handovers(problem: Problem, rows: _Rows) -> tuple[Junction, ...]:
+    """Where a path constraint of a control and another limit of it take over from one another, one condition each."""
+    s, leg = rows.samples, rows.samples.leg
+    orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
+    owners = [order.controls if order.order == 0 else () for order in orders]
+    paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
+    if not paths or not leg.mesh.movable:
+        return ()
+    at_path = rows.near(rows.values(s.times, s.x, s.u))
+    at_bound = np.any(leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale), axis=0)
+    found: dict[int, Junction] = {}
+    for row in paths:
+        others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]
+        limits = [at_bound[owners[row][0]], *others]
+        for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
+            for k in leg.mesh.movable:
+                if side := _takes_over(s, near, limits, k):
+                    found.setdefault(k, Junction(row, k, kind, 0, side))
+    return tuple(found.values())
+
+
+def _takes_over(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+    """The side, -1 or 1, on which another limit holds a control up to where a constraint does; 0 if there is none."""
+    for side in (-1, 1):
+        off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
+        meets = np.flatnonzero(off)[-1 if side < 0 else 0]
+        if near[meets] and np.all(near[on]) and not np.all(near[off]) and any(np.all(o[off]) for o in others):
+            return side
+    return 0
+
+
+def _given_up(rows: _Rows, row: int, boundary: int) -> int:
+    """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
+    s, breaks = rows.samples, rows.samples.leg.breaks
+    along = np.any(rows.near(rows.values(s.times, s.x, s.u))[:, row], axis=0)
+    held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
+    if held[0] == held[1]:
+        return 0
+    side = 1 if held[0] else -1
+    times = breaks[boundary] + np.array([0.0, BESIDE]) * (breaks[boundary + side] - breaks[boundary])
+    values = rows.values(times, s.leg.x(times), s.leg.flown(times))[row]
+    return side if abs(values[1] - values[0]) < LEVEL * BESIDE * rows.scales[row] else 0

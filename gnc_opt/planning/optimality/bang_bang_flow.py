@@ -1,0 +1,368 @@
+r"""The flow of a bang-bang control, and its first two derivatives in switch times and start.
+
+The flow is a chain of integration steps, :math:`y_{j+1} = M_j(y_j, h_j)`, with the state y of the phase, its
+integrals, the time and the free parameters, and the width h of a step. With the sensitivities
+:math:`S_j = dy_j/d\theta` and :math:`D_j = (S_j, dh_j/d\theta)`,
+
+.. math:: S_{j+1} = M_j' D_j, \qquad
+          \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad
+          p_j = \Big(\frac{\partial M_j}{\partial y_j}\Big)^T p_{j+1}, \quad p_N = p
+
+(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step in turn is a chain of stages, differentiated alike: only the
+rates are differentiated symbolically, once per problem; the rest is arithmetic on all steps at once, and exact for the
+discretised flow. Its gradient alone is a sweep backwards, and costs as much as a few flights.
+
+Steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer. Anal.
+9(3), 1972).
+
+A piece may have no length: it then tells what a control between two switches at one time would do if they came apart.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+STEPS = 36
+"""Runge-Kutta steps over the phase where nothing is known of it: five revolutions of an oscillator are told to 1e-4."""
+
+ORDER = 8
+"""Of the steps: half their width leaves 2 to the power of minus this of the error."""
+
+
+@dataclass(frozen=True)
+class PiecewiseControl:
+    """A control that is constant on pieces of a phase.
+
+    Attributes
+    ----------
+    times : array (n_pieces + 1,)
+        Ends of the pieces (s), not decreasing.
+    controls : array (n_controls, n_pieces)
+    unknowns : int array (n_pieces + 1,)
+        Which unknown each end is.
+    """
+
+    times: Array
+    controls: Array
+    unknowns: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class BangBangFlow:
+    """The end of a bang-bang flow as a function of the times of its pieces, of free start values and parameters.
+
+    Unknowns are the ends of the pieces (s), then the free start values, then the free parameters of the problem.
+
+    Attributes
+    ----------
+    initial, final : array (n_states + n_integrals + 1 + n_parameters,)
+        States, integrals, time and free parameters at the start and at the end.
+    initial_sensitivity, final_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
+        Derivatives of these by the unknowns.
+    states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
+        Before every step and at the end.
+    controls : array (n_controls, n_steps)
+    """
+
+    initial: Array
+    initial_sensitivity: Array
+    states: Array
+    controls: Array
+    _rates: _Rates
+    _inputs: Array
+    _widths: Array
+    _swept: dict[bytes, Array] = field(default_factory=dict)
+
+    @property
+    def final(self) -> Array:
+        return self.states[:, -1]
+
+    @property
+    def final_sensitivity(self) -> Array:
+        return self._sensitivities[1]
+
+    def adjoints(self, adjoint: Array) -> Array:
+        """Derivatives of ``adjoint @ final`` by the states before every step and at the end, (n, n_steps + 1)."""
+        return self._worths(adjoint)[:-1]
+
+    def gradient(self, adjoint: Array) -> Array:
+        """First derivative of ``adjoint @ final``, (n_unknowns,), without any sensitivity."""
+        worths, n_times = self._worths(adjoint), self._widths.shape[1]
+        found = worths[:-1, 0] @ self.initial_sensitivity
+        found[:n_times] += worths[-1, :-1] @ self._widths
+        return np.asarray(found)
+
+    def curvature(self, adjoint: Array) -> Array:
+        """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
+        worths = np.empty((len(self._steps.jacobians), adjoint.size))
+        for j in reversed(range(len(worths))):
+            worths[j] = adjoint
+            adjoint = adjoint @ self._steps.jacobians[j, :, :-1]
+        hessians, directions = self._steps.hessians(worths.T), self._sensitivities[0]
+        return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
+
+    def _worths(self, adjoint: Array) -> Array:
+        """What the states before every step are worth and, last row, the widths of the steps; (n + 1, n_steps + 1)."""
+        key = adjoint.tobytes()
+        if key not in self._swept:
+            places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
+            self._swept[key] = evaluate_chain(self._rates.back, np.append(adjoint, 0.0), places)[:, ::-1]
+        return self._swept[key]
+
+    @cached_property
+    def _steps(self) -> _Steps:
+        return _Steps.of(self._rates, self.states[:, :-1], self._inputs)
+
+    @cached_property
+    def _sensitivities(self) -> tuple[Array, Array]:
+        """Derivatives of (state, width) of every step by the unknowns, and of the final state."""
+        (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
+        directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
+        directions[:, -1, :n_times] = self._widths
+        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+            for j, jacobian in enumerate(self._steps.jacobians):
+                directions[j, :-1] = sensitivity
+                sensitivity = jacobian @ directions[j]
+        return directions, sensitivity
+
+
+def bang_bang_flow(
+    problem: Problem,
+    s: PhaseSamples,
+    pieces: PiecewiseControl,
+    free_start: Indices,
+    refinement: int = 1,
+    steps: int = STEPS,
+) -> BangBangFlow:
+    """Fly a phase piece by piece.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the samples.
+    s : PhaseSamples
+    pieces : PiecewiseControl
+    free_start : int array
+        Rows of the start values that are unknowns.
+    refinement : int
+        Every step of the grid is divided into so many.
+    steps : int
+        Of the grid, over the phase; at least one from switch to switch.
+    """
+    leg, q = s.leg, s.functions.q
+    rates = problem.once(("flow", leg.name), lambda: _Rates.of(s))
+    start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
+    n_times = int(np.max(pieces.unknowns)) + 1
+    inputs, widths = _inputs(s, pieces, n_times, refinement, steps)
+    n_clock = start.size - q.size - 1
+    initial = np.zeros((start.size, n_times + free_start.size + q.size))
+    initial[n_clock, pieces.unknowns[0]] = 1.0
+    initial[free_start, n_times + np.arange(free_start.size)] = 1.0
+    initial[n_clock + 1 :, n_times + free_start.size :] = np.eye(q.size)
+    states, controls = evaluate_chain(rates.step, start, inputs), inputs[1 : 1 + leg.controls.size]
+    return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
+
+
+def _inputs(
+    s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
+) -> tuple[Array, Array]:
+    """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
+    widths = np.diff(pieces.times)
+    counts = refinement * np.maximum(1, np.rint(steps * widths / np.sum(widths)).astype(int))
+    every = np.arange(widths.size).repeat(counts)
+    parameters = np.tile(s.functions.p[:, None], every.size)
+    changes = np.zeros((widths.size, n_times))
+    changes[np.arange(widths.size), pieces.unknowns[:-1]] = -1 / counts
+    changes[np.arange(widths.size), pieces.unknowns[1:]] += 1 / counts
+    return np.vstack([(widths / counts)[every], pieces.controls[:, every], parameters]), changes[every]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rates:
+    """CasADi Functions of z = (x, integrals, t, q) and of the inputs (width, control, p).
+
+    Attributes
+    ----------
+    step : Function
+        Of z and inputs: z after one step.
+    back : Function
+        Of (worth of z after a step, anything) and (z, inputs): what z before it and its width are worth.
+    stages : Function
+        Of z and inputs: where the stages evaluate dz/dt, one after the other, and then what they find.
+    jacobian, hessian : _Matrices
+        The Jacobian of dz/dt in z; of z, of the inputs and of weights: the Hessian of weights @ dz/dt in z.
+    """
+
+    step: Any
+    back: Any
+    stages: Any
+    jacobian: _Matrices
+    hessian: _Matrices
+
+    @classmethod
+    def of(cls, s: PhaseSamples) -> _Rates:
+        rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
+        n, m, n_integrals, n_q = (
+            s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
+        )  # fmt: skip
+        state = ca.SX.sym("state", n + n_integrals + 1 + n_q)
+        inputs = ca.SX.sym("inputs", 1 + m + s.functions.p.size)
+        weights = ca.SX.sym("weights", state.shape[0])
+        width, control, p = ca.vertsplit(inputs, [0, 1, 1 + m, inputs.shape[0]])
+
+        def derivative(z: Any) -> Any:
+            x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
+            unused = (np.zeros(n), np.zeros(len(s.leg.path_labels)), np.zeros(n_integrals))
+            here = (t, x, control, *unused, p, q)
+            return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
+
+        rate = ca.Function("rate", [state, inputs], [ca.cse(derivative(state))])
+        places: list[Any] = []
+        slopes: list[Any] = []
+        for reach in _REACHES:
+            moves = (a * slope for a, slope in zip(reach, slopes, strict=False) if a)
+            places.append(state + width * sum(moves, start=ca.SX(0)))
+            slopes.append(rate(places[-1], inputs))
+        after = state + width * sum(
+            (b * slope for b, slope in zip(_SHARES, slopes, strict=True) if b), ca.SX(0)
+        )
+        worth = ca.SX.sym("worth", state.shape[0] + 1)
+        before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
+        hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
+        return cls(
+            ca.Function("step", [state, inputs], [ca.densify(after)]),
+            ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
+            ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
+            _Matrices.of("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
+            _Matrices.of("rate_hessian", [state, inputs, weights], hessian),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Matrices:
+    """A sparse matrix as a function of columns, evaluated for many of them."""
+
+    entries: Any
+    shape: tuple[int, int]
+    rows: Indices
+    columns: Indices
+
+    @classmethod
+    def of(cls, name: str, arguments: list[Any], matrix: Any) -> _Matrices:
+        rows, columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
+        entries = ca.vertcat(*matrix.nonzeros()) if rows.size else ca.SX(0, 1)
+        return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)
+
+    def __call__(self, *arguments: Array) -> Array:
+        """Return the dense matrices (n, *shape) of n columns of every argument."""
+        n = arguments[0].shape[1]
+        found = np.zeros((n, *self.shape))
+        found[:, self.rows, self.columns] = evaluate_columns(self.entries, n, *arguments).T
+        return found
+
+
+_ROOT = math.sqrt(21.0)
+
+_REACHES: tuple[tuple[float, ...], ...] = (
+    (),
+    (1 / 2,),
+    (1 / 4, 1 / 4),
+    (1 / 7, -(7 + 3 * _ROOT) / 98, (21 + 5 * _ROOT) / 49),
+    ((11 + _ROOT) / 84, 0, (18 + 4 * _ROOT) / 63, (21 - _ROOT) / 252),
+    ((5 + _ROOT) / 48, 0, (9 + _ROOT) / 36, (14 * _ROOT - 231) / 360, (63 - 7 * _ROOT) / 80),
+    (
+        (10 - _ROOT) / 42, 0, (92 * _ROOT - 432) / 315, (633 - 145 * _ROOT) / 90, (115 * _ROOT - 504) / 70,
+        (63 - 13 * _ROOT) / 35,
+    ),
+    (1 / 14, 0, 0, 0, (14 - 3 * _ROOT) / 126, (13 - 3 * _ROOT) / 63, 1 / 9),
+    (
+        1 / 32, 0, 0, 0, (91 - 21 * _ROOT) / 576, 11 / 72, -(385 + 75 * _ROOT) / 1152,
+        (63 + 13 * _ROOT) / 128,
+    ),
+    (
+        1 / 14, 0, 0, 0, 1 / 9, -(733 + 147 * _ROOT) / 2205, (515 + 111 * _ROOT) / 504,
+        -(51 + 11 * _ROOT) / 56, (132 + 28 * _ROOT) / 245,
+    ),
+    (
+        0, 0, 0, 0, (7 * _ROOT - 42) / 18, (28 * _ROOT - 18) / 45, -(273 + 53 * _ROOT) / 72,
+        (301 + 53 * _ROOT) / 72, (28 - 28 * _ROOT) / 45, (49 - 7 * _ROOT) / 18,
+    ),
+)  # fmt: skip
+"""Stage i begins at y + h * sum of reach * k_j over the stages before it."""
+
+_SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
+"""The step is y + h * sum of share * k_i."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The derivatives of steps by w = (z, h), from those of their stages; n_stages, then n_steps first.
+
+    Attributes
+    ----------
+    jacobians : array (n_steps, n, n + 1)
+        Of the steps.
+    """
+
+    jacobians: Array
+    _rates: _Rates
+    _inputs: Array
+    _places: Array
+    _moved: Array
+    _change: Array
+    _slope_jacobians: Array
+
+    @classmethod
+    def of(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
+        """Differentiate the steps from some states (n, n_steps) with some inputs."""
+        (n, n_steps), n_stages = states.shape, len(_SHARES)
+        h = inputs[0][:, None, None]
+        found = evaluate_columns(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
+        places = found[0].transpose(1, 0, 2).reshape(n, -1)
+        slopes = found[1].transpose(0, 2, 1)
+        slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)
+        moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
+
+        def moves(shares: Array, into: Array) -> Array:
+            """The derivatives of z + h * sum of share * k_i over the first stages."""
+            used = np.flatnonzero(shares)
+            into[:, :, :n] = np.eye(n)
+            into += h * np.tensordot(shares[used], change[used], 1)
+            into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
+            return into
+
+        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+            for i, reach in enumerate(_REACHES):
+                np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
+            jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
+        return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
+
+    def hessians(self, adjoints: Array) -> Array:
+        """Hessians of ``adjoints @ step`` of every step, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
+        (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
+        h = self._inputs[0]
+        # What a slope times the width is worth: by the step itself, and by the places of the stages after it.
+        worth = np.multiply.outer(np.array(_SHARES), adjoints.T)
+        for i in reversed(range(n_stages)):
+            by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]
+            for j in np.flatnonzero(_REACHES[i]):
+                worth[j] += _REACHES[i][j] * by_place
+        weights = (h[:, None] * worth).transpose(2, 0, 1).reshape(n, -1)
+        bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
+        bent = bent.reshape(n_stages, n_steps, n, n)
+        total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (bent @ self._moved), axis=0)
+        mixed = np.sum(worth[:, :, None] @ self._change, axis=0)[:, 0]
+        total[:, -1] += mixed
+        total[:, :, -1] += mixed
+        return np.asarray(total)

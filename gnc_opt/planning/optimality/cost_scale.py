@@ -1,0 +1,199 @@
+"""What the cost and the boundary constraints amount to: by how much the flight can change them.
+
+The value of a cost says nothing, as constants may be added to it; a change by the flight's own spans does. Where
+costates vanish, as in a problem whose optimal cost is zero or that is not unique, this is the yardstick: offences in
+shares of rounding would compare noise with noise.
+
+What is too brief to matter.
+
+The unit of a cost, where it can be told from what it is made of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.problem.functions import end_values
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import MINOR, PhaseSamples
+from gnc_opt.planning.solution.scales import RESOLUTION
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import magnitude
+
+BRIEF = 1e-2
+"""What lasts less than this share of a phase counts by its mean over it: loss of cost is size times duration."""
+
+SMEARED = 1e-4
+"""A control that is between its bounds for less than this share of a phase is on its way from one to the other."""
+
+
+def lasting(times: Array, offence: Array) -> Array:
+    """Offences (m, n_times) averaged over `BRIEF` of the phase: a kink between two nodes costs next to nothing."""
+    half = 0.5 * BRIEF * (times[-1] - times[0])
+    areas = 0.5 * (offence[:, 1:] + offence[:, :-1]) * np.diff(times)
+    total = np.concatenate([np.zeros((offence.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
+    middle = np.clip(times, times[0] + half, times[-1] - half)
+    means = [
+        (np.interp(middle + half, times, row) - np.interp(middle - half, times, row)) / (2 * half)
+        for row in total
+    ]
+    return np.asarray(np.reshape(means, offence.shape))
+
+
+def without_switches(times: Array, inside: Mask) -> Mask:
+    """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
+    return lasting_longer(times, inside, SMEARED)
+
+
+def lasting_longer(times: Array, here: Mask, share: float) -> Mask:
+    """Where something holds (m, n_times) for longer than a share of the phase."""
+    arcs = here.copy()
+    for row in arcs:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for first, end in edges.reshape(-1, 2):
+            row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
+    return arcs
+
+
+def least_for_long(times: Array, values: Array) -> int:
+    """Return a sample at which values (n_times,) are least, of those that are not undercut for longer than `SMEARED`.
+
+    A dip that takes less is a switch, smeared by a polynomial that wiggles on the way. ``times`` do not decrease.
+    """
+    length = SMEARED * (times[-1] - times[0])
+    firsts = np.flatnonzero(times <= times[-1] - length)
+    ends = np.searchsorted(times, times[firsts] + length, "right")
+    peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]
+    return int(peaks[np.argmin(values[peaks])])
+
+
+def cost_unit(problem: Problem) -> str:
+    """Return the unit of a cost that is a sum or difference of times, end states or parameters of one unit, else "".
+
+    A duration is in s, a final mass in the unit of the state. Integrals and products are not told: a factor may have
+    any unit.
+    """
+    symbols, units = [problem.parameter_symbols()], list(problem.parameters.units)
+    for leg in problem.phases.values():
+        symbols += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+        units += [*leg.model.states.units, *leg.model.states.units, "s", "s"]
+        symbols.append(leg.integral_symbols())
+        units += [""] * leg.integral_symbols().shape[0]
+    slopes = ca.jacobian(problem.cost, ca.vertcat(*symbols))
+    if not slopes.is_constant():
+        return ""
+    weights = np.abs(ca.DM(slopes).full()[0])
+    counted = {unit for unit, weight in zip(units, weights, strict=True) if weight}
+    return counted.pop() if len(counted) == 1 and np.all((weights == 0) | (weights == 1)) else ""
+
+
+@dataclass(frozen=True)
+class Magnitudes:
+    """Largest changes when an end value, time, integral or parameter changes by its span.
+
+    Attributes
+    ----------
+    cost : float
+    constraints : array (n_constraints,)
+        Of the boundary constraints; where none of them changes them, their size, or 1.
+    parameters : array (n_free_parameters,)
+        Of the cost by each parameter alone, per unit of it.
+    """
+
+    cost: float
+    constraints: Array
+    parameters: Array
+
+    @classmethod
+    def of(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
+        """Vary cost and constraints."""
+        problem = solution.need_problem("verify")
+        values: list[Array] = []
+        spans: list[Array] = []
+        boxes: dict[int, tuple[Array, Array]] = {}
+        for s in samples:
+            leg = s.leg
+            boxes.update({len(values) + k: s.flown_box for k in range(2)})
+            ends = (leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left"))
+            times = (np.array([leg.initial_time]), np.array([leg.final_time]))
+            bounds = (leg.initial_time_bounds, leg.final_time_bounds)
+            values += [*ends, *times, leg.integrals, leg.parameters]
+            spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
+            spans += [integral_spans(s), np.zeros(leg.parameters.size)]
+        values.append(solution.parameter_values)
+        spans.append(parameter_scale(solution))
+        moves = [
+            (k, int(i), step)
+            for k, span in enumerate(spans)
+            for i in np.flatnonzero(span > 0)
+            for step in (span[i], -span[i])
+        ]
+        columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
+        for j, (k, i, step) in enumerate(moves, 1):
+            columns[k][i, j] = _within(columns[k][i, j] + step, boxes.get(k), i)
+        nu = np.zeros(solution.constraint_multipliers.size)
+        found = evaluate_columns(end_values(problem), 1 + len(moves), *columns, nu)
+        base = found[:, 0]
+        with np.errstate(invalid="ignore"):  # what has no value has not changed
+            changes = np.abs(found[:, 1:] - base[:, None])
+        changes = np.where(np.isfinite(changes), changes, 0.0)
+        largest, parameters = np.max(changes, axis=1, initial=0.0), np.zeros(spans[-1].size)
+        for change, (k, i, step) in zip(changes[-1], moves, strict=True):
+            if k == len(spans) - 1:
+                parameters[i] = max(parameters[i], change / abs(step))
+        largest = np.fmax(largest, RESOLUTION * np.abs(base))
+        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1], parameters)
+
+
+def integral_spans(s: PhaseSamples) -> Array:
+    """Return by how much the flight can change each integral of a phase (n_integrals,).
+
+    An integrand counts by what it is above its least, or below its largest, value along the phase; where the duration
+    may change, by its size. One that is constant counts by the share `MINOR` of what it changes when a state or control
+    is off by its span.
+    """
+    values = s.functions.integrands(s.times, s.x, s.u)
+    if not values.shape[0]:
+        return np.zeros(0)
+    above = values - np.min(values, axis=1, keepdims=True)
+    below = np.max(values, axis=1, keepdims=True) - values
+    spans = np.minimum(above @ s.weights, below @ s.weights)
+    if not s.lasts_as_told:
+        spans = np.fmax(spans, np.abs(values) @ s.weights)
+    for rows, steps, box in ((s.x, s.state_scale, s.flown_box), (s.u, s.control_span, None)):
+        for i, step in enumerate(steps):
+            for moved in (step, -step):
+                other = rows.copy()
+                other[i] = _within(other[i] + moved, box, i)
+                at = (other, s.u) if rows is s.x else (s.x, other)
+                change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
+                spans = np.fmax(spans, MINOR * np.where(np.isfinite(change), change, 0.0))
+    return np.where(np.isfinite(spans), spans, 0.0)
+
+
+def _within(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
+    """Beyond what was flown, the cost may have no value or an excessive one."""
+    return values if box is None else np.clip(values, box[0][i], box[1][i])
+
+
+def parameter_scale(solution: Solution) -> Array:
+    """Return a tenth of the range of each free parameter, or its size where it has none (n_parameters,)."""
+    box = solution.need_problem("verify").parameter_interval()
+    extent = box.upper - box.lower
+    size = magnitude(np.abs(solution.parameter_values))
+    return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
+
+
+def state_variations(s: PhaseSamples) -> Array:
+    """By what states may be varied (n,): what they move along a phase, or their size if nothing moves them.
+
+    A constant that is stated as a state, whose value is free, moves by rounding only.
+    """
+    sizes = np.max(np.abs(s.x), axis=1, initial=0.0)
+    still = (s.state_scale <= 2 * RESOLUTION * sizes) & (sizes > 0)
+    return np.where(still, sizes, s.state_scale)

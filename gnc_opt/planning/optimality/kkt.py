@@ -1,0 +1,385 @@
+r"""Linear algebra on the null space of what is active: sparse projections, and the ends of spectra.
+
+Sparse symmetric indefinite systems of first-order conditions, and what a singular one leaves undetermined.
+
+Factors of sparse symmetric matrices that are banded but for a few dense rows.
+
+The rows of a collocated program, in the order of time, have entries near the diagonal only, but for those of what the
+whole of a phase shares: a free final time, a parameter, an integral. Eliminating in an order that knows only counts of
+entries, such a row couples all that it meets. Stretched (J. Grcar, Matrix stretching for linear equations, 1990), the
+unknown :math:`y` of a dense row becomes one copy for every stretch of time and the multipliers of
+
+.. math:: y_1 = y_2 = \dots = y_K,
+
+whose rows have two entries each: the row of a copy holds the entries of its stretch, and added up, in which the
+multipliers cancel, they are the dense row. The matrix stays symmetric, its solution is the same, and it is banded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.errors import GncOptError
+from gnc_opt.planning.optimality.program_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import TINY
+
+SINGULAR = 1e13
+"""Condition number of the scaled system from which its solution has no digits to rely on."""
+
+SADDLE_REFINEMENTS = 6
+"""Steps of inverse iteration and of iterative refinement; each gains the digits that the factors have."""
+
+FREE = 1e-3
+"""A variable that moves by this share of the largest in a null vector is not determined."""
+
+LAST_DIGIT = 1e-15
+"""Relative residual at which refining a solution of the system ends."""
+
+CONSISTENT, NOISE = 1e-7, 1e-13
+"""Relative and absolute residual that the solution of a consistent system keeps below."""
+
+_SHIFT = 1e-9
+"""Relative shift under which a singular system is examined."""
+
+
+class SaddlePoint:
+    """A symmetric indefinite sparse system; redundant but consistent rows are borne, a free direction is not.
+
+    Attributes
+    ----------
+    redundant : bool
+        Whether the rows leave multipliers undetermined.
+    """
+
+    def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
+        self.labels, self._n, self._name = labels, n_primal, name
+        self._scale = _equilibrate(matrix)
+        diagonal = scipy.sparse.diags_array(self._scale)
+        self._matrix = scipy.sparse.csc_array(diagonal @ matrix @ diagonal)
+        # SuperLU may write about a structurally singular matrix instead of raising.
+        self.redundant = scipy.sparse.csgraph.structural_rank(self._matrix) < matrix.shape[0]
+        if not self.redundant:
+            try:
+                self._factors = scipy.sparse.linalg.splu(self._matrix)
+                self.redundant = not self._condition() < SINGULAR
+            except RuntimeError:  # a pivot is exactly zero
+                self.redundant = True
+        if self.redundant:
+            self._examine()
+
+    def _condition(self) -> float:
+        n = self._matrix.shape[0]
+        inverse = scipy.sparse.linalg.LinearOperator(
+            (n, n),
+            matvec=self._factors.solve,
+            rmatvec=lambda b: self._factors.solve(b, trans="T"),
+            dtype=float,
+        )
+        return (
+            float(scipy.sparse.linalg.onenormest(inverse) * np.max(np.abs(self._matrix).sum(axis=0)))
+            if n > 1
+            else 1.0
+        )
+
+    def _examine(self) -> None:
+        """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
+        n = self._matrix.shape[0]
+        signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
+        self._factors = scipy.sparse.linalg.splu(
+            scipy.sparse.csc_array(self._matrix + _SHIFT * scipy.sparse.diags_array(signs))
+        )
+        null = np.random.default_rng(0).standard_normal(n)
+        for _ in range(SADDLE_REFINEMENTS):
+            null = self._factors.solve(null / np.max(np.abs(null)))
+        null /= np.max(np.abs(null))
+        if np.max(np.abs(null[: self._n]), initial=0.0) > FREE:
+            culprit = self.labels[int(np.argmax(np.abs(null[: self._n])))]
+            raise GncOptError(
+                f"the first-order conditions of '{self._name}' do not determine '{culprit}' (the KKT system is "
+                "singular): the cost must depend on it; a singular arc needs refine(solution, structure='auto') "
+                "first, and a quantity that nothing depends on must be fixed."
+            )
+
+    def solve(self, right: Array) -> Array:
+        """Solve with iterative refinement, which also undoes the shift of a redundant system."""
+        scaled = self._scale * right
+        solved = self._factors.solve(scaled)
+        for _ in range(SADDLE_REFINEMENTS):
+            rest = scaled - self._matrix @ solved
+            if np.max(np.abs(rest), initial=0.0) <= LAST_DIGIT * np.max(np.abs(scaled), initial=TINY):
+                break
+            solved = solved + self._factors.solve(rest)
+        rest = scaled - self._matrix @ solved
+        if not np.max(np.abs(rest), initial=0.0) <= CONSISTENT * np.max(np.abs(scaled), initial=TINY) + NOISE:
+            culprit = self.labels[int(np.argmax(np.abs(rest)))]
+            raise GncOptError(
+                f"the limits of '{self._name}' that are active leave no room for its constraints, at '{culprit}': "
+                "settle bang-bang arcs with refine(solution, structure='auto') first, or free a boundary value that is "
+                "given twice."
+            )
+        return np.asarray(solved * self._scale)
+
+
+def _equilibrate(matrix: Any) -> Array:
+    """Return symmetric scale factors that bring the largest entry of every row near 1."""
+    scale = np.ones(matrix.shape[0])
+    absolute = scipy.sparse.coo_array(np.abs(matrix))
+    for _ in range(4):
+        norms = np.zeros(scale.size)
+        np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
+        scale = scale / np.sqrt(np.where(norms > 0, norms, 1.0))
+    return scale
+
+
+DENSE = 200
+"""Rows with more entries than this are dense: a row of collocation has those of the points of its segment."""
+
+STRETCH = 60
+"""Rows per copy: about as many as the band is wide."""
+
+
+def factorised(matrix: Any) -> Callable[[Array], Array]:
+    """Return what solves a linear system with a symmetric matrix (n, n): right-hand sides (n,) to solutions.
+
+    Parameters
+    ----------
+    matrix : sparse (n, n)
+    """
+    matrix = scipy.sparse.csr_array(matrix)
+    many = np.diff(matrix.indptr) > DENSE
+    dense, others = np.flatnonzero(many), np.flatnonzero(~many)
+    copies = others.size // STRETCH
+    if not dense.size or copies < 2:
+        solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
+        return solve
+    stretches = _stretches(matrix[others][:, others], copies)
+    factors = scipy.sparse.linalg.splu(_stretched(matrix, dense, others, stretches))
+    first = others.size + copies * np.arange(dense.size)  # copies
+
+    def solve_stretched(right: Array) -> Array:
+        whole = np.zeros(factors.shape[0])
+        whole[: others.size], whole[first] = right[others], right[dense]
+        found = factors.solve(whole)
+        solution = np.empty(right.size)
+        solution[others], solution[dense] = found[: others.size], found[first]
+        return solution
+
+    return solve_stretched
+
+
+def _stretches(matrix: Any, copies: int) -> Indices:
+    """The stretch of every row, by its place in an order in which the matrix is banded (Cuthill & McKee's)."""
+    order = scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_matrix(matrix), symmetric_mode=True)
+    stretches = np.empty(order.size, dtype=int)
+    stretches[order] = np.arange(order.size) * copies // order.size
+    return stretches
+
+
+def _stretched(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
+    """The matrix of the other rows, the copies of each dense one, and the multipliers of their equality."""
+    copies = int(np.max(stretches)) + 1
+    entries = scipy.sparse.coo_array(matrix)
+    stretch, place = np.zeros(matrix.shape[0], dtype=int), np.empty(matrix.shape[0], dtype=int)
+    stretch[others] = stretches
+    place[others], place[dense] = np.arange(others.size), others.size + copies * np.arange(dense.size)
+    is_dense = np.zeros(matrix.shape[0], dtype=bool)
+    is_dense[dense] = True
+    i, j = entries.row, entries.col
+    # An entry of a dense row belongs to the stretch of its column; one of two dense rows, to the first.
+    rows = place[i] + np.where(is_dense[i], stretch[j], 0)
+    columns = place[j] + np.where(is_dense[j], stretch[i], 0)
+    n = others.size + copies * dense.size
+    left = (place[dense][:, None] + np.arange(copies - 1)).ravel()
+    equal = n + np.arange(left.size)
+    one = np.ones(left.size)
+    size = n + left.size
+    values = np.concatenate([entries.data, one, one, -one, -one])
+    at = (
+        np.concatenate([rows, equal, left, equal, left + 1]),
+        np.concatenate([columns, left, equal, left + 1, equal]),
+    )
+    return scipy.sparse.csc_array((values, at), shape=(size, size))
+
+
+SLACK, REFINEMENTS = 1e-12, 1
+"""Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
+which the others are kept all the same."""
+
+SETTLED = 1e-4
+"""Residual of the eigenvectors, beside the largest eigenvalue, at which the method ends."""
+
+FOUND = 1e-6
+"""Inverse curvatures below this, beside that of the shift, are rounding: nothing is left to vary there."""
+
+
+@dataclass(frozen=True, eq=False)
+class NullSpace:
+    """The variations that keep some variables and rows of a program where they are.
+
+    Variations are taken in shares of the scales, weighed such that their squares add up to an integral over time.
+
+    Attributes
+    ----------
+    unit : sparse (n_variables, n_variations)
+        Scaled variables per variation.
+    rows : int array
+        Rows of the program that do not vary.
+    norms : array (n_rows,)
+        Of the gradients of the rows.
+    jacobian : sparse (n_rows + n_held, n_variations)
+        Of the rows by the variations, scaled to unit gradients; then that of variables that do not vary, but that
+        variations would move; then of what is held besides.
+    """
+
+    unit: Any
+    rows: Indices
+    norms: Array
+    jacobian: Any
+
+    @classmethod
+    def of(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
+        """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
+
+        Parameters
+        ----------
+        point : ProgramPoint
+        held : bool array (n_variables + n_constraints,)
+        unit : sparse (n_variables, n_variations), optional
+            Instead of a variation for each variable.
+        further : sparse (n, n_variables), optional
+            What of the scaled variables is held beside rows of the program.
+        """
+        held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
+        if unit is None:
+            unit = unit_variations(variation_weights(point.transcription))
+        unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
+        moved = unit[held]
+        moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
+        jacobian, norms = _normed(point.jacobian[rows] @ unit)
+        parts = [jacobian, _normed(moved)[0]]
+        if further is not None:
+            parts.append(_normed(further @ unit)[0])
+        return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
+
+    @property
+    def size(self) -> int:
+        """Number of variations."""
+        return int(self.unit.shape[1])
+
+    def in_shares(self, hessian: Any) -> Any:
+        """Return a Hessian by all scaled variables as one by the variations."""
+        return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
+
+    def variables(self, variation: Array) -> Array:
+        """Return the change of all scaled variables."""
+        return np.asarray(self.unit @ variation)
+
+    def factorised(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
+        """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
+        n, m = self.size, self.jacobian.shape[0]
+        matrix = saddle_matrix(hessian, self.jacobian)
+        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, SLACK))
+        return matrix, factorised(matrix - slack)
+
+    @cached_property
+    def of_identity(self) -> tuple[Any, Callable[[Array], Array]]:
+        """The same for the identity, by which variations are projected."""
+        return self.factorised(scipy.sparse.eye_array(self.size))
+
+    def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
+        """Return the inverse of a Hessian restricted to the null space."""
+        return self._restricted(*self.factorised(hessian))
+
+    @property
+    def projection(self) -> Callable[[Array], Array]:
+        """What projects variations to the null space."""
+        return self._restricted(*self.of_identity)
+
+    def _restricted(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        rows = np.zeros(self.jacobian.shape[0])
+
+        def inverse(vector: Array) -> Array:
+            right = np.concatenate([vector, rows])
+            solved = solve(right)
+            for _ in range(REFINEMENTS):
+                solved = solved + solve(right - matrix @ solved)
+            return np.asarray(solved[: vector.size])
+
+        return inverse
+
+
+def quadratic(hessian: Any, direction: Array) -> tuple[float, float]:
+    """Return the curvature along a direction, and in shares of the terms that add up to it."""
+    value = float(direction @ (hessian @ direction))
+    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
+    return value, value / max(terms, TINY)
+
+
+def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
+    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator.
+
+    With full reorthogonalisation; ends early where the ends of the spectrum have settled.
+
+    Parameters
+    ----------
+    operate : function of a vector (n,)
+    start : array (n,)
+    steps : int
+    """
+    size = float(np.linalg.norm(start))
+    if not size > 0:
+        return np.zeros(0), np.zeros((start.size, 0))
+    space = np.empty((min(steps, start.size) + 1, start.size))
+    space[0] = start / size
+    diagonal: list[float] = []
+    beside: list[float] = []
+    for k in range(space.shape[0] - 1):
+        image = operate(space[k])
+        diagonal.append(float(space[k] @ image))
+        for _ in range(2):
+            image = image - space[: k + 1].T @ (space[: k + 1] @ image)
+        length = float(np.linalg.norm(image))
+        if length <= FOUND * max(map(abs, diagonal)) or (k % 10 == 9 and _settled(diagonal, beside, length)):
+            break
+        beside.append(length)
+        space[k + 1] = image / length
+    n = len(diagonal)
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: n - 1])
+    return values, space[:n].T @ vectors
+
+
+def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
+    """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
+    return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= SETTLED * np.max(np.abs(values)))
+
+
+def _normed(rows: Any) -> tuple[Any, Array]:
+    """Rows scaled to unit length, and what they have been divided by."""
+    norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
+    norms = np.where(norms > 0, norms, 1.0)
+    return scipy.sparse.diags_array(1 / norms) @ rows, norms
+
+
+def unit_variations(squares: Array) -> Any:
+    """A variation of size 1 for each scaled variable (n_variables, n_variables), sparse."""
+    return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
+
+
+def variation_weights(transcription: Transcription) -> Array:
+    """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
+    weights, _ = quadrature_weights(transcription)
+    for part in transcription.parts.values():
+        collocation = part.collocation
+        # States at inner boundaries follow from the points: they count by what lies beside them.
+        widths = collocation.mesh.widths
+        weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
+    return weights

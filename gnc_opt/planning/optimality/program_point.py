@@ -1,0 +1,268 @@
+r"""A solution as a point of its program: scaled variables and multipliers, active limits, second derivatives.
+
+What sensitivities and the second-order conditions share. With the variables on their limits pinned (set P, the rest
+is F) and the rows on theirs held (set C), the first-order conditions at the point are
+
+.. math:: \nabla_F \mathcal L(z, \lambda) = 0, \qquad g_C(z) = b, \qquad \mathcal L = f + \lambda^T g.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.optimality.active_set import with_touches
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.warm_start import program_start
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_variables
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.tolerances import RANK
+
+WEAK = 1e-5
+"""A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramLimits:
+    """Limits of all variables or of all rows, and which of them are active (scaled).
+
+    Attributes
+    ----------
+    box : Interval
+    active : bool array (n,)
+        Those whose multiplier outweighs the distance to them, and what is fixed.
+    at : array (n,)
+        The active limits; 0 where none is.
+    labels : tuple of str
+    """
+
+    box: Interval
+    active: Mask
+    at: Array
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]) -> ProgramLimits:
+        """Tell the active limits from values and multipliers (densities)."""
+        below = (multipliers < 0) & (values - box.lower < -multipliers)
+        above = (multipliers > 0) & (box.upper - values < multipliers)
+        active = box.fixed | below | above
+        limit = np.where(above, box.upper, box.lower)
+        return cls(box, active, np.where(active, limit, 0.0), labels)
+
+    def push(self, multipliers: Array) -> Array:
+        """How much each active limit is needed: its multiplier, > 0 if it pushes inwards; NaN elsewhere."""
+        upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
+        push = np.where(upper, multipliers, -multipliers)
+        return np.where(self.active & ~self.box.fixed, push, np.nan)
+
+    def room(self, values: Array) -> Array:
+        """Distance of what is not active to its nearer limit, negative beyond; NaN elsewhere."""
+        room = np.minimum(values - self.box.lower, self.box.upper - values)
+        return np.where(self.active, np.nan, room)
+
+    def weak(self, values: Array, multipliers: Array) -> Mask:
+        """Which limits are as good as reached without being needed, or needed without being reached."""
+        return np.asarray((self.push(multipliers) < WEAK) | (self.room(values) < WEAK))
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramPoint:
+    """Variables and multipliers of a solution's program, scaled, and what is active there.
+
+    Attributes
+    ----------
+    problem : Problem
+    transcription : Transcription
+    scaling : Scaling
+    x : array (n_variables,)
+    lam : array (n_constraints,)
+        0 in rows that are not held.
+    variables, rows : ProgramLimits
+        ``variables.active`` is the set P, ``rows.active`` the set C.
+    rounding : float
+        Differences of the scaled cost below this are rounding.
+    """
+
+    problem: Problem
+    transcription: Transcription
+    scaling: Scaling
+    x: Array
+    lam: Array
+    variables: ProgramLimits
+    rows: ProgramLimits
+    rounding: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        solution: Solution,
+        meshes: Mapping[str, Mesh] | None = None,
+        scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
+        rounding: float = 0.0,
+        held: Callable[[Solution], Problem] = with_touches,
+    ) -> ProgramPoint:
+        """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
+
+        Parameters
+        ----------
+        solution : Solution
+        meshes : mapping of Mesh, optional
+        scaled_by : callable
+            The scales (n_variables,) from the program, its problem and the variables.
+        rounding : float
+            Costs below this are rounding, and not scaled to more than one: where the cost's gradient vanishes, as
+            where the least cost is zero, multipliers are rounding too.
+        held : callable
+            The problem with what is held of its state constraints.
+        """
+        problem = held(solution)
+        meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
+        transcription = transcribe(problem, meshes, solution.scheme)
+        start = program_start(transcription, problem, solution)
+        x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
+        assert lam_x is not None and lam_g is not None, "a solution has multipliers"
+        scales = scaled_by(transcription, problem, x)
+        row_scales, objective = scale_rows(transcription, problem, x, scales)
+        objective = min(objective, 1 / rounding) if rounding > 0 else objective
+        scaling = Scaling(scales, row_scales, objective)
+        lam = lam_g / row_scales * objective
+        box = _scaled(transcription.variable_interval(problem), scales)
+        row_box = _scaled(transcription.row_interval(problem), 1 / row_scales)
+        weights, row_weights = quadrature_weights(transcription)
+        p = transcription.parameter_vector(problem, scales, row_scales, objective)
+        g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
+        variables = ProgramLimits.of(
+            box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
+        )
+        rows = ProgramLimits.of(row_box, g, lam / row_weights, transcription.row_labels)
+        return cls(
+            problem,
+            transcription,
+            scaling,
+            np.where(variables.active, variables.at, x / scales),
+            np.where(rows.active, lam, 0.0),
+            variables,
+            rows,
+            rounding * objective,
+        )._with_jumps()
+
+    def _with_jumps(self) -> ProgramPoint:
+        """Return the point with the multipliers of its junctions: what jumps of the costates leave of the gradient."""
+        if not self.transcription.junctions:
+            return self
+        met = [
+            (self.transcription.parts[name].collocation.boundary_states[:, junction.boundary], rows)
+            for name, junction, rows in self.transcription.junctions
+        ]
+        states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
+        states = states[~self.variables.active[states]]
+        by_state, left = self.jacobian[rows][:, states].toarray(), self.gradient[states]
+        if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
+            return self
+        lam = self.lam.copy()
+        lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
+        return replace(self, lam=lam)
+
+    def moved(self, step: Array) -> ProgramPoint:
+        """Return the point after a step of the free variables and of the multipliers of held rows, stacked."""
+        free, held = ~self.variables.active, self.rows.active
+        x, lam, n = self.x.copy(), self.lam.copy(), int(np.sum(free))
+        x[free] += step[:n]
+        lam[held] += step[n:]
+        return replace(self, x=x, lam=lam)
+
+    # --- values and derivatives -------------------------------------------------------------------
+
+    @cached_property
+    def numbers(self) -> Array:
+        """The program's parameters."""
+        scaling = self.scaling
+        return self.transcription.parameter_vector(
+            self.problem, scaling.variables, scaling.rows, scaling.objective
+        )
+
+    @cached_property
+    def _rows_and_jacobian(self) -> tuple[Array, Any]:
+        g, jacobian = self.transcription.nlp.jac_g(self.x, self.numbers)
+        return g.full().ravel(), as_sparse(jacobian)
+
+    @property
+    def values(self) -> Array:
+        """Values of all rows (n_constraints,)."""
+        return self._rows_and_jacobian[0]
+
+    @property
+    def jacobian(self) -> Any:
+        """Of all rows by all variables, sparse."""
+        return self._rows_and_jacobian[1]
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Of the Lagrangian (n_variables,)."""
+        slope = self.transcription.nlp.grad_f(self.x, self.numbers)[1].full().ravel()
+        return np.asarray(slope + self.jacobian.T @ self.lam)
+
+    @cached_property
+    def hessian(self) -> Any:
+        """Of the Lagrangian, sparse (n_variables, n_variables)."""
+        return self.hessian_of(1.0, self.lam)
+
+    def hessian_of(self, objective: float, multipliers: Array) -> Any:
+        """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
+        upper = as_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
+        return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether its derivatives are numbers."""
+        return bool(np.isfinite(self.jacobian.data).all() and np.isfinite(self.hessian.data).all())
+
+    @property
+    def residual(self) -> Array:
+        """Of the first-order conditions: gradient by the free variables, then held rows."""
+        held = self.rows.active
+        return np.concatenate([self.gradient[~self.variables.active], (self.values - self.rows.at)[held]])
+
+    @cached_property
+    def multiplier_densities(self) -> tuple[Array, Array]:
+        """Multipliers of the limits of variables and of rows, those along a phase as densities in its fraction."""
+        weights, row_weights = quadrature_weights(self.transcription)
+        return -self.gradient / weights, self.lam / row_weights
+
+
+def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
+    """Return the symmetric matrix of a quadratic programme with equality constraints, sparse."""
+    return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
+
+
+def quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
+    """Weights (shares of the phase) of variables and rows along a phase, by which sums are integrals; 1 elsewhere."""
+    variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
+    for part in transcription.parts.values():
+        collocation = part.collocation
+        variables[collocation.point_controls] = collocation.quadrature
+        inner = ~np.isin(collocation.point_states, collocation.boundary_states)
+        wide = np.broadcast_to(collocation.quadrature, inner.shape)
+        variables[collocation.point_states[inner]] = wide[inner]
+        rows[collocation.path_rows] = collocation.quadrature
+    return variables, rows
+
+
+def _scaled(box: Interval, scales: Array) -> Interval:
+    return Interval(box.lower / scales, box.upper / scales)
+
+
+def as_sparse(matrix: Any) -> Any:
+    """Convert a sparse CasADi DM to scipy."""
+    pattern = matrix.sparsity()
+    return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

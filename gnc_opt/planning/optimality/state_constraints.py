@@ -1,0 +1,122 @@
+"""State constraints of a phase, path constraints and bounds of states, as functions with their derivatives in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.planning.optimality.active_set import MOST_ORDER
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+NEAR = 1e-2
+"""A constraint this close to its limit, in shares of what it moves, may be on it between two pushes."""
+
+PROBE = 1e-3
+"""Share of a control's range by which it is moved to see how it moves a constraint."""
+
+
+@dataclass(frozen=True, eq=False)
+class StateConstraints:
+    """The path constraints and states of a phase as functions of the state, with their derivatives.
+
+    Rows are path constraints, then states.
+    """
+
+    problem: Problem
+    samples: PhaseSamples
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.samples.leg.path_labels) + self.samples.leg.states.size
+
+    @cached_property
+    def bounds(self) -> Interval:
+        """Limits of all rows."""
+        leg = self.samples.leg
+        return Interval(
+            np.concatenate([leg.path_bounds.lower, leg.state_bounds.lower]),
+            np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
+        )
+
+    def limits(self, row: int) -> list[tuple[ArcKind, float]]:
+        """Return the limits that a row has."""
+        box = self.bounds
+        both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
+        return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
+
+    @property
+    def scales(self) -> Array:
+        """How far each row moves."""
+        return np.concatenate([self.samples.path_scale, self.samples.state_scale])
+
+    def order(self, row: int) -> int:
+        """Return the order of a row whose contacts are looked for, else 0."""
+        if not self.bounds.lower[row] < self.bounds.upper[row]:
+            return 0
+        if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
+            return 0
+        order = self._found(row).order or 0
+        return order if order <= MOST_ORDER else 0
+
+    def holders(self, row: int) -> tuple[int, ...]:
+        """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
+        controls = self._found(row).controls
+        if len(controls) < 2:
+            return controls
+        return tuple(sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True))
+
+    def leans(self, row: int) -> tuple[int, ...]:
+        """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
+        moved = [self._moved(row, control) for control in self.holders(row)]
+        return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
+
+    def _moved(self, row: int, control: int) -> Array:
+        """How a control moves the derivative of its order of a row, at the samples closest to its limits."""
+        s, order = self.samples, self.order(row)
+        distance = np.min(
+            [np.abs(self.values(s.times, s.x, s.u)[row] - at) for _, at in self.limits(row)], axis=0
+        )
+        near = distance <= max(NEAR * self.scales[row], np.min(distance))
+        times, x, u = s.times[near], s.x[:, near], s.u[:, near]
+        moved = u.copy()
+        moved[control] += PROBE * s.control_scale[control]
+        return self.derivative(row, order, times, x, moved) - self.derivative(row, order, times, x, u)
+
+    def _found(self, row: int) -> ConstraintOrder:
+        return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
+
+    def values(self, times: Array, x: Array, u: Array) -> Array:
+        """Return all rows, (n_rows, n_times)."""
+        return np.vstack([self.samples.functions.paths(times, x, u), x])
+
+    def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
+        """Return the k-th derivative of a row along the dynamics, shape of times."""
+        name, f = self.samples.leg.name, self.samples.functions
+        function = self.problem.once(("derivative", name, row, k), lambda: self._function(row, k))
+        return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
+
+    def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
+        """Return the derivative of a row by the states, (n_states,)."""
+        n_paths = len(self.samples.leg.path_labels)
+        if row < n_paths:
+            return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])
+        return np.asarray(np.eye(x.size)[row - n_paths])
+
+    def _function(self, row: int, k: int) -> Any:
+        leg = self.problem.phases[self.samples.leg.name]
+        t, x, u, p = leg.model.arguments()
+        expression = constraint_order(self.problem, leg, row).derivatives[k]
+        return ca.Function(
+            "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
+        )

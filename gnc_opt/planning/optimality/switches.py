@@ -1,0 +1,151 @@
+"""Switches of a bang-bang control: one unknown each, and the orders in which simultaneous ones may come."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import AT_LIMIT
+
+TOGETHER = 1e-7
+"""Switches nearer to each other than this share of the phase are simultaneous: their order is not known."""
+
+GRAZES = 1e-6
+"""A switching function worth less than this at an end of the phase, in shares of H, is taken to vanish there."""
+
+
+@dataclass(frozen=True)
+class Switches:
+    """The switches of a phase, and those that begin or end just beyond it.
+
+    Where a switching function vanishes at an end of the phase, a switch may come in from there: it is an unknown like
+    all others, with an arc of no length.
+
+    Attributes
+    ----------
+    times : array (n,)
+        Not decreasing, simultaneous ones equal (s).
+    channels : int array (n,)
+    first : array (n_controls,)
+        Controls before the first of them.
+    ends : array (2,)
+        Of the phase (s).
+    toggled : array (n_controls,)
+        Lower and upper bound added up: less the control, this is the control after a switch.
+    labels : tuple of str
+    """
+
+    times: Array
+    channels: Indices
+    first: Array
+    ends: Array
+    toggled: Array
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, s: PhaseSamples) -> Switches:
+        """Find the switches of a phase whose controls sit on their bounds everywhere."""
+        leg = s.leg
+        times, channels = inner_switches(s)
+        ends = leg.breaks[[0, -1]]
+        at_start, at_end = _vanishing(s, 0), _vanishing(s, -1)
+        times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
+        channels = np.concatenate([at_start, channels, at_end])
+        order = np.argsort(times, kind="stable")
+        times, channels = _joined(times[order], TOGETHER * (ends[1] - ends[0]), ends), channels[order]
+        bounds, after_start = leg.control_bounds, leg.flown(leg.breaks[0])
+        at_upper = after_start - bounds.lower > bounds.upper - after_start
+        first = np.where(at_upper, bounds.upper, bounds.lower)
+        toggled = bounds.lower + bounds.upper
+        first[at_start] = toggled[at_start] - first[at_start]
+        labels = tuple(
+            f"switch of {leg.controls.labels[i]} at {t:.6g} s" for i, t in zip(channels, times, strict=True)
+        )
+        return cls(times, channels, first, ends, toggled, labels)
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """Switches that come at one time, in order."""
+        found: list[list[int]] = []
+        for k, t in enumerate(self.times):
+            if found and self.times[found[-1][0]] == t:
+                found[-1].append(k)
+            else:
+                found.append([k])
+        return found
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The order of time."""
+        return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
+
+    @property
+    def n_orders(self) -> int:
+        """In how many orders the switches may come."""
+        return math.prod(math.factorial(len(group)) for group in self.groups)
+
+    def orders(self) -> Iterator[tuple[int, ...]]:
+        """Every order in which the switches may come."""
+        for choice in itertools.product(*(itertools.permutations(group) for group in self.groups)):
+            yield tuple(itertools.chain.from_iterable(choice))
+
+    def pieces(self, order: tuple[int, ...]) -> PiecewiseControl:
+        """The control piece by piece, with the switches in some order.
+
+        Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
+        """
+        controls = [self.first]
+        for k in order:
+            controls.append(controls[-1].copy())
+            controls[-1][self.channels[k]] = self.toggled[self.channels[k]] - controls[-1][self.channels[k]]
+        places = [0, *(1 + k for k in order), self.times.size + 1]
+        times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
+        return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
+
+    def precedences(self, order: tuple[int, ...]) -> Array:
+        """Which combinations of unknowns must not be negative for the order to hold, (n_conditions, n + 2)."""
+        pieces = self.pieces(order)
+        rows = []
+        for k in np.flatnonzero(np.diff(pieces.times) == 0):
+            row = np.zeros(self.times.size + 2)
+            row[pieces.unknowns[[k, k + 1]]] = -1.0, 1.0
+            rows.append(row)
+        return np.array(rows).reshape(-1, self.times.size + 2)
+
+
+def inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
+    """Times (s) and controls of the jumps from bound to bound at the boundaries of segments."""
+    leg = s.leg
+    breaks = leg.breaks[1:-1]
+    jumps = np.abs(leg.flown(breaks) - leg.flown(breaks, "left"))
+    span = leg.control_bounds.upper - leg.control_bounds.lower
+    with np.errstate(invalid="ignore"):
+        switched = jumps > (1 - AT_LIMIT) * span[:, None]
+    switched &= (np.isfinite(span) & (span > 0))[:, None]
+    k, i = np.nonzero(switched.T)
+    return breaks[k], i
+
+
+def _vanishing(s: PhaseSamples, sample: int) -> Indices:
+    """Controls whose switching function vanishes at the first or last sample."""
+    bounds = s.leg.control_bounds
+    worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
+    return np.flatnonzero((worth < GRAZES) & (bounds.upper > bounds.lower))
+
+
+def _joined(times: Array, near: float, ends: Array) -> Array:
+    """Sorted times with those that are nearly equal made equal, at the ends too."""
+    times = times.copy()
+    for k in range(1, times.size):
+        if times[k] - times[k - 1] < near:
+            times[k] = times[k - 1]
+    times[times - ends[0] < near] = ends[0]
+    times[ends[1] - times < near] = ends[1]
+    return times

@@ -1,0 +1,366 @@
+r"""The finite-dimensional problem that a bang-bang control induces.
+
+Its unknowns :math:`\theta` are, phase by phase, the start, one time for every switch of a control, the end and the
+start values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
+:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on the ends: limits of end values, times, durations and
+parameters, boundary constraints and linkages. Conditions at a limit are active, the others do not count. Everything is
+computed from the model by explicit integration from switch to switch (module `bang_bang_flow`).
+
+Unknowns and conditions are made dimensionless: unknowns by durations and magnitudes, conditions by what they change
+when the unknowns change by these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, bang_bang_flow
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, parameter_scale, state_variations
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.problem.functions import EndGradients, end_function
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, TINY
+
+GRIDS, RESOLVED = (1, 2, 4, 8, 16, 32), 1e-3
+"""By how much the steps of a flow may be refined, and how near the solution's end it then ends, in shares of what the
+states move: order and error of an integration are known where it resolves the dynamics only."""
+
+
+NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
+"""Why a condition on the induced problem is not judged."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What may be varied.
+
+    Attributes
+    ----------
+    labels : tuple of str
+    scale : array (n,)
+        By which each is measured.
+    worth : array (n,)
+        What a change by the scale is worth, in units of the cost: the largest switching function, H or costate times
+        it.
+    places : mapping from phase to int array
+        Where the unknowns of its flow are: start, switches, end, free start values, free parameters.
+    free_start : mapping from phase to int array
+        Rows of the free start values.
+    free : bool array (n,)
+        False for times and parameters that are given.
+    """
+
+    labels: tuple[str, ...]
+    scale: Array
+    worth: Array
+    places: Mapping[str, Indices]
+    free_start: Mapping[str, Indices]
+    free: Mask
+
+    @classmethod
+    def of(
+        cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
+    ) -> Unknowns:
+        """Number the unknowns of all phases."""
+        labels: list[str] = []
+        scale: list[float] = []
+        worth: list[float] = []
+        free: list[bool] = []
+        own: dict[str, Indices] = {}
+        starts: dict[str, Indices] = {}
+        for s in samples:
+            leg, begin = s.leg, len(labels)
+            starts[leg.name] = np.flatnonzero(~leg.initial_bounds.fixed)
+            times = ("initial time", *switches[leg.name].labels, "final time")
+            labels += [f"phase {leg.name}, {what}" for what in times]
+            labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
+            start_scale, start_worth = _of_starts(s, starts[leg.name])
+            scale += [s.span] * len(times) + list(start_scale)
+            largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
+            least = TINY + NEGLIGIBLE * s.hamiltonian_scale
+            at_switches = np.maximum(largest, least)[switches[leg.name].channels]
+            worth += list(
+                s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
+            )
+            worth += list(start_worth)
+            free += [not leg.initial_time_bounds.fixed[0], *[True] * (len(times) - 2)]
+            free += [not leg.final_time_bounds.fixed[0], *[True] * starts[leg.name].size]
+            own[leg.name] = np.arange(begin, len(labels))
+        problem = solution.need_problem("verify")
+        shared = len(labels) + np.arange(solution.parameter_values.size)
+        labels += [f"parameter {label}" for label in solution.free_parameters.labels]
+        scale += list(parameter_scale(solution))
+        free += list(~problem.parameter_interval().fixed)
+        worth += [max(s.cost_scale for s in samples)] * shared.size
+        places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
+        return cls(
+            tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool)
+        )
+
+
+def _of_starts(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+    """By what free start values are measured, and what that is worth."""
+    scale = state_variations(s)[rows]
+    still = scale > s.state_scale[rows]
+    return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions on the ends, those on end values first, then boundary constraints, then all others.
+
+    Attributes
+    ----------
+    labels : tuple of str
+    values : array (k,)
+    limits : Interval
+    jacobian : array (k, n)
+        By the unknowns, each measured by its scale.
+    multipliers : array (k,)
+        What the solution says of them; zero where it says nothing that matters here.
+    sizes : array (k,)
+        What the flight's spans change them by.
+    """
+
+    labels: tuple[str, ...]
+    values: Array
+    limits: Interval
+    jacobian: Array
+    multipliers: Array
+    sizes: Array
+
+    @property
+    def active(self) -> tuple[Mask, Mask]:
+        """Which of them are at their lower, and which at their upper limit."""
+        return self.limits.near(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class InducedProblem:
+    """The induced problem at a solution, for one order of the switches.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    gradient : array (n,)
+        Of the minimised cost by the unknowns, each measured by its scale.
+    conditions : Conditions
+    """
+
+    unknowns: Unknowns
+    gradient: Array
+    conditions: Conditions
+    _samples: list[PhaseSamples]
+    _flows: Mapping[str, BangBangFlow]
+    _at_ends: Callable[[Array], tuple[Array, ...]]
+    _changes: Array
+    _n_constraints: int
+
+    @classmethod
+    def of(
+        cls,
+        solution: Solution,
+        samples: list[PhaseSamples],
+        ends: EndGradients,
+        unknowns: Unknowns,
+        pieces: Mapping[str, PiecewiseControl],
+        refinement: int = 1,
+    ) -> InducedProblem:
+        """Fly the solution's controls and differentiate cost and conditions.
+
+        Parameters
+        ----------
+        pieces : mapping from phase to PiecewiseControl
+            With the unknowns of `Switches.pieces`.
+        refinement : int
+            Of the steps of integration that resolve the dynamics, see `bang_bang_flow`.
+        """
+        problem = solution.need_problem("verify")
+        flows = {}
+        for s in samples:
+            asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
+            grid, flow = _grid(*asked)
+            flows[s.leg.name] = flow if refinement == 1 else bang_bang_flow(*asked, refinement * grid)
+        with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
+            changes = _changes(samples, unknowns, flows)
+        derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
+        both = [flow for s in samples for flow in _ends_of(s, flows)]
+        arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
+
+        def at_ends(nu: Array) -> tuple[Array, ...]:
+            return tuple(v.full() for v in derivatives(*arguments, nu))
+
+        n_constraints = solution.constraint_multipliers.size
+        slope, jacobian, _ = at_ends(np.zeros(n_constraints))
+        conditions = _conditions(solution, samples, ends, unknowns, changes, jacobian @ changes)
+        gradient = slope.ravel() @ changes
+        return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
+
+    @property
+    def finite(self) -> bool:
+        """Whether the flow and what it changes are numbers: dynamics may be too fast for the finest steps."""
+        return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
+
+    def hessian(self, multipliers: Array) -> tuple[Array, float]:
+        """Return the Hessian of the Lagrangian (n, n), and the size of the terms that it is the sum of.
+
+        Parameters
+        ----------
+        multipliers : array (k,)
+            Of the conditions: L = cost + multipliers @ values.
+        """
+        n_states = sum(s.leg.states.size for s in self._samples)
+        # Only end values and boundary constraints curve.
+        on_states, nu = np.split(multipliers[: n_states + self._n_constraints], [n_states])
+        slope, _, curvature = self._at_ends(nu)
+        terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
+        for s in self._samples:
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _size(s)
+            adjoint = np.zeros(flow.final.size)
+            adjoint[:size] = slope[row + size : row + 2 * size, 0]
+            adjoint[:n] += on_states[state : state + n]
+            places, term = self.unknowns.places[s.leg.name], np.zeros_like(terms[0])
+            scale = self.unknowns.scale[places]
+            term[np.ix_(places, places)] = flow.curvature(adjoint) * np.outer(scale, scale)
+            terms.append(term)
+            row, state = row + 2 * size, state + n
+        return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
+
+
+def _grid(
+    problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
+) -> tuple[int, BangBangFlow]:
+    """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow.
+
+    What ends elsewhere however fine the steps are is not the flow of these controls: then they stay as they are, unless
+    dynamics that are fast for them throw it off altogether.
+    """
+    end = s.leg.x(s.leg.breaks[-1])
+    flows = []
+    for finer in GRIDS:
+        flows.append(bang_bang_flow(problem, s, pieces, free_start, finer))
+        if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED * s.state_scale):
+            return finer, flows[-1]
+    which = 0 if np.isfinite(flows[0].final).all() else -1
+    return GRIDS[which], flows[which]
+
+
+def _size(s: PhaseSamples) -> int:
+    """States, integrals and time."""
+    return s.leg.states.size + s.leg.integrals.size + 1
+
+
+def _ends_of(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
+    """States, integrals and time at the start and at the end of a flow."""
+    flow = flows[s.leg.name]
+    return flow.initial[: _size(s)], flow.final[: _size(s)]
+
+
+def _changes(samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]) -> Array:
+    """Derivatives of all starts and ends, and of the free parameters, by the unknowns."""
+    rows = []
+    for s in samples:
+        flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
+        for sensitivity in (flow.initial_sensitivity, flow.final_sensitivity):
+            block = np.zeros((_size(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _size(s)] * unknowns.scale[places]
+            rows.append(block)
+    shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
+    rows.append(np.diag(unknowns.scale)[shared])
+    return np.vstack(rows)
+
+
+def _conditions(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    unknowns: Unknowns,
+    changes: Array,
+    of_constraints: Array,
+) -> Conditions:
+    """Everything that is asked of the ends."""
+    problem = solution.need_problem("verify")
+    at_end: list[_Rows] = []
+    others: list[_Rows] = []
+    row = 0
+    for s in samples:
+        leg, name, size, n = s.leg, s.leg.name, _size(s), s.leg.states.size
+        start, end = changes[row : row + size], changes[row + size : row + 2 * size]
+        labels = [f"phase {name}, final {label}" for label in leg.states.labels]
+        limits = intersect(leg.final_bounds, leg.state_bounds)
+        at_end.append(
+            _Rows(labels, s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name], s.state_scale)
+        )
+        rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
+        labels = [f"phase {name}, initial {leg.states.labels[i]}" for i in rows]
+        limits = Interval(limits.lower[rows], limits.upper[rows])
+        multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
+        others.append(_Rows(labels, s.x[rows, 0], limits, start[rows], multipliers, s.state_scale[rows]))
+        times = np.array([leg.initial_time, leg.final_time, leg.duration])
+        labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
+        jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
+        boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+        others.append(_Rows(labels, times, _stacked(list(boxes)), jacobian, np.zeros(3), np.full(3, s.span)))
+        row += 2 * size
+    labels = [f"constraint {label}" for label in solution.constraint_labels]
+    nu, limits = solution.constraint_multipliers, problem.constraint_interval()
+    amounts = Magnitudes.of(solution, samples).constraints if nu.size else nu
+    at_end.append(_Rows(labels, ends.constraints, limits, of_constraints, nu, amounts))
+    labels, q = [f"parameter {label}" for label in solution.free_parameters.labels], solution.parameter_values
+    spans = parameter_scale(solution)
+    others.append(_Rows(labels, q, problem.parameter_interval(), changes[row:], np.zeros(q.size), spans))
+    found = [*at_end, *others]
+    return Conditions(
+        tuple(label for rows in found for label in rows.labels),
+        np.concatenate([rows.values for rows in found]),
+        _stacked([rows.limits for rows in found]),
+        np.vstack([rows.jacobian for rows in found]),
+        np.concatenate([rows.multipliers for rows in found]),
+        np.concatenate([rows.sizes for rows in found]),
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    labels: list[str]
+    values: Array
+    limits: Interval
+    jacobian: Array
+    multipliers: Array
+    sizes: Array
+
+
+def _stacked(boxes: list[Interval]) -> Interval:
+    return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+
+
+def end_derivatives(problem: Problem) -> Any:
+    """Gradient of the cost and the constraints with their multipliers, the constraints' Jacobian, and the Hessian.
+
+    A CasADi Function of the start and the end of every phase (states, integrals, time), the model parameters of every
+    phase, q and nu; all derivatives are by the starts and ends in order, then q.
+    """
+    ends = end_function(problem)
+    starts, finals, arguments, parameters = [], [], [], []
+    for k in range(len(problem.phases)):
+        x0, xf, t0, tf, integrals, p = (ca.SX.sym("v", ends.size1_in(6 * k + i)) for i in range(6))
+        starts.append(ca.vertcat(x0, ca.SX.sym("unused", integrals.shape[0]), t0))
+        finals.append(ca.vertcat(xf, integrals, tf))
+        arguments += [x0, xf, t0, tf, integrals, p]
+        parameters.append(p)
+    q, nu = (ca.SX.sym("v", ends.size1_in(6 * len(problem.phases) + i)) for i in range(2))
+    cost, constraints, *_ = ends(*arguments, q, nu)
+    both = [v for pair in zip(starts, finals, strict=True) for v in pair]
+    varied = ca.vertcat(*both, q)
+    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), varied)
+    jacobian = ca.jacobian(constraints, varied)
+    return ca.Function("end_derivatives", [*both, *parameters, q, nu], [gradient, jacobian, hessian])

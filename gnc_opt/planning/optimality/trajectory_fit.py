@@ -1,0 +1,333 @@
+r"""A trajectory known at samples, as piecewise polynomials: states by Hermite, controls by spline interpolation.
+
+Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there, fourth order
+in the sampling interval. Controls are interpolated between their jumps: by a cubic spline where they are smooth, beside
+kinks by a modified Akima spline, which has no ripples; from sample to sample by that of the two with which the
+dynamics carry the states closer to the next sample. A jump is a time given twice, with other values, or a change from
+one sample to the next that is ten times those before and after it; where in between it happens is told by the states
+in the same way. A kink is the same of slopes, and lies where the interpolants from both sides meet.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.quadrature import collocation_rule, interpolation_matrix
+from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.tolerances import TINY
+
+DEGREE = 3
+"""Collocation points per sampling interval: cubic states, quadratic controls."""
+
+JUMP = 10.0
+"""Ratio of a change of a control to those beside it from which it is a jump."""
+
+VISIBLE = 1e-3
+"""Changes of a control below this share of its range are no jumps."""
+
+AT_SAMPLE = 1e-6
+"""A jump closer to a sample than this share of the sampling interval is at the sample."""
+
+_KNOWN_BESIDE = 8
+"""Samples between jumps from which kinks are looked for."""
+
+_LOST = 1e3
+"""A miss, relative to the state, beyond which nothing depends on how large it is."""
+
+_STEPS = 4
+"""Runge-Kutta steps from a sample to a jump, and from one jump to the next."""
+
+Rates = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A phase's trajectory at samples.
+
+    Attributes
+    ----------
+    t : array (n,)
+        s, not decreasing; a time given twice is a jump.
+    x : array (n_states, n)
+    u : array (n_controls, n)
+    """
+
+    t: Array
+    x: Array
+    u: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPhase:
+    """A phase's trajectory as polynomials, one per sampling interval, on a mesh whose movable breaks are the jumps."""
+
+    mesh: Mesh
+    x: PiecewisePolynomial
+    u: PiecewisePolynomial
+
+    def split(self, parts: int) -> FittedPhase:
+        """Return the same trajectory on a mesh whose segments are cut into so many equal parts."""
+        if parts == 1:
+            return self
+        shares = np.arange(parts) / parts
+        breaks, fractions = (
+            np.append((b[:-1, None] + shares * np.diff(b)[:, None]).ravel(), b[-1])
+            for b in (self.x.breaks, np.asarray(self.mesh.breaks))
+        )
+        mesh = Mesh(
+            tuple(map(float, fractions)),
+            tuple(n for n in self.mesh.degrees for _ in range(parts)),
+            tuple(parts * k for k in self.mesh.movable),
+        )
+        return FittedPhase(mesh, *(_cut(p, breaks, parts) for p in (self.x, self.u)))
+
+
+def _cut(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
+    """The same polynomials, with values at the nodes of every part of their segments."""
+    nodes = tuple(n for n in whole.nodes for _ in range(parts))
+    values = tuple(
+        whole.values[k] @ interpolation_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
+        for k in range(len(whole.nodes))
+        for part in range(parts)
+    )
+    return PiecewisePolynomial(breaks, nodes, values)
+
+
+def fit(samples: Samples, rates: Rates) -> FittedPhase:
+    """Return polynomials through the samples.
+
+    Parameters
+    ----------
+    samples : Samples
+        Two different times at least.
+    rates : callable
+        (times, x, u) -> dx/dt, (n_states, n_times).
+    """
+    twice = np.flatnonzero(np.diff(samples.t) == 0)
+    every = tuple(range(samples.u.shape[0]))
+    jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not _changes(samples, int(i))) for i in twice]
+    unmarked = _unmarked_jumps(samples, twice)
+    jumps += unmarked
+    jumps += _kinks(samples, jumps)
+    jumps.sort(key=lambda jump: jump.after)
+    controls = _Controls(samples, jumps)
+    controls.choose(samples, rates)
+    for interval in sorted({jump.after for jump in unmarked}):
+        _place(samples, controls, [j for j in unmarked if j.after == interval], rates)
+    return _polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
+
+
+@dataclass
+class _Jump:
+    """Of some channels, or of their slopes, after a sample: at the time of it and the next one, or between them."""
+
+    after: int
+    time: float
+    channels: tuple[int, ...]
+    of_slope: bool = False
+
+
+def _changes(samples: Samples, i: int) -> bool:
+    """Whether a control jumps at a time given twice, or only its slope: then that time is not one to be optimised."""
+    size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
+    return bool(np.any(size > VISIBLE * np.ptp(samples.u, axis=1)))
+
+
+def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
+    t, u = samples.t, samples.u
+    size = np.abs(np.diff(u, axis=1))
+    size[:, twice] = 0.0
+    before, after = np.zeros_like(size), np.zeros_like(size)
+    before[:, 1:], after[:, :-1] = size[:, :-1], size[:, 1:]
+    visible = size > VISIBLE * np.ptp(u, axis=1, keepdims=True)
+    alone = visible & (size > JUMP * np.maximum(before, after))
+    if t.size <= 3:  # nothing to compare with
+        alone[:] = False
+    return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
+
+
+def _kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
+    found = []
+    for c in range(samples.u.shape[0]):
+        edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
+        for first, last in itertools.pairwise(edges):
+            found += _kinks_of(samples.t[first:last], samples.u[c, first:last], first, c)
+    return found
+
+
+def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
+    """Kinks of one control between two jumps: intervals across which its slope changes, and not beside them."""
+    if t.size < _KNOWN_BESIDE:
+        return []
+    slopes = np.diff(u) / np.diff(t)
+    turn = (
+        np.abs(slopes[4:-1] - slopes[2:-3]),
+        np.abs(slopes[2:-3] - slopes[1:-4]),
+        np.abs(slopes[5:] - slopes[4:-1]),
+    )
+    visible = turn[0] * np.diff(t)[3:-2] > VISIBLE * np.ptp(u)
+    at = 3 + np.flatnonzero(visible & (turn[0] > JUMP * np.maximum(turn[1], turn[2])))
+    at = at[
+        np.append(np.diff(at) > 1, True)[: at.size]
+    ]  # the second of two that have a kink at the sample between them
+    found, start = [], 0
+    for k in at:
+        left, right = (
+            _interpolants(t[start : k + 1], u[start : k + 1])[0],
+            _interpolants(t[k + 1 :], u[k + 1 :])[0],
+        )
+        time = _meeting(left, right, float(t[k]), float(t[k + 1]), AT_SAMPLE * float(np.ptp(u)))
+        if time is not None:
+            found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
+            start = k + 1
+    return found
+
+
+def _meeting(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
+    """Where two interpolants meet between two samples, if they do."""
+
+    def gap(time: float) -> float:
+        return float(left(time) - right(time))
+
+    for end in (first, last):
+        if abs(gap(end)) <= slack:
+            return end
+    if gap(first) * gap(last) > 0:
+        return None
+    return float(scipy.optimize.brentq(gap, first, last))
+
+
+class _Controls:
+    """Controls at any time, between their jumps; ``kinked`` says in which sampling intervals by Akima splines."""
+
+    def __init__(self, samples: Samples, jumps: list[_Jump]) -> None:
+        self._jumps = [[j for j in jumps if c in j.channels] for c in range(samples.u.shape[0])]
+        self._times, self._kinked = samples.t, np.zeros(samples.t.size - 1, dtype=bool)
+        self._pieces = []
+        for c, own in enumerate(self._jumps):
+            edges = [0, *(j.after + 1 for j in own), samples.t.size]
+            pairs = itertools.pairwise(edges)
+            self._pieces.append([_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
+
+    def __call__(self, t: float | Array, middle: float | Array) -> Array:
+        """Controls (m, n_times) at times t that lie in a segment with the given middle."""
+        times, middles = np.atleast_1d(t), np.broadcast_to(middle, np.shape(np.atleast_1d(t)))
+        kinked = self._kinked[np.clip(np.searchsorted(self._times, middles) - 1, 0, self._kinked.size - 1)]
+        values = np.empty((len(self._pieces), times.size))
+        for c, pieces in enumerate(self._pieces):
+            chosen = np.searchsorted([j.time for j in self._jumps[c]], middles)
+            for k in np.unique(chosen):
+                for which, interpolant in enumerate(pieces[k]):
+                    here = (chosen == k) & (kinked == bool(which))
+                    values[c, here] = interpolant(times[here])
+        return values
+
+    def choose(self, samples: Samples, rates: Rates) -> None:
+        """Take Akima splines where the states agree better with them."""
+        long = np.flatnonzero(np.diff(samples.t) > 0)
+        size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
+        misses = []
+        for kinked in (False, True):
+            self._kinked[:] = kinked
+            ends = _carried(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
+            misses.append(np.max(np.abs(ends - samples.x[:, long + 1]) / size, axis=0))
+        self._kinked[long] = misses[1] < misses[0]
+
+
+def _interpolants(t: Array, u: Array) -> tuple[Any, Any]:
+    """A smooth interpolant and one without ripples."""
+    if t.size < 4:
+        polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
+        return polynomial, polynomial
+    akima = scipy.interpolate.Akima1DInterpolator(t, u, method="makima", extrapolate=True)
+    return scipy.interpolate.CubicSpline(t, u), akima
+
+
+def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
+    """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
+    i = jumps[0].after
+    first, last = float(samples.t[i]), float(samples.t[i + 1])
+    size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
+
+    def miss(times: Array) -> Array:
+        for jump, time in zip(jumps, times, strict=True):
+            jump.time = float(time)
+        ends = np.unique([first, *np.clip(times, first, last), last])
+        x = samples.x[:, i]
+        for a, b in itertools.pairwise(ends):
+            x = _carried(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
+        return np.asarray(
+            np.nan_to_num((x - samples.x[:, i + 1]) / size, nan=_LOST, posinf=_LOST, neginf=-_LOST)
+        )
+
+    start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
+    found = scipy.optimize.least_squares(
+        miss, start, bounds=(first, last), x_scale=last - first, xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    slack = AT_SAMPLE * (last - first)
+    for jump, time in zip(jumps, found.x, strict=True):
+        near = time - first < slack, last - time < slack
+        jump.time = first if near[0] else last if near[1] else float(time)
+
+
+def _carried(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
+    """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
+    h, middle = (b - a) / _STEPS, 0.5 * (a + b)
+
+    def f(t: Array, x: Array) -> Array:
+        return rates(t, x, controls(t, middle))
+
+    for k in range(_STEPS):
+        t = a + k * h
+        k1 = f(t, x)
+        k2 = f(t + 0.5 * h, x + 0.5 * h * k1)
+        k3 = f(t + 0.5 * h, x + 0.5 * h * k2)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(t + h, x + h * k3))
+    return np.asarray(x)
+
+
+def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> FittedPhase:
+    t, x = samples.t, samples.x
+    inner = [j for j in jumps if not np.any(t == j.time)]
+    times = np.unique([*t, *(j.time for j in inner)])
+    before, after = np.empty((x.shape[0], times.size)), np.empty((x.shape[0], times.size))
+    before[:, np.searchsorted(times, t[::-1])] = x[:, ::-1]  # the earlier one of two at the same time
+    after[:, np.searchsorted(times, t)] = x
+    for time in dict.fromkeys(j.time for j in inner):
+        k = int(np.searchsorted(times, time))
+        here = _carried(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
+        before[:, [k]] = after[:, [k]] = here
+    widths, middles = np.diff(times), 0.5 * (times[:-1] + times[1:])
+    left, right = after[:, :-1], before[:, 1:]
+    slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
+    slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))
+    rule = collocation_rule(GAUSS, DEGREE)
+    s = 0.5 * (1 + rule.state_nodes)[:, None, None]
+    states = (
+        (1 + 2 * s) * (1 - s) ** 2 * left
+        + s * (1 - s) ** 2 * slopes_left
+        + s**2 * (3 - 2 * s) * right
+        - s**2 * (1 - s) * slopes_right
+    )
+    points = (times[:-1] + 0.5 * widths * (1 + rule.points)[:, None]).ravel()
+    values = controls(points, np.tile(middles, rule.points.size)).reshape(-1, rule.points.size, widths.size)
+    count = range(widths.size)
+    at = {int(np.searchsorted(times, j.time)) for j in jumps if not j.of_slope}
+    movable = tuple(sorted(at & set(range(1, times.size - 1))))
+    fractions = (times - times[0]) / (times[-1] - times[0])
+    return FittedPhase(
+        Mesh(tuple(fractions), (DEGREE,) * widths.size, movable),
+        PiecewisePolynomial(
+            times, (rule.state_nodes,) * widths.size, tuple(states[:, :, k].T for k in count)
+        ),
+        PiecewisePolynomial(times, (rule.points,) * widths.size, tuple(values[:, :, k] for k in count)),
+    )

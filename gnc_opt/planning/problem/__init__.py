@@ -1,0 +1,8 @@
+"""Problem and Phase: time, boundary conditions, bounds, constraints, linkages, cost and guess."""
+
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+
+__all__ = ["Constraint", "Interval", "Phase", "Problem"]

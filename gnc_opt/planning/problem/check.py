@@ -1,0 +1,246 @@
+"""Finding mistakes before the solver stumbles over them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import ProblemError, did_you_mean, warn_user
+from gnc_opt.model.variables import Variable
+from gnc_opt.planning.problem.check_functions import (
+    check_guess_in_tables,
+    check_values,
+    warn_of_kinks,
+    warn_of_norms,
+)
+from gnc_opt.planning.problem.expressions import end_points, parameter_arguments
+from gnc_opt.planning.problem.guess.singularity_avoidance import bent
+from gnc_opt.planning.problem.interval import Interval, free, intersect
+from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.tolerances import ROUNDING
+
+OFF_LIMIT = 1e-5
+"""A constraint beyond its limit by less than this, relative to its size or 1, may be meant to be at it."""
+
+
+def check_problem(problem: Statement) -> None:
+    """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
+    check_numbers(problem)
+    first = "checked" not in problem.builds
+    solved = restated(problem)
+    if first:
+        check_unused_controls(problem)
+        for leg in solved.phases.values():
+            warn_of_kinks(solved, leg)
+        _check_unused_parameters(problem)
+        problem.builds["checked"] = True
+    for leg in problem.phases.values():
+        check_guess_in_tables(problem, leg, warn=first)
+    try:
+        check_values(solved)
+    except ProblemError:
+        check_values(bent(solved))  # as the solver will start: most straight lines need no bending
+    if first:
+        for leg in solved.phases.values():
+            warn_of_norms(solved, leg)
+
+
+def check_numbers(problem: Statement) -> None:
+    """Raise `ProblemError` for what is missing and for times, bounds and end values that contradict each other.
+
+    That is all that may be wrong with a variation whose guess is not used.
+    """
+    if not problem.phases:
+        raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
+    if problem.cost is None:
+        raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
+    for leg in problem.phases.values():
+        _check_times(leg)
+        _check_boundary_values(leg)
+        _check_paths_at_ends(problem, leg)
+    for leg in problem.phases.values():
+        _check_order(problem, leg)
+    _check_constraints(problem)
+
+
+# --- numbers ------------------------------------------------------------------------------------------
+
+
+def _check_times(leg: Phase) -> None:
+    initial, final = leg.times()
+    span = leg.numbers.duration
+    least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
+    asked = leg.numbers
+    times = f"initial time {_show(asked.initial_time, 0)} s, final time {_show(asked.final_time, 0)} s"
+    if most < 0:
+        raise ProblemError(
+            f"{leg.where} ends before it starts ({times}): correct time(initial=..., final=...)."
+        )
+    if min(most, span.upper[0]) == 0:
+        raise ProblemError(f"{leg.where} has no duration ({times}): let the final time be later.")
+    slack = ROUNDING * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
+    crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
+    if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
+        raise ProblemError(
+            f"{leg.where} cannot last {_show(span, 0)} s between an initial time of "
+            f"{_show(asked.initial_time, 0)} s "
+            f"and a final time of {_show(asked.final_time, 0)} s: correct time(..., duration=...)."
+        )
+
+
+def _check_boundary_values(leg: Phase) -> None:
+    for end, values in (("initial", leg.numbers.initial), ("final", leg.numbers.final)):
+        both = intersect(values, leg.numbers.states)
+        slack = ROUNDING * (1.0 + np.abs(both.lower))
+        wrong = np.flatnonzero(both.lower > both.upper + slack)
+        if wrong.size:
+            i = int(wrong[0])
+            raise ProblemError(
+                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.where} is {_show(values, i)}, "
+                f"outside its bounds {_show(leg.numbers.states, i)}: correct one of the two."
+            )
+
+
+def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
+    """Refuse ends at which a path constraint cannot hold, whatever controls and free parameters are there."""
+    box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
+    if not box.lower.size:
+        return
+    function = leg.once("paths and parameters", lambda: _paths(problem, leg))
+    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
+    for end, time, values in zip(
+        ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
+    ):
+        arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
+        reached = ranges_of(function, arguments)
+        for k in _beyond(reached, box):
+            raise ProblemError(
+                f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
+                f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
+            )
+
+
+def _beyond(reached: Interval, box: Interval) -> list[int]:
+    """Rows whose range lies outside their limits."""
+    slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
+    outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
+    return [int(i) for i in np.flatnonzero(outside)]
+
+
+def _paths(problem: Statement, leg: Phase) -> Any:
+    arguments = (*leg.model.arguments(), problem.parameter_symbols())
+    return ca.Function("paths", arguments, [ca.densify(problem.bind(leg, leg.path_expression()))])
+
+
+def _check_order(problem: Statement, leg: Phase) -> None:
+    """Refuse a phase that starts when the one that it follows starts: ``time()`` alone fixes that at zero."""
+    if leg.follows is None:
+        return
+    before, start = problem.phases[leg.follows].times()[0], leg.times()[0]
+    if start.upper[0] <= before.lower[0]:
+        raise ProblemError(
+            f"{leg.where} follows phase '{leg.follows}' but starts at {_show(start, 0)} s, when that one starts: let "
+            f"its start be free, {leg.name}.time(initial=None, final=...)."
+        )
+
+
+def _check_constraints(problem: Statement) -> None:
+    """Refuse boundary constraints that cannot hold, whatever is free at the ends of the phases."""
+    box, legs = problem.constraint_interval(), problem.phases.values()
+    if not box.lower.size:
+        return
+    arguments: list[Interval] = []
+    for leg in legs:
+        values, p = leg.numbers, leg.model.parameter_values
+        ends = (intersect(end, values.states) for end in (values.initial, values.final))
+        arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
+    function = problem.once("constraints", lambda: _constraints(problem))
+    reached = ranges_of(function, [*arguments, problem.parameter_interval()])
+    for k in _beyond(reached, box):
+        raise ProblemError(
+            f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
+            f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
+            "correct one of the two."
+        )
+
+
+def _constraints(problem: Statement) -> Any:
+    legs, arguments = problem.phases.values(), []
+    for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
+        arguments += [*end_points(leg), parameters]
+    rows = problem.constraint_expression()
+    for leg in legs:
+        rows = problem.bind(leg, rows)
+    return ca.Function("constraints", [*arguments, problem.parameter_symbols()], [ca.densify(rows)])
+
+
+def _show(interval: Interval | None, i: int) -> str:
+    if interval is None:
+        return "free"
+    lower, upper = interval.lower[i], interval.upper[i]
+    return f"{lower:g}" if lower == upper else f"[{lower:g}, {upper:g}]"
+
+
+# --- what is used where -------------------------------------------------------------------------------
+
+
+def _along(problem: Statement, leg: Phase) -> Any:
+    """All expressions along a phase, stacked."""
+    return problem.bind(
+        leg, ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+    )
+
+
+def _used(expressions: list[Any]) -> set[int]:
+    return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
+
+
+def _idle(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
+    """Names of the components of a variable that are used nowhere."""
+    scalars = ca.vertsplit(symbol)
+    return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
+
+
+def check_unused_controls(problem: Statement) -> None:
+    """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
+    ends = _used([ca.vertcat(problem.cost, problem.constraint_expression())])
+    for leg in problem.phases.values():
+        counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
+        along = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
+        used = _used([problem.bind(leg, along)])
+        for variable in leg.model.controls.variables:
+            idle = _idle(variable, leg.model.symbol(variable.name), used)
+            if idle:
+                raise ProblemError(
+                    f"control '{idle[0]}' of {leg.where} appears in no dynamics, path constraint or integral of the "
+                    "cost or a constraint: use it or remove it (its value would be arbitrary)."
+                )
+
+
+def _check_unused_parameters(problem: Statement) -> None:
+    ends = ca.vertcat(problem.cost, problem.constraint_expression())
+    legs = problem.phases.values()
+    used = _used([ends, *(problem.bind(leg, ends) for leg in legs), *(_along(problem, leg) for leg in legs)])
+    models = {id(leg.model): leg.model for leg in legs}.values()
+    known = [name for model in models for name in model.parameters.names]
+    for variable in problem.parameters.variables:
+        symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]
+        if len(_idle(variable, symbol, used)) == variable.size:
+            raise ProblemError(
+                f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
+                "model has a "
+                f"parameter of that name: {did_you_mean(variable.name, known)}"
+            )
+    for model in models:
+        for variable in model.parameters.variables:
+            bound = variable.name in problem.parameters
+            if not bound and len(_idle(variable, model.symbol(variable.name), used)) == variable.size:
+                warn_user(
+                    f"parameter '{variable.name}' of model '{model.name}' is used nowhere: remove it or use "
+                    "it."
+                )

@@ -1,0 +1,422 @@
+"""Trying every function of a problem, and its derivatives, at the guess: is everything finite there?
+
+Warnings of what a solver that needs two derivatives will stumble over: kinks, jumps and coarse tables.
+
+Warnings of what controls do by hand that cannot be restated as norms: its derivatives fail where they are zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, warn_user
+from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.planning.problem.expressions import (
+    along,
+    end_points,
+    outside_tables,
+    parameter_arguments,
+    table_uses,
+)
+from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.magnitudes import phase_magnitudes
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+_IN_PHASES = "let a phase end there and link() the next one to it"
+_KINKS: dict[int, tuple[str, str]] = {
+    ca.OP_FABS: (
+        "fabs, which has a kink",
+        "use smooth_abs(), or split_control() for a control whose size costs",
+    ),
+    ca.OP_SIGN: ("sign, which jumps", f"use tanh(x / width), or {_IN_PHASES}"),
+    ca.OP_FLOOR: ("floor (or %), which jumps", _IN_PHASES),
+    ca.OP_CEIL: ("ceil, which jumps", _IN_PHASES),
+    ca.OP_FMOD: ("fmod, which jumps", _IN_PHASES),
+    ca.OP_REMAINDER: ("remainder, which jumps", _IN_PHASES),
+    ca.OP_FMIN: ("fmin, which has a kink", "use a control that path constraints keep below both"),
+    ca.OP_FMAX: ("fmax, which has a kink", "use a control that path constraints keep above both"),
+    **dict.fromkeys(
+        (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE),
+        ("a comparison (if_else), which switches", f"{_IN_PHASES}, or blend with tanh"),
+    ),
+}
+"""What an operation does to a trajectory, and what to write instead."""
+
+_EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
+_NOT_CONVEX = {
+    "the rate of state": "use smooth_abs() to round it off, for a flight may rest on it where no derivative is; "
+    f"or {_IN_PHASES}; of controls alone, as a dead zone is, let its value be the control",
+    "path constraint": "it leaves a hole, or is limited from both sides, so that it could not be restated: state the "
+    "side that is meant, or a phase per side",
+    "integral": "it is not known to cost the more the larger it is, so that it could not be restated: give bounds that "
+    "tell the signs of its factors, or use smooth_abs()",
+}
+"""What to do about kinks in what is restated otherwise."""
+
+_CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
+
+
+def warn_of_kinks(problem: Statement, leg: Phase) -> None:
+    """Issue a `ProblemWarning` for each kind of operation without derivatives along a phase, and coarse tables."""
+    uses = table_uses(problem, leg)
+    for table in dict.fromkeys(use.table for use in uses):
+        if table.method == "linear":
+            warn_user(
+                f"table '{table.name}' in {leg.where} is linear and has a kink at each of its points, which "
+                'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
+                "put mesh boundaries there."
+            )
+    if not operations_in(along(leg)) & _KINKS.keys():
+        return
+    looked_up = frozenset[int]().union(*(use.hashes for use in uses))
+    for operation, (kind, where) in _first_kinks(problem, leg, looked_up):
+        meaning, remedy = _KINKS[operation]
+        if operation in _EXTREMA:  # one that could not be restated
+            remedy = _NOT_CONVEX.get(kind, remedy)
+        warn_user(f"{kind} '{where}' of {leg.where} contains {meaning}: {remedy}.")
+
+
+def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
+    """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
+    if not table_uses(problem, leg):
+        return
+    start = start_phase(leg, _CHECK_SMOOTH_FRACTIONS)
+    times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
+    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    p = leg.model.parameter_values
+    for found in outside_tables(problem, leg, times, start.states, start.controls, p, q):
+        if found.table.outside == "error":
+            raise ProblemError(
+                f"the guess leaves a table ({found}): give another guess(), or a larger table."
+            )
+        if warn:
+            warn_user(
+                f"the guess leaves a table ({found}), which goes on there as '{found.table.outside}' says."
+            )
+
+
+def _first_kinks(
+    problem: Statement, leg: Phase, looked_up: frozenset[int]
+) -> Iterator[tuple[int, tuple[str, str]]]:
+    """Yield each meaning's first operation with the kind and name of its expression."""
+    t, x, u, _ = leg.model.arguments()
+    free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
+    changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
+    kinds = (
+        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
+        ("path constraint", leg.path_labels, leg.path_expression()),
+        ("integral", tuple(leg.integrands), leg.integrand_expression()),
+    )
+    told: set[str] = set()
+    for what, labels, stacked in kinds:
+        for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
+            for node in nodes_of(expression):
+                operation = node.op()
+                if operation not in _KINKS or node.element_hash() in looked_up:
+                    continue
+                if _KINKS[operation][0] not in told and ca.depends_on(node, changing):
+                    told.add(_KINKS[operation][0])
+                    yield operation, (what, label)
+
+
+_CHECK_NORMS_FRACTIONS = np.linspace(0.2, 0.8, 4)
+_REMEDY = (
+    "if that is the norm of a vector, declare it with Model.vector_control() and limit it with bounds_norm()"
+)
+
+
+def warn_of_norms(problem: Statement, leg: Phase) -> None:
+    """Issue a `ProblemWarning` for each of `norms_by_hand`."""
+    for text in norms_by_hand(problem, leg):
+        warn_user(f"{text}.")
+
+
+def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
+    """Return what is wrong with functions of controls, such as a norm, and what to write instead.
+
+    Norms of controls that `restated` knows are none of these in a restated problem.
+
+    Derivatives by the controls fail if controls are zero: of a norm they do not exist there, and of a limit such as
+    ``T @ T <= d**2`` they are all zero, so that the Jacobian of the constraints is singular where an optimum coasts. A
+    lower limit has a hole around zero, from which no derivative leads out if a guess is there.
+    """
+    start = start_phase(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
+    times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
+    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    box = leg.numbers.controls
+    still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
+    guessed = try_along(problem, leg, times, start.states, start.controls, q)
+    texts = []
+    for kind, tried in try_along(problem, leg, times, start.states, still, q).items():
+        for row, what in _offences(leg, tried, guessed[kind]):
+            texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.where} has {what}: {_REMEDY}")
+    return texts
+
+
+def _offences(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
+    """Yield rows, and what is wrong with them where all controls are zero, and at the guess."""
+    n = leg.model.states.size
+    columns = slice(n, n + leg.model.controls.size)
+    by_controls = tried.derivatives[:, columns]
+    finite = np.all(np.isfinite(tried.values), axis=1)
+    for row in np.flatnonzero(finite & ~np.all(np.isfinite(by_controls), axis=(1, 2))):
+        yield int(row), "no derivative where controls are zero"
+    if tried.what != "path constraint":  # what follows is of limits
+        return
+    box, controls = leg.path_interval(), leg.model.symbols("control")
+    depends = np.array(ca.which_depends(leg.path_expression(), controls, 1, True))
+    flat = depends & np.all(by_controls == 0, axis=(1, 2))
+    below, above = tried.values < box.lower[:, None], tried.values > box.upper[:, None]
+    at_limit = np.all((tried.values == box.lower[:, None]) | (tried.values == box.upper[:, None]), axis=1)
+    for row in np.flatnonzero(flat & at_limit):
+        yield (
+            int(row),
+            "its limit, and no slope, where controls are zero, so that the solver's Jacobian is singular",
+        )
+    stuck = flat & np.any(below | above, axis=1) & np.all(guessed.derivatives[:, columns] == 0, axis=(1, 2))
+    for row in np.flatnonzero(stuck):
+        yield (
+            int(row),
+            "no slope at the guess, where controls are zero and its limits are left, so that nothing leads inside",
+        )
+
+
+_FRACTIONS = (np.arange(11) + 0.5) / 11
+"""Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
+
+_PUSH = 1e-2
+"""How far (scaled) the guess is moved off bounds before functions are tried; IPOPT does the same."""
+
+_FEW = 12
+"""Up to so many variables a message shows the point at which a function is not finite."""
+
+
+def check_values(problem: Statement) -> None:
+    """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
+    ends: list[Any] = []
+    for leg in problem.phases.values():
+        ends += _check_along(problem, leg)
+    _check_ends(problem, ends)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Functions of one kind, their values (rows, times) and derivatives (rows, columns, times)."""
+
+    what: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: Array
+    derivatives: Array
+
+    @classmethod
+    def at(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> Tried:
+        values, jacobian = (np.asarray(output.full()) for output in outputs)
+        shape = (len(rows), len(columns), values.shape[1])
+        return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
+
+    def first_bad(self) -> tuple[str, int] | None:
+        """What is not finite, and which of the times is the first one."""
+        bad = np.argwhere(~np.isfinite(self.values))
+        if bad.size:
+            row, time = bad[np.argmin(bad[:, 1])]
+            return f"{self.what} '{self.rows[row]}' is {self.values[row, time]}", int(time)
+        bad = np.argwhere(~np.isfinite(self.derivatives))
+        if bad.size:
+            row, column, time = bad[np.argmin(bad[:, 2])]
+            slope = (
+                f"the derivative of {self.what} '{self.rows[row]}' with respect to '{self.columns[column]}'"
+            )
+            return f"{slope} is {self.derivatives[row, column, time]}", int(time)
+        return None
+
+
+@dataclass(frozen=True)
+class NotFinite:
+    """A function or derivative that is NaN or infinite: what, when (s), at which states and controls."""
+
+    what: str
+    time: float
+    point: Mapping[str, float]
+
+
+def first_not_finite(
+    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> NotFinite | None:
+    """Return the first function along a phase that is not finite, or has a derivative that is not.
+
+    Parameters
+    ----------
+    times : array (N,)
+    states, controls : array (n_states, N), (n_controls, N)
+    parameters : array (n_free_parameters,)
+    """
+    for tried in try_along(problem, leg, times, states, controls, parameters).values():
+        bad = tried.first_bad()
+        if bad:
+            labels = (*leg.model.states.labels, *leg.model.controls.labels)
+            values = (*states[:, bad[1]], *controls[:, bad[1]])
+            return NotFinite(bad[0], float(times[bad[1]]), dict(zip(labels, values, strict=True)))
+    return None
+
+
+def try_along(
+    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> dict[str, Tried]:
+    """Return functions along a phase and their derivatives, at the points of `first_not_finite`, by their kind."""
+    columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
+    tried = {}
+    for what, rows, function in _functions_along(problem, leg):
+        outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
+        tried[what] = Tried.at(what, rows, columns, outputs)
+    return tried
+
+
+def not_finite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
+    """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
+    return _Guessed.of(leg).not_finite(problem, leg)
+
+
+@dataclass(frozen=True)
+class _Guessed:
+    """The guess of a phase, and points along it, a little off its bounds.
+
+    Attributes
+    ----------
+    start : PhaseStart
+        At both ends and between.
+    scales : array (n_states,)
+    along : tuple of array (N,), (n_states, N), (n_controls, N)
+        Times (s), states and controls between the ends.
+    """
+
+    start: PhaseStart
+    scales: Array
+    along: tuple[Array, Array, Array]
+
+    @classmethod
+    def of(cls, leg: Phase) -> _Guessed:
+        # With the ends, where users' functions are told of.
+        start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
+        scales, control_scales = phase_magnitudes(leg)
+        states = _inside(start.states[:, 1:-1], leg.numbers.states, scales)
+        controls = _inside(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
+        return cls(start, scales, (times, states, controls))
+
+    def not_finite(self, problem: Statement, leg: Phase) -> NotFinite | None:
+        return first_not_finite(problem, leg, *self.along, _parameter_guess(problem))
+
+
+def _check_along(problem: Statement, leg: Phase) -> list[Any]:
+    """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
+    numbers, guessed = leg.numbers, _Guessed.of(leg)
+    start = guessed.start
+    bad = guessed.not_finite(problem, leg)
+    if bad:
+        raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
+    integrals = np.zeros(0)
+    if leg.integrands:
+        integrands = try_along(problem, leg, *guessed.along, _parameter_guess(problem))["integral"]
+        integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
+    first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales)
+    last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
+    return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
+
+
+def _check_ends(problem: Statement, ends: list[Any]) -> None:
+    """Try the cost and the boundary constraints at the end points of the guess."""
+    for what, rows, columns, function in _functions_at_ends(problem):
+        tried = Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
+        bad = tried.first_bad()
+        if bad:
+            raise _not_finite(f"{bad[0]} at the end points of the guess", {})
+
+
+def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
+    """Move values (n, N) into the bounds (n,) and, where those leave room, a little off them."""
+    lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
+    push = _PUSH * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
+    return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
+
+
+def _parameter_guess(problem: Statement) -> Array:
+    return np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+
+
+def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+    """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    kinds = (
+        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
+        ("path constraint", leg.path_labels, leg.path_expression()),
+        ("integral", tuple(leg.integrands), leg.integrand_expression()),
+    )
+
+    def build() -> list[tuple[str, tuple[str, ...], Any]]:
+        return [
+            (what, rows, _with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]))
+            for what, rows, expression in kinds
+            if rows
+        ]
+
+    return problem.once(("check", leg.name), build)
+
+
+def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+    """Kind, names, variables and function of the cost and of the boundary constraints."""
+
+    def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+        arguments: list[Any] = []
+        variables: list[Any] = []
+        columns: list[str] = []
+        legs = problem.phases.values()
+        for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
+            own = end_points(leg)
+            variables += own
+            arguments += [*own, parameters]
+            columns += [
+                f"{end} {label} of {leg.name}"
+                for end in ("initial", "final")
+                for label in leg.model.states.labels
+            ]
+            columns += [f"{end} time of {leg.name}" for end in ("initial", "final")]
+            columns += [f"integral {label} of {leg.name}" for label in leg.integrands]
+        q = problem.parameter_symbols()
+        columns += problem.parameters.labels
+        kinds = (
+            ("the cost of problem", (problem.name,), problem.cost),
+            ("constraint", problem.constraint_labels(), problem.constraint_expression()),
+        )
+        built = []
+        for what, rows, expression in kinds:
+            for leg in problem.phases.values():
+                expression = problem.bind(leg, expression)
+            if rows:
+                function = _with_jacobian(expression, ca.vertcat(*variables, q), [*arguments, q])
+                built.append((what, rows, tuple(columns), function))
+        return built
+
+    return problem.once("check ends", build)
+
+
+def _with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
+    jacobian = ca.densify(ca.jacobian(expression, variables))
+    return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
+
+
+def _not_finite(what: str, point: Mapping[str, float]) -> ProblemError:
+    shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= _FEW else ""
+    return ProblemError(
+        f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "
+        "singularity."
+    )

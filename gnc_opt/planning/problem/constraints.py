@@ -1,0 +1,92 @@
+"""Constraint: an expression between limits, along a phase or at the ends of phases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.variables import Variable, as_expression, as_vector
+from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows.
+
+    Attributes
+    ----------
+    name : str
+    expression : casadi.SX (size, 1)
+    interval : Interval
+        Limits that are asked for.
+    declared : Interval, optional
+        The same as they were declared, where some of them are free as long as bounds keep them.
+
+    Examples
+    --------
+    >>> slow = problem.with_bounds(a=(-1.0, 1.0)).phases["leg"]
+    >>> slow.path("speed", v, lower=-0.8)
+    >>> print([(name, limit.interval.lower) for name, limit in slow.paths.items()])
+    [('speed', array([-0.8]))]
+    """
+
+    name: str
+    expression: Any
+    interval: Interval
+    declared: Interval | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.interval.lower.size)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Row names."""
+        return Variable(self.name, self.size).labels
+
+
+def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
+    """Build a `Constraint`, refusing contradictory or missing limits; of ``a <= b`` that is ``a - b <= 0``."""
+    value = as_expression(expression, what, None, ProblemError)
+    if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
+        if not (lower is equals is upper is None):
+            raise ProblemError(f"{what} is a comparison and has a limit beside it: give one or the other.")
+        return _of_comparisons(name, value, what)
+    if equals is not None and (lower is not None or upper is not None):
+        raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")
+    if equals is None and lower is None and upper is None:
+        raise ProblemError(f"{what} has no limit: give lower, upper or equals, or write it as a <= b.")
+    size = value.shape[0]
+    if equals is not None:
+        return Constraint(name, value, read_interval(as_vector(equals, size, what), size, what))
+    return Constraint(name, value, read_range(lower, upper, size, what))
+
+
+_COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
+
+
+def _of_comparisons(name: str, value: Any, what: str) -> Constraint:
+    """Read rows ``a <= b``, ``a < b`` (which is the same to an optimiser) or ``a == b``; numbers become the limits."""
+    rows, ends = [], []
+    for row in ca.vertsplit(value):
+        if row.op() not in _COMPARISONS[:3]:
+            remedy = "write all of its rows with <=, >= or =="
+            raise ProblemError(f"{what} has a row that is no inequality and no equation: {remedy}.")
+        left, right = row.dep(0), row.dep(1)
+        equal = row.op() == ca.OP_EQ
+        if right.is_constant():
+            rows.append(left)
+            ends.append((float(right) if equal else -np.inf, float(right)))
+        elif left.is_constant():
+            rows.append(right)
+            ends.append((float(left), float(left) if equal else np.inf))
+        else:
+            rows.append(left - right)
+            ends.append((0.0 if equal else -np.inf, 0.0))
+    lower, upper = np.array(ends).T
+    return Constraint(name, ca.vertcat(*rows), read_range(lower, upper, len(rows), what))

@@ -1,0 +1,210 @@
+"""Which symbols may stand in which expression of a problem.
+
+The tables that a problem looks things up in: which ones, and where a trajectory is outside of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, right_symbol
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.expressions import nodes_of
+from gnc_opt.model.model import Model
+from gnc_opt.model.table import Table, TableUse
+from gnc_opt.model.variables import Layout, foreign_symbols
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+SLACK = 1e-6
+"""Share of an axis by which a trajectory may be outside of a table: an optimum at its edge is there to rounding."""
+
+
+@dataclass(frozen=True)
+class OutsideTable:
+    """A trajectory leaves a table.
+
+    Attributes
+    ----------
+    table : Table
+    phase : str
+    axis : int
+        From 0.
+    value : float
+        The argument that is farthest outside.
+    time : float
+        When it is that, s.
+    span : tuple of float
+        First and last time outside, s.
+    """
+
+    table: Table
+    phase: str
+    axis: int
+    value: float
+    time: float
+    span: tuple[float, float]
+
+    def __str__(self) -> str:
+        grid = self.table.grids[self.axis]
+        argument = f"argument {self.axis + 1} " if len(self.table.grids) > 1 else ""
+        first, last = self.span
+        when = f"{first:.4g} s" if first == last else f"{first:.4g} to {last:.4g} s"
+        return (
+            f"'{self.table.name}' flown outside at t = {when} in phase {self.phase}: {argument}{self.value:.6g} "
+            f"at t = {self.time:.4g} s, beyond {grid[0]:g} to {grid[-1]:g}"
+        )
+
+
+def along(leg: Phase) -> Any:
+    """Return all expressions along a phase, stacked, in the symbols of its model."""
+    return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+
+
+def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
+    """Return the calls of tables in what varies along a phase."""
+
+    def find() -> tuple[TableUse, ...]:
+        known = [*leg.model.table_uses(), *problem.parameter_table_uses()]
+        if not known:
+            return ()
+        present = {node.element_hash() for node in nodes_of(along(leg))}
+        return tuple({id(use): use for use in known if use.hashes & present}.values())
+
+    return problem.once(("tables", leg.name), find)
+
+
+def outside_tables(
+    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
+) -> list[OutsideTable]:
+    """Return where a trajectory is outside of tables.
+
+    Parameters
+    ----------
+    times : array (N,)
+    states, controls : array (n_states, N), (n_controls, N)
+    p, q : array
+        Values of the model's and of the problem's free parameters.
+    """
+    uses = table_uses(problem, leg)
+    if not uses:
+        return []
+    arguments = evaluate(_arguments(problem, leg, uses), times, states, controls, p, q)
+    found, row = [], 0
+    for use in uses:
+        for axis, grid in enumerate(use.table.grids):
+            beyond = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
+            out = np.flatnonzero(beyond > SLACK * (grid[-1] - grid[0]))
+            if out.size:
+                worst = int(np.argmax(beyond))
+                span = (float(times[out[0]]), float(times[out[-1]]))
+                value, when = float(arguments[row, worst]), float(times[worst])
+                found.append(OutsideTable(use.table, leg.name, axis, value, when, span))
+            row += 1
+    return found
+
+
+def _arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
+    """The function (t, x, u, p, q) -> all arguments of all tables."""
+
+    def build() -> Any:
+        stacked = ca.densify(ca.vertcat(*(use.arguments for use in uses)))
+        names = ["t", "x", "u", "p", "q"]
+        inputs = [*leg.model.arguments(), problem.parameter_symbols()]
+        return ca.Function("tables", inputs, [problem.bind(leg, stacked)], names, ["arguments"])
+
+    return problem.once(("table arguments", leg.name), build)
+
+
+def end_symbols(phases: Iterable[Phase], free_parameters: Any) -> list[Any]:
+    """Return all symbols that a cost or boundary constraint may use: phase by phase, then the free parameters."""
+    symbols: list[Any] = []
+    for leg in phases:
+        symbols += [*end_points(leg), leg.model.symbols("parameter")]
+    return [*symbols, free_parameters]
+
+
+def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
+    """Return the model parameters of each phase, as arguments of a function of all phases.
+
+    A function cannot take a symbol twice: of phases that share a model, only the first brings its symbols,
+    and the others bring placeholders of the same size.
+    """
+    taken: set[int] = set()
+    arguments = []
+    for leg in phases:
+        own = leg.model.symbols("parameter")
+        elements = {element.element_hash() for element in ca.vertsplit(own)}
+        arguments.append(ca.SX.sym("unused", own.shape[0]) if elements & taken else own)
+        taken |= elements
+    return arguments
+
+
+def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
+    """Raise `ProblemError` if a cost or boundary constraint uses what is not a value at an end of a phase."""
+    phases = list(phases)
+    foreign = foreign_symbols(expression, end_symbols(phases, free_parameters))
+    if not foreign:
+        return
+    name = foreign[0]
+    for leg in phases:
+        if name not in foreign_symbols(expression, list(leg.model.arguments())):
+            raise ProblemError(
+                f"{what} uses '{name}', which varies along phase '{leg.name}': use "
+                f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
+            )
+    raise ProblemError(
+        f"{what} uses '{name}', which belongs to no phase of this problem: use end points, times, integrals "
+        "and parameters of its own phases."
+    )
+
+
+def refuse_foreign_along(
+    leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
+) -> None:
+    """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters.
+
+    Parameters
+    ----------
+    phases : iterable of Phase
+        All of the problem.
+    parameters : Layout
+        Names of the problem's free parameters.
+    free_parameters : casadi.SX
+        Their symbols, stacked.
+    """
+    foreign = foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
+    if not foreign:
+        return
+    name = foreign[0]
+    if name not in foreign_symbols(expression, [s for other in phases for s in end_points(other)]):
+        raise ProblemError(
+            f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
+            "while along a phase there are states, controls, time and parameters."
+        )
+    known = [
+        n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
+    ]
+    raise ProblemError(
+        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': {right_symbol(name, known)}"
+    )
+
+
+def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
+    """Raise `ProblemError` if a free parameter and the model's parameter of that name differ in size."""
+    if name in model.parameters and model.parameters[name].size != size:
+        raise ProblemError(
+            f"parameter '{name}' of problem '{problem}' has {size} components, but in model '{model.name}' "
+            f"it has {model.parameters[name].size}: declare it with that size."
+        )
+
+
+def end_points(leg: Phase) -> list[Any]:
+    """Return the symbols of what is known at the ends of a phase: states at both, both times, integrals."""
+    return [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]

@@ -1,0 +1,385 @@
+r"""Numeric functions of a stated problem: dynamics, Hamiltonian and its derivatives, end-point functions.
+
+This module owns the sign of the Hamiltonian. For the minimised functional J,
+
+.. math:: H = \sum_i w_i L_i + \lambda^T f, \qquad H_a = H + \mu^T c,
+
+with integrands L_i and their weights w_i = dJ/dI_i (1 for a plain Lagrange cost), path constraints c and
+multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H, and
+:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so they can judge
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.evaluation import Operations, evaluate, fast_call
+from gnc_opt.model.integration import step_function
+from gnc_opt.model.variables import as_expression
+from gnc_opt.planning.problem.expressions import parameter_arguments
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+
+_ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
+
+
+_JUMPS = (
+    *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE),
+)
+
+
+@dataclass(frozen=True)
+class PhaseFunctions:
+    """Functions of one phase; every method takes one time or many (time as the last axis).
+
+    Attributes
+    ----------
+    p : array (n_model_parameters,)
+        Values of the model's parameters.
+    q : array (n_free_parameters,)
+        Values of the problem's free parameters.
+    weights : array (n_integrals,)
+        dJ/dI of each integral.
+    """
+
+    functions: dict[str, Any]
+    p: Array
+    q: Array
+    weights: Array
+
+    def rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dx/dt, shape of x."""
+        return self._call("rates", t, x, u)
+
+    def fast_rates(self) -> Callable[[float, Array, Array], Array]:
+        """Return dx/dt as a function of (t, x, u) at one time without conversion overhead, for integrators."""
+        function = self.functions["rates"]
+        costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
+        return fast_call(function, costates, multipliers, self.weights, self.p, self.q)
+
+    def fast_steps(self) -> Callable[..., Array]:
+        """Return `gnc_opt.model.integration.step_function` of the dynamics without conversion overhead."""
+        function = self.functions["rates"]
+        if "step" not in self.functions:
+            self.functions["step"] = step_function(function)
+        costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
+        return fast_call(self.functions["step"], costates, multipliers, self.weights, self.p, self.q)
+
+    def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Path constraint values, shape (n_paths, ...)."""
+        return self._call("paths", t, x, u)
+
+    def integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Integrand values, shape (n_integrals, ...)."""
+        return self._call("integrands", t, x, u)
+
+    def effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Return all that controls act on, (n + n_paths + n_integrals, ...): rates, path constraints and integrands."""
+        return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
+
+    def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
+        """H = w.L + lam.f, shape (...)."""
+        return np.asarray(self._call("hamiltonian", t, x, u, lam)[0])
+
+    def switching(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
+        """dH/du without path multipliers: the switching functions, shape of u."""
+        return self._call("switching", t, x, u, lam)
+
+    def control_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d(H + mu.c)/du, shape of u."""
+        return self._call("control_gradient", t, x, u, lam, mu)
+
+    def state_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d(H + mu.c)/dx, shape of x."""
+        return self._call("state_gradient", t, x, u, lam, mu)
+
+    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
+        """Partial derivative of H + mu.c with respect to time, shape (...)."""
+        return np.asarray(self._call("time_gradient", t, x, u, lam, mu)[0])
+
+    def parameter_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
+        return self._call("parameter_gradient", t, x, u, lam, mu)
+
+    def control_hessian(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
+        flat = self._call("control_hessian", t, x, u, lam, mu)
+        m = np.shape(u)[0]
+        return flat.reshape(m, m, *flat.shape[1:])
+
+    @property
+    def separable_controls(self) -> Mask:
+        """Controls of which H is the sum of affine functions and a function of the others (n_controls,).
+
+        None of them enters a path constraint. Told by which expressions depend on which controls, hence some that
+        cancel out may be missing; and a step of H in a control, whose derivative vanishes, is overlooked.
+        """
+        coupled = np.zeros(self.functions["switching"].size1_out(0), dtype=bool)
+        for name in ("switching", "paths"):
+            coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
+        return ~coupled
+
+    @property
+    def jumping_rates(self) -> bool:
+        """Whether dx/dt contains an operation whose value jumps."""
+        function = self.functions["rates"]
+        return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))
+
+    @property
+    def coupled_controls(self) -> list[Indices]:
+        """Controls that are not separable, in groups that neither H nor a path constraint couples.
+
+        H is the sum of affine functions and of a function of each group.
+        """
+        by_slope, by_path = (self.functions[name].jac_sparsity(0, 2) for name in ("switching", "paths"))
+        rows, columns = np.array(by_slope.row(), dtype=int), np.array(by_slope.get_col(), dtype=int)
+        constraints, controls = np.array(by_path.row(), dtype=int), np.array(by_path.get_col(), dtype=int)
+        m = by_slope.size1()
+        rows, columns = np.append(rows, m + constraints), np.append(columns, controls)
+        size = m + by_path.size1()
+        graph = scipy.sparse.csr_matrix((np.ones(rows.size), (rows, columns)), (size, size))
+        labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][:m]
+        coupled = ~self.separable_controls
+        return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
+
+    def quadratic_in(self, controls: Indices) -> bool:
+        """Whether derivatives say that H is quadratic, and path constraints are affine, in some controls.
+
+        Kinks and steps, whose derivatives do not show them, are overlooked.
+        """
+        m = self.functions["switching"].size1_out(0)
+        bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
+        slopes = self.functions["path_control_jacobian"].jac_sparsity(0, 2).row()
+        return not np.any(np.isin(np.array([*bends, *slopes], dtype=int) % m, controls))
+
+    @property
+    def mixed_paths(self) -> Mask:
+        """Path constraints in which a control occurs, whether or not its derivative vanishes somewhere (n_paths,)."""
+        paths = self.functions["paths"]
+        mixed = np.zeros(paths.size1_out(0), dtype=bool)
+        mixed[paths.jac_sparsity(0, 2).row()] = True
+        return mixed
+
+    def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """df/dx, shape (n_states, n_states, ...)."""
+        flat = self._call("state_jacobian", t, x, u)
+        n = np.shape(x)[0]
+        return flat.reshape(n, n, *flat.shape[1:])
+
+    def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """df/du, shape (n_states, n_controls, ...)."""
+        flat = self._call("input_jacobian", t, x, u)
+        return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
+
+    def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dc/du, shape (n_paths, n_controls, ...)."""
+        flat = self._call("path_control_jacobian", t, x, u)
+        m = np.shape(u)[0]
+        return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
+
+    def path_state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dc/dx, shape (n_paths, n_states, ...)."""
+        flat = self._call("path_state_jacobian", t, x, u)
+        n = np.shape(x)[0]
+        return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
+
+    def _call(
+        self,
+        name: str,
+        t: ArrayLike,
+        x: ArrayLike,
+        u: ArrayLike,
+        lam: ArrayLike | None = None,
+        mu: ArrayLike | None = None,
+    ) -> Array:
+        function = self.functions[name]
+        costate = np.zeros(function.size1_in(3)) if lam is None else lam
+        multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
+        others = costate, multiplier, self.weights, self.p, self.q
+        return evaluate(function, t, x, u, *others, programme=lambda: self._programme(name))
+
+    def _programme(self, name: str) -> Operations | None:
+        key = f"{name} by NumPy"
+        if key not in self.functions:
+            self.functions[key] = Operations.of(self.functions[name])
+        known: Operations | None = self.functions[key]
+        return known
+
+
+def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
+    """Return the functions of a phase for given parameter values and integral weights."""
+    leg = problem.get_phase(phase)
+    key = ("functions", phase)
+    if key not in problem.builds:
+        problem.builds[key] = _build_phase_functions(problem, leg)
+    return PhaseFunctions(problem.builds[key], p, q, weights)
+
+
+def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    lam = ca.SX.sym("lam", x.shape[0])
+    mu = ca.SX.sym("mu", len(leg.path_labels))
+    weights = ca.SX.sym("weights", len(leg.integrands))
+    f, c, integrands = (
+        problem.bind(leg, e)
+        for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+    )
+    hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
+    augmented = hamiltonian + ca.dot(mu, c)
+    expressions = {
+        "rates": f,
+        "paths": c,
+        "integrands": integrands,
+        "hamiltonian": hamiltonian,
+        "switching": ca.gradient(hamiltonian, u),
+        "control_gradient": ca.gradient(augmented, u),
+        "state_gradient": ca.gradient(augmented, x),
+        "time_gradient": ca.gradient(augmented, t),
+        "parameter_gradient": ca.gradient(augmented, q),
+        "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
+        "state_jacobian": ca.vec(ca.jacobian(f, x).T),
+        "input_jacobian": ca.vec(ca.jacobian(f, u).T),
+        "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
+        "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
+    }
+    arguments = [t, x, u, lam, mu, weights, p, q]
+    return {
+        name: ca.Function(name, arguments, [ca.densify(e)], list(_ARGUMENTS), [name])
+        for name, e in expressions.items()
+    }
+
+
+@dataclass(frozen=True)
+class EndGradients:
+    r"""Gradients of :math:`\Phi + \nu^T \psi` (minimised cost and boundary constraints) at the end points.
+
+    Attributes
+    ----------
+    initial_state, final_state : dict of array (n_states,)
+        By phase.
+    initial_time, final_time : dict of float
+        By phase.
+    integrals : dict of array (n_integrals,)
+        By phase: the weights of the integrals in the Hamiltonian.
+    parameters : array (n_free_parameters,)
+    cost : float
+        The cost as the user stated it.
+    constraints : array (n_constraints,)
+        Values of the boundary constraints psi.
+    """
+
+    initial_state: dict[str, Array]
+    final_state: dict[str, Array]
+    initial_time: dict[str, float]
+    final_time: dict[str, float]
+    integrals: dict[str, Array]
+    parameters: Array
+    cost: float
+    constraints: Array
+
+
+def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
+    """Evaluate cost, boundary constraints and their gradients.
+
+    Parameters
+    ----------
+    ends : mapping from phase to [x_initial, x_final, t_initial, t_final, integrals, model parameters]
+    q : array (n_free_parameters,)
+    nu : array (n_constraints,)
+        Multipliers of the boundary constraints.
+    """
+    arguments = [value for leg in problem.phases for value in ends[leg]]
+    outputs = [np.asarray(v.full()).ravel() for v in end_function(problem)(*arguments, q, nu)]
+    cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
+    per_phase = {name: gradients[5 * k : 5 * k + 5] for k, name in enumerate(problem.phases)}
+    return EndGradients(
+        {name: g[0] for name, g in per_phase.items()},
+        {name: g[1] for name, g in per_phase.items()},
+        {name: float(g[2][0]) for name, g in per_phase.items()},
+        {name: float(g[3][0]) for name, g in per_phase.items()},
+        {name: g[4] for name, g in per_phase.items()},
+        gradients[-1],
+        float(cost[0]),
+        constraints,
+    )
+
+
+def end_function(problem: Problem) -> Any:
+    """Return the CasADi Function behind `end_gradients`.
+
+    Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
+    boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
+    """
+    if "ends" not in problem.builds:
+        problem.builds["ends"] = _build_end_function(problem)
+    return problem.builds["ends"]
+
+
+def _build_end_function(problem: Problem) -> Any:
+    constraints = problem.constraint_expression()
+    nu = ca.SX.sym("nu", constraints.shape[0])
+    cost = problem.cost
+    for leg in problem.phases.values():
+        cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
+    lagrangian = problem.sense * cost + ca.dot(nu, constraints)
+    differentiated, arguments = [], []
+    for leg, parameters in zip(
+        problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
+    ):
+        own = [
+            leg.ends("initial"),
+            leg.ends("final"),
+            leg.initial_time,
+            leg.final_time,
+            leg.integral_symbols(),
+        ]
+        differentiated += own
+        arguments += [*own, parameters]
+    q = problem.parameter_symbols()
+    gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*differentiated, q)]
+    return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])
+
+
+def end_values(problem: Problem) -> Any:
+    """Return the CasADi Function of boundary constraints and, last, cost, in one column; inputs as `end_function`."""
+    if "end values" not in problem.builds:
+        ends = end_function(problem)
+        arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
+        cost, constraints, *_ = ends(*arguments)
+        column = ca.densify(ca.vertcat(constraints, cost))
+        problem.builds["end values"] = ca.Function("end_values", arguments, [column])
+    return problem.builds["end values"]
+
+
+def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
+    """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
+    leg = problem.get_phase(phase)
+    if isinstance(expression, str):
+        expression = leg.model.output_expression(expression)
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    value = as_expression(expression, "the expression to evaluate", None, ProblemError)
+    value = value if leg.restatement is None else leg.restatement.of(value)
+    problem.refuse_foreign(leg, value, "the expression to evaluate")
+    function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
+    return lambda *arguments: evaluate(function, *arguments)

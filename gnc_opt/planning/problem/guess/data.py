@@ -1,0 +1,101 @@
+"""Guesses from data: a table of a trajectory, one column per component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
+from gnc_opt.model.tabular import read_columns
+from gnc_opt.planning.problem.problem import Problem
+
+
+def guess_from_data(
+    problem: Problem,
+    data: Mapping[str, Any] | str | Path,
+    *,
+    phase: str | None = None,
+    time: str = "time",
+) -> Problem:
+    """Return the problem with a trajectory as its guess: columns of a DataFrame, a mapping of arrays or a CSV file.
+
+    Parameters
+    ----------
+    problem : Problem
+    data : mapping of str to array (n_times,), pandas.DataFrame, str or Path
+        A column per component of a state or control, named as in reports: ``q``, ``r[0]``, ``r[1]``. Names that the
+        phase does not have are passed over; what is left out is guessed. A path is that of a CSV file with the
+        names in its first row.
+    phase : str, optional
+        May be left out when there is one.
+    time : str
+        Name of the column of times, s, which must increase.
+
+    Returns
+    -------
+    Problem
+        Like ``problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        No column of times, none of a state or control, some but not all components of a vector, or columns of
+        different lengths.
+    ArgumentError
+        The CSV file has entries that are no numbers, or no rows.
+    FileNotFoundError
+        There is no such file.
+
+    Examples
+    --------
+    >>> guessed = go.guess_from_data(problem, {"time": [0.0, 2.2], "q": [1.0, 0.0], "v": [0.0, 0.0], "a": [-1.0, 1.0]})
+    >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
+    2.000000
+    """
+    expect(problem, Problem, "what guess_from_data() got", "write guess_from_data(problem, data)")
+    leg = problem.get_phase(phase)
+    labels = [label for variable in leg.guessable.values() for label in variable.labels]
+    columns: Any = read_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
+    if not hasattr(columns, "keys"):
+        raise ArgumentError(
+            f"the data of guess_from_data() is a {type(data).__name__}: give a mapping from names to arrays, a "
+            "DataFrame or the path of a CSV file."
+        )
+    known = [str(name) for name in columns.keys()]  # noqa: SIM118 - of a DataFrame, too
+    if time not in known:
+        raise ProblemError(
+            f"the data of guess_from_data() has no column '{time}': {did_you_mean(time, known)}"
+        )
+
+    def column(name: str) -> Array:
+        return read_numbers(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
+
+    times, values = column(time), {}
+    for variable in leg.guessable.values():
+        given = [label for label in variable.labels if label in known]
+        if not given:
+            continue
+        missing = [label for label in variable.labels if label not in known]
+        if missing:
+            raise ProblemError(
+                f"the data of guess_from_data() has a column '{given[0]}' and none '{missing[0]}': give all "
+                f"components of '{variable.name}', or none."
+            )
+        rows = [column(label) for label in given]
+        if any(row.shape != times.shape for row in rows):
+            raise ProblemError(
+                f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "
+                f"{times.size}: give equal ones."
+            )
+        values[variable.name] = np.stack(rows)
+    if not values:
+        raise ProblemError(
+            f"the data of guess_from_data() has no column of a state or control of {leg.where}: name them as "
+            f"{', '.join(labels)}."
+        )
+    return problem.with_guess(leg.name, times, **values)

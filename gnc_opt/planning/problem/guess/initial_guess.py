@@ -1,0 +1,326 @@
+"""Guessed ends of phases: when they begin and end, and the straight lines that states follow along linked phases.
+
+Starting trajectories: what the user knows, and straight lines for the rest.
+
+What boundary constraints tell about the ends of phases, for the guess: a lift-off mass that is a sum of parts.
+
+The vector control that a guess of states asks for: of a lander, thrust that carries its weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.model.model import Model
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.guess.values import sample_guess
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.phase import Phase
+
+PERTURBATION = 0.01
+"""Amplitude of the control perturbation of the default guess, as a fraction of the control's range.
+
+A guess on a plane of symmetry can be a saddle of the problem (the planar rendezvous is one), from which
+Newton's method cannot leave; the perturbation is smooth, deterministic and independent of the mesh."""
+
+SUSTAINED = 0.2
+"""Share of what a vector control can give from which on the straight line between the ends asks for it all along."""
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True)
+class PhaseStart:
+    """The guess of one phase at given fractions: times (2,), states (n, N) and controls (m, N)."""
+
+    times: Array
+    states: Array
+    controls: Array
+
+
+def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
+    """Return the guess of a phase at the given fractions of its duration, with or without `perturbation`.
+
+    Raises
+    ------
+    ProblemError
+        A guessed array or function has the wrong size.
+    """
+    times = guess_times(leg)
+    at = times[0] + fractions * (times[1] - times[0])
+    model, numbers = leg.model, leg.numbers
+    first, last = end_values(leg)
+    states = first[:, None] + (last - first)[:, None] * fractions
+    controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
+    for vector in leg.vectors:
+        _aim(leg, vector, times, (first, last), controls)
+    if perturbed:
+        controls += perturbation(numbers.controls, fractions)
+    for name, value in numbers.guess.values.items():
+        what = f"the guess of '{name}' in {leg.where}"
+        values = sample_guess(value, leg.guessable[name].size, at, fractions, numbers.guess.time, what)
+        if name in model.states:
+            states[model.states.slice(name)] = values
+        else:
+            put_control(model, controls, name, values)
+    return PhaseStart(times, states, controls)
+
+
+def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
+    """Let a vector control, at all times, be what half way between the ends the rate from one to the other asks for.
+
+    Where that is sustained thrust. If it is more than the vector can give, no flight is near to the straight line; if
+    it is little, pulses will do, and nothing is told of when.
+    """
+    layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
+    if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
+        controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
+    if duration <= 0 or controls.shape[1] == 0:
+        return
+    rate, place = (last - first) / duration, layout.slice(vector.magnitude)
+    found = balanced(leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate)
+    box = leg.numbers.controls
+    most = float(box.upper[place][0])
+    if found is not None and np.isfinite(most) and SUSTAINED * most <= found[0] <= most:
+        controls[place] = max(found[0], float(box.lower[place][0]))
+        controls[layout.slice(vector.direction)] = found[1][:, None]
+
+
+def put_control(model: Model, controls: Array, name: str, values: Array) -> None:
+    """Write values (size, N) of one control into those of all (m, N); of a composed one, into those of its parts."""
+    composed = model.composed_controls.get(name)
+    if composed is None:
+        controls[model.controls.slice(name)] = values
+        return
+    for part, own in zip(composed.parts, composed.decompose(values), strict=True):
+        place = model.controls.slice(part)
+        controls[place] = np.where(np.isnan(own), controls[place], own)
+
+
+def perturbation(bounds: Interval, fractions: Array) -> Array:
+    """Return the control perturbation, shape (m, N)."""
+    ranges = bounds.upper - bounds.lower
+    amplitude = PERTURBATION * np.where(np.isfinite(ranges), ranges, 1.0)
+    channel = 1.0 + np.arange(ranges.size)
+    phase = 2 * np.pi * (np.outer(1 + channel % 3, fractions) + (_GOLDEN * channel)[:, None])
+    return np.asarray(amplitude[:, None] * np.cos(phase))
+
+
+def note_told_ends(
+    constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
+) -> None:
+    """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
+
+    Free parameters in them are as guessed (the stacked symbols of all, and their guesses). Of a range it is the
+    middle, of an inequality the limit.
+    """
+    owners = {
+        symbol.element_hash(): (leg, end, name, i)
+        for leg in legs
+        for end, state in (("initial", leg.initial_state), ("final", leg.final_state))
+        for name in leg.model.states.names
+        for i, symbol in enumerate(ca.vertsplit(state(name)))
+    }
+    known = {symbol.element_hash() for symbol in ca.vertsplit(parameters)}
+    numbers = np.concatenate([*guess.values(), np.zeros(0)])
+    for row, wanted in zip(ca.vertsplit(constraint.expression), constraint.interval.middle, strict=True):
+        symbols = [s for s in ca.symvar(row) if s.element_hash() not in known]
+        if len(symbols) != 1 or symbols[0].element_hash() not in owners:
+            continue
+        slope = ca.jacobian(row, symbols[0])
+        if ca.depends_on(slope, symbols[0]):
+            continue
+        at_zero, rate = (
+            float(v) for v in ca.Function("f", [symbols[0], parameters], [row, slope])(0.0, numbers)
+        )
+        value = (wanted - at_zero) / rate if rate else np.nan
+        if np.isfinite(value):
+            leg, end, name, i = owners[symbols[0].element_hash()]
+            leg.note_told(end, name, i, value)
+
+
+def balanced(
+    leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
+) -> tuple[float, Array] | None:
+    r"""Return magnitude and direction of the vector by which a state best follows a rate; None if none can be told.
+
+    The least squares of :math:`f(x, 0) + B T - \dot x` over the rates that the vector moves, each in units of what it
+    does to them, so that units of states do not matter.
+
+    Parameters
+    ----------
+    leg : Phase
+    vector : VectorControl
+    time : float
+    x, rate : array (n_states,)
+    u : array (n_controls,)
+        The other controls.
+    """
+    layout, size = leg.model.controls, vector.variable.size
+
+    def rates(magnitude: float, direction: Array) -> Array:
+        controls = u.copy()
+        controls[layout.slice(vector.magnitude)], controls[layout.slice(vector.direction)] = (
+            magnitude,
+            direction,
+        )
+        return np.asarray(leg.model.f(time, x, controls))
+
+    axes = np.eye(size)
+    with np.errstate(all="ignore"):
+        does = np.stack([0.5 * (rates(1.0, axis) - rates(1.0, -axis)) for axis in axes], axis=1)
+        lacks = rate - rates(0.0, axes[0])
+    moved = np.linalg.norm(does, axis=1)
+    if not (np.all(np.isfinite(does)) and np.all(np.isfinite(lacks)) and np.any(moved > 0)):
+        return None
+    rows = moved > 0
+    wanted = np.linalg.lstsq(does[rows] / moved[rows, None], lacks[rows] / moved[rows], rcond=None)[0]
+    length = float(np.linalg.norm(wanted))
+    return (length, wanted / length) if length > 0 else None
+
+
+def guess_times(leg: Phase) -> Array:
+    """Return guessed initial and final time, shape (2,).
+
+    A phase whose start is linked to the end of another one begins there. An end of which nothing is told shares the
+    time up to the next one of which something is, evenly with the phases in between.
+    """
+    known = leg.numbers.guess.time
+    wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
+    initial, final = leg.times()
+    before, after = leg.in_time
+    if before is not None and np.isnan(wanted[0]):
+        wanted[0] = guess_times(before)[1]
+    t0 = _time_in(initial, wanted[0], default=0.0)
+    span = leg.numbers.duration
+    least = max(float(span.lower[0]), 0.0)
+    usual = least if least > 0 else 1.0
+    if np.isnan(wanted[1]) and after is not None and not _is_told(final):
+        usual = _share(after, t0) or usual
+    tf = _time_in(final, wanted[1], default=t0 + usual)
+    if tf <= t0 and not final.fixed[0]:
+        tf = min(t0 + usual, float(final.upper[0]))
+    return np.array([t0, tf])
+
+
+def _is_told(time: Interval) -> bool:
+    return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
+
+
+def _share(leg: Phase | None, start: float) -> float:
+    """Return what each phase takes of the time from a start, in the phase before a given one, to the next end told."""
+    phases = 1
+    while leg is not None:
+        phases += 1
+        own, final = leg.numbers.guess.time, leg.times()[1]
+        if own is not None or _is_told(final):
+            end = float(own[-1]) if own is not None else float(final.middle[0])
+            return max(end - start, 0.0) / phases
+        leg = leg.in_time[1]
+    return 0.0
+
+
+def _time_in(interval: Interval, wanted: float, default: float) -> float:
+    lower, upper = float(interval.lower[0]), float(interval.upper[0])
+    if lower == upper:
+        return lower
+    if np.isfinite(wanted):
+        return float(np.clip(wanted, lower, upper))
+    if np.isfinite(lower) and np.isfinite(upper):
+        return 0.5 * (lower + upper)
+    return float(np.clip(default, lower, upper))
+
+
+def end_values(leg: Phase) -> tuple[Array, Array]:
+    """Return guessed initial and final states, each (n,).
+
+    A state that is open at an end is what boundary constraints tell of it there, or else on a straight line between the
+    next values that are known before and after it, in this phase or in those that links join to it; beyond the first
+    and the last one it stays. Where none is known it is in the middle of its bounds.
+    """
+    first, last = np.zeros((2, leg.model.states.size))
+    for name in leg.model.states.names:
+        rows = leg.model.states.slice(name)
+        first[rows], last[rows] = _along(_chain(leg, name), leg)
+    return first, last
+
+
+@dataclass(frozen=True, eq=False)
+class _Link:
+    """A state in one phase of a chain: what is known at its ends (NaN: nothing), its bounds, and the jump into it."""
+
+    leg: Phase
+    start: Array
+    end: Array
+    box: Interval
+    duration: float
+    jump: Array
+
+    @classmethod
+    def of(cls, leg: Phase, name: str) -> _Link:
+        numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_times(leg)
+        box = Interval(numbers.states.lower[rows], numbers.states.upper[rows])
+        guess = np.full((box.lower.size, 2), np.nan)
+        if name in numbers.guess.values:
+            what = f"the guess of '{name}' in {leg.where}"
+            value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
+            guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
+        known = []
+        for end, stated, guessed in zip(
+            ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
+        ):
+            here = Interval(stated.lower[rows], stated.upper[rows])
+            limited = np.isfinite(here.lower) | np.isfinite(here.upper)
+            told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
+            open_end = np.where(np.isnan(guessed), told, guessed)
+            known.append(np.where(limited, intersect(here, box).middle, open_end))
+        handed = leg.handed_over(name)
+        jump = np.zeros(box.lower.size) if handed is None else handed[1]
+        return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
+
+
+def _chain(leg: Phase, name: str) -> list[_Link]:
+    """Return the phases that links join to one in a state, in their order."""
+    chain = [leg]
+    while handed := chain[0].handed_over(name):
+        chain.insert(0, handed[0])
+    while following := [p for p in leg.siblings if (p.handed_over(name) or (None,))[0] is chain[-1]]:
+        chain.append(following[0])
+    return [_Link.of(phase, name) for phase in chain]
+
+
+def _along(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
+    """Return the guessed ends of a state in one phase of a chain."""
+    first = last = np.full_like(chain[0].start, np.nan)
+    for index, link in enumerate(chain):
+        ahead, time = _ahead(chain[index:])
+        begin = np.where(np.isnan(last), ahead, last + link.jump)
+        begin = np.where(np.isnan(begin), link.box.middle, np.clip(begin, link.box.lower, link.box.upper))
+        first = np.where(np.isnan(link.start), begin, link.start)
+        share = np.divide(link.duration, time, out=np.ones_like(time), where=time > 0)
+        reached = np.where(np.isnan(ahead), first, first + share * (ahead - first))
+        reached = np.clip(reached, link.box.lower, link.box.upper)
+        last = np.where(np.isnan(link.end), reached, link.end)
+        if link.leg is leg:
+            break
+    return first, last
+
+
+def _ahead(chain: list[_Link]) -> tuple[Array, Array]:
+    """Return the next known value after the start of a chain, without the jumps up to it, and in what time it comes."""
+    value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
+    for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):
+        if later is not None:
+            here = ~np.isnan(later.start)
+            value = np.where(here, later.start, value) - later.jump
+            time = np.where(here, 0.0, time)
+        here = ~np.isnan(link.end)
+        value, time = np.where(here, link.end, value), np.where(here, 0.0, time) + link.duration
+    return value, time

@@ -1,0 +1,153 @@
+"""Random starting trajectories: what `multistart` lets the solver begin from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.magnitudes import phase_magnitudes
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+
+SPREAD = 5.0
+"""A guessed duration is multiplied or divided by at most this (log-uniformly, within its bounds)."""
+
+NEARLY = 1.4
+"""The same where the duration is known from another solution."""
+
+VIGOUR = (0.03, 1.0)
+"""Range of a start's amplitude (drawn log-uniformly), as a share of the magnitude of each state."""
+
+LARGE = 0.2
+"""Least amplitude of a start that takes about as long as a known solution."""
+
+WAVES = 4
+"""Sine waves in a smooth perturbation; wave k has an amplitude of order 1/k."""
+
+MOST_SWITCHES = 4
+"""Of a random bang-bang control."""
+
+FRACTIONS = np.linspace(0.0, 1.0, 65)
+
+
+def with_random_guess(
+    problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
+) -> Problem:
+    """Return the problem with a random guess that depends on ``seed`` and ``index`` alone.
+
+    States are the problem's own guess (a straight line by default) with a smooth perturbation that leaves fixed ends
+    in place; controls are random bang-bang patterns or smooth waves within their bounds; free times and parameters are
+    drawn within theirs. Index 0 is the problem's own guess.
+
+    With durations (s) of another solution, by phase, times are drawn near these, perturbations are large, and all
+    controls that have bounds are full bangs.
+    """
+    if index == 0:
+        return problem
+    rng = np.random.default_rng([seed, index])
+    twin, shift = problem, 0.0
+    for name, leg in problem.phases.items():
+        known = (durations or {}).get(name)
+        times = _draw_times(leg, rng, shift, known)
+        shift = times[1] - guess_times(leg)[1]
+        start = start_phase(leg, FRACTIONS)
+        magnitudes = phase_magnitudes(leg)
+        states = _draw_states(leg, start.states, magnitudes[0], rng, least=0.0 if known is None else LARGE)
+        controls = _draw_controls(
+            leg.numbers.controls, start.controls, magnitudes[1], rng, full=known is not None
+        )
+        values = _by_name(leg.model.states, states) | _by_name(leg.model.controls, controls)
+        twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
+    return _with_random_parameters(twin, rng)
+
+
+def _by_name(layout: Layout, rows: Array) -> dict[str, Any]:
+    return {name: rows[layout.slice(name)] for name in layout.names}
+
+
+def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None) -> Array:
+    """Return initial and final time (2,); a free initial time follows the end of the phase before."""
+    first, last = guess_times(leg)
+    initial, final = leg.times()
+    span, spread, box = last - first, SPREAD, leg.numbers.duration
+    if known:
+        span, spread = known, NEARLY
+    share = rng.uniform()
+    if not initial.fixed[0]:
+        first = float(np.clip(first + shift, initial.lower[0], initial.upper[0]))
+    if final.fixed[0]:
+        if initial.fixed[0]:
+            return np.array([first, last])
+        limits = (last - initial.upper[0], last - initial.lower[0])
+    else:
+        limits = (final.lower[0] - first, final.upper[0] - first)
+    lower, upper = max(box.lower[0], limits[0], 0.0), min(box.upper[0], limits[1])
+    low, high = max(lower, span / spread), min(upper, span * spread)
+    duration = low * (high / low) ** share if low < high else max(lower, min(span, upper))
+    duration = duration if duration > 0 else span
+    return np.array([last - duration, last] if final.fixed[0] else [first, first + duration])
+
+
+def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float) -> Array:
+    numbers = leg.numbers
+    low, high = max(least, VIGOUR[0]), VIGOUR[1]
+    amplitude = magnitudes * low * (high / low) ** rng.uniform()
+    states = line + amplitude[:, None] * _waves(magnitudes.size, rng)
+    offsets = amplitude * rng.normal(size=(2, magnitudes.size))
+    for end, offset, ramp in (
+        (numbers.initial, offsets[0], 1 - FRACTIONS),
+        (numbers.final, offsets[1], FRACTIONS),
+    ):
+        states += np.where(intersect(end, numbers.states).fixed, 0.0, offset)[:, None] * ramp
+    return _clip(states, numbers.states)
+
+
+def _draw_controls(
+    box: Interval, guess: Array, magnitudes: Array, rng: np.random.Generator, full: bool
+) -> Array:
+    """Return full bang-bang patterns, or such patterns or smooth waves of any level, both equally likely."""
+    bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+    middle = np.where(bounded[:, None], box.middle[:, None], guess)
+    reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
+    if full or rng.uniform() < 0.5:
+        pattern = np.stack([_bangs(rng) for _ in range(reach.size)]) if reach.size else guess
+    else:
+        pattern = _waves(reach.size, rng)
+    level = 1.0 if full else rng.uniform(0.3, 1.0)
+    return _clip(middle + level * reach[:, None] * pattern, box)
+
+
+def _bangs(rng: np.random.Generator) -> Array:
+    """Return a pattern of -1 and +1 with a few random switches, at `FRACTIONS`."""
+    switches = np.sort(rng.uniform(size=rng.integers(0, MOST_SWITCHES + 1)))
+    sign = rng.choice((-1.0, 1.0))
+    return np.asarray(sign * (-1.0) ** np.searchsorted(switches, FRACTIONS))
+
+
+def _waves(size: int, rng: np.random.Generator) -> Array:
+    """Return smooth random signals (size, n_fractions) of order one that vanish at both ends."""
+    k = np.arange(1, WAVES + 1)
+    return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
+
+
+def _clip(values: Array, box: Interval) -> Array:
+    return np.clip(values, box.lower[:, None], box.upper[:, None])
+
+
+def _with_random_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
+    """Draw free parameters: within finite bounds, else about their guess."""
+    guesses: dict[str, Array] = {}
+    for name, box in problem.parameter_bounds.items():
+        old = problem.parameter_guess[name]
+        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+        low, high = (np.where(bounded, end, 0.0) for end in (box.lower, box.upper))
+        about = old + np.maximum(np.abs(old), 1.0) * rng.normal(size=old.size)
+        drawn = np.where(bounded, rng.uniform(low, high), about)
+        guesses[name] = np.clip(drawn, box.lower, box.upper)
+    return problem.with_parameter_guess(**guesses)

@@ -1,0 +1,222 @@
+"""Guesses by flying: the dynamics integrated under a control law.
+
+Guesses by flying with the guessed controls: what is left where straight lines lead nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.evaluation import fast_call
+from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
+from gnc_opt.model.variables import as_expression, as_vector
+from gnc_opt.planning.problem.guess.initial_guess import end_values, guess_times, put_control, start_phase
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.tolerances import magnitude
+
+FRACTIONS = np.linspace(0.0, 1.0, 11)
+"""Where guessed controls are looked at; they are flown with their means."""
+
+
+def with_flown_guess(problem: Problem) -> Problem | None:
+    """Return the problem with phase after phase flown from where the last one ends, its controls held as guessed.
+
+    Such a guess follows the dynamics, and misses the ends. Controls stay as guessed. None if a flight cannot go on.
+    """
+    for name, leg in problem.phases.items():
+        layout = leg.model.controls
+        held = start_phase(leg, FRACTIONS).controls.mean(axis=1)
+        law = {control: held[layout.slice(control)] for control in layout.names}
+        try:
+            flight = simulate_guess(problem, law, phase=name).phases[name].numbers.guess
+        except ProblemError:
+            return None
+        states = {state: flight.values[state] for state in leg.model.states.names}
+        problem = problem.with_guess(name, flight.time, **states)
+    return problem
+
+
+RTOL, STIFF_RTOL = 1e-8, 1e-5
+"""Of an explicit flight, and of an implicit one, whose steps are dear: a guess needs no digits."""
+
+MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
+"""Evaluations of the dynamics after which an explicit flight is taken for stiff, and an implicit one is given up: a law
+that switches without end stops that one, too. Some seconds together; 500 revolutions of a spiral take as many."""
+
+
+_SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
+
+
+def simulate_guess(
+    problem: Problem,
+    controls: Mapping[str, Any],
+    *,
+    phase: str | None = None,
+    initial: Mapping[str, ArrayLike] | None = None,
+    duration: float | None = None,
+    until: Any = None,
+    n: int = 1001,
+) -> Problem:
+    """Return the problem with a guess that follows its dynamics: those of one phase, flown by a control law.
+
+    Parameters
+    ----------
+    problem : Problem
+    controls : mapping of str to SX, number or array, or function of time
+        The law by name of control; expressions in time, states and parameters of the model, such as thrust along
+        the velocity. What leaves the bounds is clipped; controls left out are in the middle of theirs.
+    phase : str, optional
+        May be left out when there is one.
+    initial : mapping of str to number or array, optional
+        States to begin with, where the initial values of the phase leave them open.
+    duration : float, optional
+        s; default: that of the guess there is.
+    until : SX, optional
+        The flight ends where this expression in time, states and parameters becomes zero; then ``duration`` is the
+        longest it may take.
+    n : int
+        Times at which the flight is kept.
+
+    Returns
+    -------
+    Problem
+        Like ``problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), one that takes
+        too many evaluations of the dynamics, explicitly and then implicitly, or one in which ``until`` does not
+        become zero.
+
+    Examples
+    --------
+    >>> guessed = go.simulate_guess(problem, {"a": lambda t: -1.0 if t < 1 else 1.0}, duration=2.0)
+    >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
+    2.000000
+    """
+    expect(problem, Problem, "what simulate_guess() got", "write simulate_guess(problem, {...})")
+    expect(controls, Mapping, "the law of simulate_guess()", 'write {"u": expression}')
+    read_integer(n, "n of simulate_guess()", 2)
+    leg = problem.get_phase(phase)
+    t0, tf = guess_times(leg)
+    if duration is not None:
+        tf = t0 + read_positive(duration, "the duration of simulate_guess()")
+    law = _law(problem, leg, controls)
+    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    p, start = leg.model.parameter_values, _initial(leg, initial)
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
+    fast = fast_call(rates, p, q)
+
+    def rate(t: float, x: Array) -> Array:
+        return fast(t, x, law(t, x))
+
+    stop = None if until is None else _stop(problem, leg, until)
+    sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
+    try:
+        flight = _flight(rate, start, (t0, tf), sizes, leg, stop)
+    except EndedError as error:
+        raise ProblemError(
+            f"the flight that simulate_guess() makes of {leg.where} cannot go on ({error}): change the law"
+            f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
+        ) from None
+    end = float(flight.times[-1])
+    if stop is not None and end >= tf:
+        raise ProblemError(
+            f"what simulate_guess() flies {leg.where} until is {stop(end, flight.states[:, -1]):.4g} at its end, "
+            f"t = {end:.4g} s, and was never zero: give a longer duration, or another law."
+        )
+    times = np.linspace(t0, end, n)
+    assert flight.dense is not None, "asked for"
+    states = flight.dense(times)
+    flown = np.stack([law(t, x) for t, x in zip(times, states.T, strict=True)], axis=1)
+    values = {name: states[leg.model.states.slice(name)] for name in leg.model.states.names}
+    values |= {name: flown[leg.model.controls.slice(name)] for name in leg.model.controls.names}
+    return problem.with_guess(leg.name, times, **values)
+
+
+def _flight(
+    rate: Rate,
+    start: Array,
+    times: tuple[float, float],
+    sizes: Array,
+    leg: Phase,
+    stop: Callable[[float, Array], float] | None,
+) -> Integration:
+    """Fly explicitly; what is too stiff for that, implicitly."""
+    labels = leg.model.states.labels
+    try:
+        explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)
+        return integrate(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
+    except SpentError:
+        implicit, budget = Tolerance(STIFF_RTOL, sizes, stiff=True), Budget(labels, MOST_IMPLICIT)
+        return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
+
+
+def _initial(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
+    start = end_values(leg)[0].copy()
+    for name, value in read_mapping(given, "initial of simulate_guess()", 'write {"q": 1.0}').items():
+        rows = leg.model.states.slice(name)
+        start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
+    return start
+
+
+def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[[float, Array], Array]:
+    """Return the controls as a function of t and x, within their bounds."""
+    model, box = leg.model, leg.numbers.controls
+    sizes = {name: v.size for name, v in leg.guessable.items() if name not in model.states}
+    timed: dict[str, Callable[[float], Any]] = {}
+    expressions: dict[str, Any] = {}
+    for name, value in controls.items():
+        if name not in sizes:
+            raise unknown_name("control", name, f"the law of simulate_guess() for {leg.where}", sizes)
+        what = f"the law of '{name}' for {leg.where}"
+        if callable(value) and not isinstance(value, ca.SX):
+            timed[name] = value
+            continue
+        if not isinstance(value, (ca.SX, list)):
+            value = ca.SX(as_vector(value, sizes[name], what))
+        expressions[name] = as_expression(value, what, sizes[name], ProblemError)
+    stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
+    function = _function(problem, leg, stacked, "the law of simulate_guess()")
+    ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
+
+    def law(t: float, x: Array) -> Array:
+        values = dict(zip(expressions, np.split(function(t, x), ends), strict=False))
+        for name, signal in timed.items():
+            values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
+        u = box.middle[:, None].copy()
+        for name, value in values.items():
+            put_control(model, u, name, value[:, None])
+        return np.clip(u[:, 0], box.lower, box.upper)
+
+    return law
+
+
+def _stop(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
+    what = "what simulate_guess() flies until"
+    function = _function(problem, leg, as_expression(until, what, 1, ProblemError), what)
+    return lambda t, x: float(function(t, x)[0])
+
+
+def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Callable[[float, Array], Array]:
+    """Return an expression in time, states and parameters as a function of t and x."""
+    t, x, u, p = leg.model.arguments()
+    problem.refuse_foreign(leg, expression, what)
+    if leg.model.controls.size and ca.depends_on(expression, u):
+        raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
+    q = problem.parameter_symbols()
+    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
+    return fast_call(
+        function, leg.model.parameter_values, np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    )

@@ -1,0 +1,56 @@
+"""Straight lines that run through a point where a function or its derivatives are no numbers, bent around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.check_functions import not_finite_at_guess
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.magnitudes import phase_magnitudes
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+BEND = 0.1
+"""How far a line is bent in its middle, as a share of each state's magnitude."""
+
+FRACTIONS = np.linspace(0.0, 1.0, 33)
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+P = TypeVar("P", bound=Statement)
+
+
+def bent(problem: P) -> P:
+    """Return the problem with states bent off their straight lines in phases where a function is not finite on them.
+
+    ``norm_2(r) >= c`` on a straight line through the centre, for one, has no derivative there. What the user guesses
+    stays, and so does all of a phase where the bend does not help.
+    """
+    for name, leg in problem.phases.items():
+        if not_finite_at_guess(problem, leg) is None:
+            continue
+        twin = problem.clone()
+        twin.phases[name].guess(**_bends(leg))
+        if not_finite_at_guess(twin, twin.phases[name]) is None:
+            problem = twin
+    return problem
+
+
+def _bends(leg: Phase) -> dict[str, Any]:
+    """All states that the user does not guess, as functions of time."""
+    start, layout, box = start_phase(leg, FRACTIONS), leg.model.states, leg.numbers.states
+    # Each state by another share: r = (a, a) may be singular as well.
+    share = BEND * np.cos(2 * np.pi * _GOLDEN * (1 + np.arange(layout.size)))
+    states = start.states + (phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
+    states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
+    times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
+
+    def along(rows: Array) -> Callable[[Array], Array]:
+        return lambda t: np.array([np.interp(t, times, row) for row in rows])
+
+    left = [name for name in layout.names if name not in leg.numbers.guess.values]
+    return {name: along(states[layout.slice(name)]) for name in left}

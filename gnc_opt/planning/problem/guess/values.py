@@ -1,0 +1,119 @@
+"""Guesses as users write them: a constant, a straight line, an array over time or a function of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.variables import as_vector
+from gnc_opt.planning.problem.interval import refuse_ambiguous
+
+GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
+
+
+def read_guess_times(time: ArrayLike, where: str) -> Array:
+    """Return the times (n_times,) of array-valued guesses, which must increase."""
+    times = read_numbers(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
+    if times.size < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0):
+        raise ProblemError(
+            f"the times of the guess in {where} must be finite and increase: give two or more."
+        )
+    return times
+
+
+def on_shared_times(
+    old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
+) -> tuple[dict[str, GuessValue], Array]:
+    """Return a guess that adds to an older one with times of its own: tables of both as they are, on the times of both.
+
+    Parameters
+    ----------
+    old, new : mapping of str to GuessValue
+        Values that are kept and those that join them, of other names.
+    old_times, times : array (n_times,)
+        The ends of the latter are those of the phase.
+    """
+    if not any(_is_table(value, old_times) for value in old.values()):
+        return {**old, **new}, times
+    shared = np.union1d(old_times, times)
+    shared = shared[(shared >= times[0]) & (shared <= times[-1])]
+    resampled = {
+        name: _resampled(value, given, shared) if _is_table(value, given) else value
+        for values, given in ((old, old_times), (new, times))
+        for name, value in values.items()
+    }
+    return resampled, shared
+
+
+def _is_table(value: GuessValue, times: Array) -> bool:
+    return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
+
+
+def _resampled(value: GuessValue, times: Array, at: Array) -> Array:
+    rows = np.asarray(value, dtype=float).reshape(-1, times.size)
+    return np.stack([np.interp(at, times, row) for row in rows])
+
+
+def sample_guess(
+    value: GuessValue, size: int, at: Array, fractions: Array, times: Array | None, what: str
+) -> Array:
+    """Return a guess of ``size`` components at the times ``at`` (N,), shape (size, N).
+
+    Parameters
+    ----------
+    value : constant, tuple (start, end), array (size, n_times) or function of time
+    fractions : array (N,)
+        ``at`` as fractions of the phase.
+    times : array (n_times,) or None
+        Times of an array-valued guess.
+    what : str
+        Names the guess in error messages.
+
+    Raises
+    ------
+    ProblemError
+        Wrong sizes, or values that are not finite.
+    """
+    if callable(value):
+        sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
+    elif isinstance(value, tuple):
+        sampled = _line(value, size, fractions, what)
+    else:
+        sampled = _table(read_numbers(value, what, ProblemError), size, at, times, what)
+    bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
+    if bad.size:
+        raise ProblemError(f"{what} is {sampled[:, bad[0]]} at t = {at[bad[0]]:.4g} s: give finite values.")
+    return sampled
+
+
+def _line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
+    if len(value) != 2:
+        raise ProblemError(
+            f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
+        )
+    refuse_ambiguous((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
+    first, last = (
+        as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
+    )
+    return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
+
+
+def _table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
+    constant = array.size in (1, size)
+    if times is None and not constant:
+        raise ProblemError(
+            f"{what} has the shape {array.shape} and no times: give guess(time=[...], ...) with it."
+        )
+    if times is None or (constant and array.shape[-1:] != times.shape):
+        return np.tile(as_vector(array, size, what)[:, None], at.size)
+    if array.size != size * times.size:
+        raise ProblemError(
+            f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."
+        )
+    return _resampled(array, times, at)

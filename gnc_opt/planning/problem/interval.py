@@ -1,0 +1,217 @@
+"""Reading what users write for values and ranges: a number, an array, ``None`` or ``(lower, upper)``.
+
+Ranges of states and controls as users give them, by name.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed_controls import SplitControl, VectorControl
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, as_vector
+
+
+def merged(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str) -> Interval:
+    """Return an interval with the ranges of some names changed; ``what`` they are, and where, is for messages."""
+    lower, upper = old.lower.copy(), old.upper.copy()
+    for name, value in values.items():
+        if name not in layout:
+            raise unknown_name(layout.kind, name, where, layout.names)
+        place = layout.slice(name)
+        interval = read_interval(value, layout[name].size, f"the {what} of '{name}' in {where}")
+        lower[place], upper[place] = interval.lower, interval.upper
+    return Interval(lower, upper)
+
+
+def without_negative_parts(model: Model) -> Interval:
+    """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
+    box = free(model.controls.size)
+    for control in model.composed_controls.values():
+        for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
+            box.lower[model.controls.slice(part)] = 0.0
+    return box
+
+
+def one_sided(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
+    parts: dict[str, Any] = {}
+    for name, value in ranges.items():
+        composed = model.composed_controls.get(name)
+        if composed is None:
+            parts[name] = value
+            continue
+        what = f"the bounds of '{name}' in {where}"
+        if not isinstance(composed, SplitControl):
+            raise ProblemError(
+                f"{what} are those of a vector: give bounds_norm({name}=...), or path() for its components."
+            )
+        box = read_interval(value, composed.variable.size, what)
+        if np.any(box.lower > 0) or np.any(box.upper < 0):
+            raise ProblemError(
+                f"{what} leave out zero, which a split control needs: declare it with control()."
+            )
+        plus, minus = composed.parts
+        parts[plus] = (np.zeros(box.upper.size), box.upper)
+        parts[minus] = (np.zeros(box.lower.size), -box.lower)
+    return parts
+
+
+def of_magnitudes(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
+    """Return ranges of the norms of vector controls as ranges of their magnitudes, which are >= 0."""
+    parts = {}
+    for name, value in ranges.items():
+        what = f"the norm of '{name}' in {where}"
+        vector = model.composed_controls.get(name)
+        if not isinstance(vector, VectorControl):
+            if name in model.controls or vector is not None:
+                raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
+            known = [v.name for v in model.composed_controls.values() if isinstance(v, VectorControl)]
+            raise unknown_name("vector control", name, where, known)
+        box = read_interval(value, 1, what)
+        if box.upper[0] < 0:
+            raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")
+        parts[vector.magnitude] = (max(0.0, float(box.lower[0])), float(box.upper[0]))
+    return parts
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Element-wise bounds ``lower <= value <= upper``, each of shape (n,).
+
+    Examples
+    --------
+    >>> from gnc_opt.planning.problem import Interval
+    >>> print(Interval(np.array([0.0, 2.0]), np.array([1.0, 2.0])).fixed)
+    [False  True]
+    """
+
+    lower: Array
+    upper: Array
+
+    @property
+    def fixed(self) -> Any:
+        """Boolean array (n,): where lower equals upper."""
+        return self.lower == self.upper
+
+    @property
+    def middle(self) -> Array:
+        """A representative value (n,): the midpoint, the finite end, or zero when unbounded."""
+        lower, upper = np.isfinite(self.lower), np.isfinite(self.upper)
+        low = np.where(lower, self.lower, np.where(upper, self.upper, 0.0))
+        high = np.where(upper, self.upper, low)
+        return np.asarray(0.5 * (low + high))
+
+    def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
+        """Return which values are at, or beyond, the lower and the upper limit up to a margin.
+
+        Parameters
+        ----------
+        values : array (n, ...)
+        margin : float or array (n,)
+        """
+        shape = (-1, *(1,) * (values.ndim - 1))
+        slack = np.broadcast_to(margin, self.lower.shape).reshape(shape)
+        lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
+        return values <= lower + slack, values >= upper - slack
+
+
+def free(size: int) -> Interval:
+    """Return the interval without limits."""
+    return Interval(np.full(size, -np.inf), np.full(size, np.inf))
+
+
+def read_interval(value: Any, size: int, what: str) -> Interval:
+    """Read a value or range for a quantity of ``size`` components.
+
+    Parameters
+    ----------
+    value : None, number, array-like or tuple (lower, upper)
+        ``None`` is free; a number, list or array is a fixed value; a tuple of two is a range, each end a
+        number, an array or ``None`` (no limit). In a list ``None`` leaves that component free.
+    size : int
+        Number of components; scalars are repeated.
+    what : str
+        Names the quantity in error messages.
+
+    Raises
+    ------
+    ProblemError
+        Wrong number of components, NaN, crossed bounds, or an ambiguous tuple.
+    """
+    if value is None:
+        return free(size)
+    if not isinstance(value, tuple):
+        fixed = Interval(_end(value, -np.inf, size, what), _end(value, np.inf, size, what))
+        if np.any(np.isnan(fixed.lower)):
+            raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
+        return checked(fixed, what)
+    if len(value) != 2:
+        raise ProblemError(
+            f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
+            "a list."
+        )
+    refuse_ambiguous(value, size, what, "([a, a], [b, b]) for a range")
+    return read_range(value[0], value[1], size, what)
+
+
+def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
+    """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
+    low = _end(lower, -np.inf, size, f"the lower limit of {what}")
+    high = _end(upper, np.inf, size, f"the upper limit of {what}")
+    return checked(Interval(low, high), what)
+
+
+def _end(value: Any, none: float, size: int, what: str) -> Array:
+    """Return one end of a range as a vector, with ``none`` where it, or an entry of it, is ``None``."""
+    if value is None:
+        value = none
+    elif isinstance(value, (list, tuple)):
+        value = [none if entry is None else entry for entry in value]
+    return as_vector(value, size, what)
+
+
+def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+    """Raise `ProblemError` for two numbers given to a vector of two: its value, or something else?"""
+    if (
+        size == 2
+        and all(np.ndim(end) == 0 and isinstance(end, numbers.Real) for end in value)
+        and value[0] != value[1]
+    ):
+        raise ProblemError(
+            f"{what} has 2 components, so {value!r} can be read in two ways: write [a, b] for a value or "
+            f"{otherwise}."
+        )
+
+
+def checked(interval: Interval, what: str) -> Interval:
+    """Return the interval; raise `ProblemError` for NaN, crossed limits and values at infinity."""
+    for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
+        if np.any(np.isnan(end)):
+            raise ProblemError(
+                f"{what} has the {name} limit NaN: give a number, or None where there is no limit."
+            )
+    crossed = np.flatnonzero(interval.lower > interval.upper)
+    if crossed.size:
+        i = int(crossed[0])
+        raise ProblemError(
+            f"{what}{f', component {i},' if interval.lower.size > 1 else ''} has a lower limit "
+            f"{interval.lower[i]:g} "
+            f"above its upper limit {interval.upper[i]:g}: swap or correct them."
+        )
+    if np.any(np.isposinf(interval.lower)) or np.any(np.isneginf(interval.upper)):
+        raise ProblemError(f"{what} lies at infinity: give a finite number, or None where there is no limit.")
+    return interval
+
+
+def intersect(a: Interval, b: Interval) -> Interval:
+    """Return the component-wise intersection (may be empty: lower > upper)."""
+    return Interval(np.maximum(a.lower, b.lower), np.minimum(a.upper, b.upper))

@@ -1,0 +1,297 @@
+"""Between which values expressions of a problem lie, and which way they go, as far as its numbers tell.
+
+Interval arithmetic: between which values expressions lie while their arguments lie in theirs.
+
+After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without rounding
+outwards. What occurs more than once counts as often: a range may be wider than need be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.expressions import nodes_of, replaced
+from gnc_opt.model.table import TableUse
+from gnc_opt.planning.problem.expressions import along, table_uses
+from gnc_opt.planning.problem.interval import Interval, free, intersect
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+Range: TypeAlias = "tuple[float, float]"
+
+ANY: Range = (-math.inf, math.inf)
+
+
+def ranges_of(function: Any, arguments: Sequence[Interval]) -> Interval:
+    """Return the range of every entry of a function's first output.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of class SXFunction, with dense columns for arguments.
+    arguments : sequence of Interval
+        One per argument, a limit for each of its rows.
+
+    Returns
+    -------
+    Interval
+        Without limits where an operation is none of those known here.
+    """
+    size = function.size1_out(0)
+    found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
+    work = [ANY] * function.sz_w()
+    for k in range(function.n_instructions()):
+        operation, source = function.instruction_id(k), function.instruction_input(k)
+        target = function.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            found[rows[target[1]]] = work[source[0]]
+        elif operation == ca.OP_INPUT:
+            box = arguments[source[0]]
+            work[target[0]] = float(box.lower[source[1]]), float(box.upper[source[1]])
+        elif operation == ca.OP_CONST:
+            value = function.instruction_constant(k)
+            work[target[0]] = (value, value)
+        else:
+            known = _OPERATIONS.get(operation)
+            result = known(*(work[i] for i in source)) if known else ANY
+            for i in target:
+                work[i] = ANY if any(map(math.isnan, result)) else result
+    return Interval(np.array([a for a, _ in found]), np.array([b for _, b in found]))
+
+
+def _add(a: Range, b: Range) -> Range:
+    return a[0] + b[0], a[1] + b[1]
+
+
+def _negative(a: Range) -> Range:
+    return -a[1], -a[0]
+
+
+def _times(a: Range, b: Range) -> Range:
+    # Zero times infinity is zero: infinity stands for what has no limit, not for a value.
+    products = [x * y if x and y else 0.0 for x in a for y in b]
+    return min(products), max(products)
+
+
+def _inverse(a: Range) -> Range:
+    if a[0] < 0 < a[1] or a[0] == a[1] == 0:
+        return ANY
+    ends = sorted(math.copysign(math.inf, a[0] + a[1]) if x == 0 else 1 / x for x in a)
+    return ends[0], ends[1]
+
+
+def _square(a: Range) -> Range:
+    low, high = sorted(map(abs, a))
+    return 0.0 if a[0] <= 0 <= a[1] else low * low, high * high
+
+
+def _magnitude(a: Range) -> Range:
+    low, high = sorted(map(abs, a))
+    return 0.0 if a[0] <= 0 <= a[1] else low, high
+
+
+def _root(a: Range) -> Range:
+    return math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))
+
+
+def _exponential(a: Range) -> Range:
+    def exp(x: float) -> float:
+        return math.inf if x > 700 else math.exp(x)
+
+    return exp(a[0]), exp(a[1])
+
+
+def _power(a: Range, b: Range) -> Range:
+    """Of a base that is not negative, with a constant exponent."""
+    if a[0] < 0 or b[0] != b[1]:
+        return ANY
+    with np.errstate(all="ignore"):
+        ends = np.float_power(a, b[0])
+    return float(np.min(ends)), float(np.max(ends))
+
+
+_OPERATIONS: dict[int, Callable[..., Range]] = {
+    ca.OP_ASSIGN: lambda a: a,
+    ca.OP_ADD: _add,
+    ca.OP_SUB: lambda a, b: _add(a, _negative(b)),
+    ca.OP_NEG: _negative,
+    ca.OP_MUL: _times,
+    ca.OP_TWICE: lambda a: _add(a, a),
+    ca.OP_DIV: lambda a, b: _times(a, _inverse(b)),
+    ca.OP_INV: _inverse,
+    ca.OP_SQ: _square,
+    ca.OP_SQRT: _root,
+    ca.OP_FABS: _magnitude,
+    ca.OP_EXP: _exponential,
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
+    ca.OP_FMIN: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
+    ca.OP_FMAX: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
+    ca.OP_SIN: lambda _: (-1.0, 1.0),
+    ca.OP_COS: lambda _: (-1.0, 1.0),
+    ca.OP_TANH: lambda a: (math.tanh(a[0]), math.tanh(a[1])),
+}
+"""What is known of the operations of CasADi."""
+
+
+_DRAWS = 6
+
+_QUOTIENTS = (ca.OP_DIV, ca.OP_INV, ca.OP_LOG)
+_FACTORS = (ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_NEG)
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Symbols and their ranges.
+
+    Attributes
+    ----------
+    symbols : tuple of casadi.SX
+        Columns.
+    boxes : tuple of Interval
+    stated : tuple of Interval
+        Without what is only presumed of states.
+    tables : mapping of TableUse
+        Calls of linear tables of one axis, by the hashes of their values.
+    """
+
+    symbols: tuple[Any, ...]
+    boxes: tuple[Interval, ...]
+    stated: tuple[Interval, ...]
+    tables: Mapping[int, TableUse] = field(default_factory=dict)
+
+    @classmethod
+    def along(cls, problem: Statement, leg: Phase) -> Domain:
+        """Of what varies along a phase."""
+        initial, final = leg.times()
+        p = leg.model.parameter_values
+        values = Interval(p.copy(), p.copy())
+        for name, box in problem.parameter_bounds.items():
+            if name in leg.model.parameters:
+                place = leg.model.parameters.slice(name)
+                values.lower[place], values.upper[place] = box.lower, box.upper
+        time, rest = Interval(initial.lower, final.upper), (values, problem.parameter_interval())
+        sign, never_zero = _presumed_states(leg), _divisors(problem, leg)
+        told = leg.numbers.states
+        stated = Interval(
+            np.where(never_zero, sign.lower, told.lower), np.where(never_zero, sign.upper, told.upper)
+        )
+        boxes, surely = ((time, x, leg.numbers.controls, *rest) for x in (sign, stated))
+        uses = table_uses(problem, problem.phases[leg.name])
+        lines = {
+            int(use.value.element_hash()): use
+            for use in uses
+            if use.table.method == "linear" and len(use.table.grids) == 1
+        }
+        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely, lines)
+
+    @classmethod
+    def at_ends(cls, problem: Statement) -> Domain:
+        """Of end points, times, integrals and free parameters."""
+        symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
+        constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
+        for leg in problem.phases.values():
+            numbers = leg.numbers
+            symbols += [leg.initial_time, leg.final_time, leg.ends("initial"), leg.ends("final")]
+            boxes += [*leg.times(), intersect(numbers.initial, numbers.states)]
+            symbols.append(leg.integral_symbols())
+            boxes += [intersect(numbers.final, numbers.states), free(len(leg.integrands))]
+            own = zip(ca.vertsplit(leg.model.arguments()[3]), leg.model.parameter_values, strict=True)
+            constants |= {s.element_hash(): (s, value) for s, value in own}
+        values = np.array([value for _, value in constants.values()])
+        symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))
+        every = (*boxes, Interval(values, values))
+        return cls(tuple(symbols), every, every)
+
+    @property
+    def key(self) -> bytes:
+        """The same for the same numbers."""
+        return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
+
+    def ranges(self, column: Any) -> Interval:
+        """Return the ranges of a column."""
+        return ranges_of(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
+
+    def directions(self, expression: Any, nodes: list[Any]) -> list[int]:
+        """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""
+        z = ca.SX.sym("z", len(nodes))
+        place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
+        of_z = replaced(expression, place)
+        boxes = (*self.boxes, self.ranges(ca.vertcat(*nodes)))
+        within = Domain((*self.symbols, z), boxes, boxes)
+        slopes = within.ranges(ca.jacobian(of_z, z).T)
+        return [
+            1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
+        ]
+
+    def surely(self) -> Domain:
+        """Return the domain without what is only presumed."""
+        return Domain(self.symbols, self.stated, self.stated, self.tables)
+
+    def sign(self, expression: Any) -> int:
+        """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
+        found = self.ranges(expression)
+        if found.lower[0] >= 0 or found.upper[0] <= 0:
+            return 1 if found.lower[0] >= 0 else -1
+        if expression.is_symbolic():
+            return 0
+        for symbol in ca.symvar(
+            expression
+        ):  # a factor that occurs twice hides from intervals: v / 0.8 - 0.8 v
+            if is_affine(expression, symbol) and not np.any(drawn(ca.substitute(expression, symbol, 0.0))):
+                return self.sign(symbol) * self.sign(ca.jacobian(expression, symbol))
+        return 0
+
+
+def is_affine(column: Any, symbol: Any) -> bool:
+    """Whether all of a column is affine in a scalar symbol."""
+    return not any(ca.which_depends(column, symbol, 2, True))
+
+
+def drawn(column: Any) -> Array:
+    """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
+    symbols = ca.vertcat(*ca.symvar(column))
+    rng = np.random.default_rng(20)
+    size = (symbols.numel(), _DRAWS)
+    values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
+    function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
+    return np.asarray(
+        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
+    )
+
+
+def _divisors(problem: Statement, leg: Phase) -> Mask:
+    """Which states something is divided by along a phase, so that they keep their signs."""
+
+    def find() -> Mask:
+        found: set[int] = set()
+        waiting = [node.dep(node.n_dep() - 1) for node in nodes_of(along(leg)) if node.op() in _QUOTIENTS]
+        while waiting:
+            node = waiting.pop()
+            if node.is_symbolic():
+                found.add(node.element_hash())
+            elif node.op() in _FACTORS:
+                waiting += [node.dep(i) for i in range(node.n_dep())]
+        return np.array([s.element_hash() in found for s in ca.vertsplit(leg.model.symbols("state"))])
+
+    return problem.once(("divisors", leg.name), find)
+
+
+def _presumed_states(leg: Phase) -> Interval:
+    """The bounds of states; those without any keep the sign that both ends have, as masses do."""
+    box, numbers = leg.numbers.states, leg.numbers
+    known = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
+    told = np.where(np.isfinite(known), known, 0.0)
+    above = np.all(told >= 0, axis=0) & np.any(told > 0, axis=0)
+    below = np.all(told <= 0, axis=0) & np.any(told < 0, axis=0)
+    return Interval(
+        np.where(above, np.maximum(box.lower, 0.0), box.lower),
+        np.where(below, np.minimum(box.upper, 0.0), box.upper),
+    )

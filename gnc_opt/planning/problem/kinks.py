@@ -1,0 +1,90 @@
+"""Kinks and jumps along a phase: operations without derivatives in states or controls, and when they switch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Mask
+from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.planning.problem.expressions import table_uses
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+_OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
+_OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
+_STEPS = (ca.OP_FLOOR, ca.OP_CEIL)
+_WORDS = {
+    ca.OP_FABS: "fabs",
+    ca.OP_SIGN: "sign",
+    ca.OP_FMIN: "fmin",
+    ca.OP_FMAX: "fmax",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    **dict.fromkeys((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE), "a comparison"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Kinks:
+    """Operations in dx/dt and integrands that switch with states or controls.
+
+    Attributes
+    ----------
+    words : tuple of str
+        What each of them is.
+    arguments : casadi.Function
+        ``(t, x, u, p, q)`` -> (n_operations,): what changes its sign when an operation switches.
+    """
+
+    words: tuple[str, ...]
+    arguments: Any
+
+    @property
+    def of_states(self) -> Mask:
+        """Which operations switch with states, (n_operations,); the others with controls alone."""
+        found = np.zeros(len(self.words), dtype=bool)
+        found[self.arguments.jac_sparsity(0, 1).row()] = True
+        return found
+
+
+def has_kinks(expression: Any) -> bool:
+    """Whether an expression holds an operation whose value or slope jumps; its derivatives do not tell."""
+    return bool(operations_in(expression) & _WORDS.keys())
+
+
+def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
+    """Return what switches along a phase, tables left out; None if nothing does."""
+
+    def find() -> Kinks | None:
+        t, x, u, p = leg.model.arguments()
+        expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
+        if not has_kinks(expression):
+            return None
+        looked_up = frozenset[int]().union(*(use.hashes for use in table_uses(problem, leg)))
+        found: dict[int, tuple[str, Any]] = {}
+        for node in nodes_of(expression):
+            operation = node.op()
+            if operation in _WORDS and node.element_hash() not in looked_up:
+                argument = _argument(node, operation)
+                if ca.depends_on(argument, ca.vertcat(x, u)):
+                    found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
+        if not found:
+            return None
+        words, arguments = zip(*found.values(), strict=True)
+        stacked = problem.bind(leg, ca.densify(ca.vertcat(*arguments)))
+        function = ca.Function("kinks", [t, x, u, p, problem.parameter_symbols()], [stacked])
+        return Kinks(words, function)
+
+    return problem.once(("kinks", leg.name), find)
+
+
+def _argument(node: Any, operation: int) -> Any:
+    if operation in _OF_ONE:
+        return node.dep(0)
+    if operation in _OF_TWO:
+        return node.dep(0) - node.dep(1)
+    return ca.sin(ca.pi * node.dep(0))  # of a step at every whole number

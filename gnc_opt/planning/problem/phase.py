@@ -1,0 +1,543 @@
+"""Phase: one model over one span of time, with its boundary values, bounds and constraints.
+
+The numbers of a phase, apart from what it is made of.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import Strict, read_label
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
+from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_kinds
+from gnc_opt.planning.problem.constraints import Constraint, make_constraint
+from gnc_opt.planning.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
+from gnc_opt.planning.problem.interval import (
+    Interval,
+    free,
+    intersect,
+    merged,
+    of_magnitudes,
+    one_sided,
+    read_interval,
+    without_negative_parts,
+)
+from gnc_opt.planning.problem.restatement import Restatement
+
+
+@dataclass(frozen=True)
+class PhaseGuess:
+    """What the user knows about the trajectory beforehand: values by name and their times."""
+
+    time: Array | None = None
+    values: Mapping[str, GuessValue] = field(default_factory=dict)
+
+    def joined(
+        self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
+    ) -> PhaseGuess:
+        """Return the guess that others, with their times, have joined; see `Phase.guess`.
+
+        Parameters
+        ----------
+        time : array (n_times,), optional
+        values : mapping of str to GuessValue
+        sizes : mapping of str to int
+            Numbers of components by name, of all values.
+        where : str
+            For messages.
+        """
+        times = self.time if time is None else read_guess_times(time, where)
+        older = self.time if time is not None and values else None  # times of what is joined
+        merged, ends = {**self.values, **values}, np.array([0.0, 1.0])
+        for name, value in (merged if older is None else values).items():
+            if not callable(value):  # those must wait until the phase's times are known
+                sample_guess(value, sizes[name], ends, ends, times, f"the guess of '{name}' in {where}")
+        if older is not None and times is not None:
+            kept = {name: value for name, value in self.values.items() if name not in values}
+            merged, times = on_shared_times(kept, older, values, times)
+        return PhaseGuess(times, merged)
+
+
+@dataclass(frozen=True)
+class PhaseNumbers:
+    """The numbers of a phase; they may change without a new transcription.
+
+    Attributes
+    ----------
+    turns : Turns, optional
+        Angles that have lost their bounds, which left out no direction.
+    """
+
+    initial_time: Interval | None
+    final_time: Interval | None
+    duration: Interval
+    initial: Interval
+    final: Interval
+    states: Interval
+    controls: Interval
+    guess: PhaseGuess = PhaseGuess()
+    scales: Mapping[str, Array] = field(default_factory=dict)
+    arcs: Held | None = None
+    turns: Turns | None = None
+
+
+class Owner(Protocol):
+    """What a phase asks of its problem."""
+
+    name: str
+    phases: dict[str, Phase]
+
+    def refuse_if_frozen(self) -> None: ...
+
+    def changed(self) -> None: ...
+
+    def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
+
+    def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
+
+
+class Phase(Strict):
+    """One span of time of a problem; made by ``Problem.phase``.
+
+    In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
+    ``None`` is free. Names are those of the model's variables.
+
+    Examples
+    --------
+    >>> leg = problem.get_phase("leg")
+    >>> print(leg.model.name)
+    double integrator
+    """
+
+    __slots__ = (
+        "_curved",
+        "_ends",
+        "_owner",
+        "_told_on_sphere",
+        "final_time",
+        "follows",
+        "handed",
+        "initial_time",
+        "integrands",
+        "model",
+        "name",
+        "numbers",
+        "paths",
+        "restatement",
+        "told",
+    )
+
+    def __init__(self, name: str, model: Model, owner: Owner) -> None:
+        self.name = name
+        self.model = model
+        self._owner = owner
+        n, positive = model.states.size, Interval(np.zeros(1), np.full(1, np.inf))
+        controls = without_negative_parts(model)
+        self.numbers = PhaseNumbers(None, None, positive, free(n), free(n), free(n), controls)
+        self.paths: dict[str, Constraint] = {}
+        self._curved: set[str] = set()
+        self._told_on_sphere: dict[str, bool] = {}
+        for vector in self.vectors:
+            self._limit_length(vector)
+        self.restatement: Restatement | None = None
+        self.handed: dict[str, tuple[str, Array]] = {}
+        self.follows: str | None = None
+        self.told: dict[tuple[str, str], Array] = {}
+        self.integrands: dict[str, tuple[Any, Any]] = {}
+        self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
+        self.final_time: Any = ca.SX.sym(f"{name}_final_time")
+        self._ends = {
+            end: {v.name: ca.SX.sym(f"{name}_{end}_{v.name}", v.size) for v in model.states.variables}
+            for end in ("initial", "final")
+        }
+        self._note_curved(model.derivative())
+
+    def __repr__(self) -> str:
+        return f"Phase({self.name!r} on {self.model!r})"
+
+    # --- end-point symbols ------------------------------------------------------------------------
+
+    @property
+    def duration(self) -> Any:
+        """The expression final_time - initial_time (s)."""
+        return self.final_time - self.initial_time
+
+    def initial_state(self, name: str | Symbol) -> Any:
+        """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
+        return self._end("initial", name)
+
+    def final_state(self, name: str | Symbol) -> Any:
+        """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
+        return self._end("final", name)
+
+    def ends(self, end: str) -> Any:
+        """Return the stacked end-point states, ``end`` being "initial" or "final"."""
+        return ca.vertcat(*self._ends[end].values())
+
+    # --- declarations -----------------------------------------------------------------------------
+
+    def time(self, initial: Any = 0.0, final: Any = None, *, duration: Any = None) -> None:
+        """State when the phase starts and ends (s): values, ranges or ``None`` (free).
+
+        Parameters
+        ----------
+        initial, final : float, tuple or None
+        duration : tuple (lower, upper), optional
+            Range of ``final - initial``; its lower end defaults to 0.
+        """
+        self._set(
+            initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
+            final_time=read_interval(final, 1, f"the final time of {self.where}"),
+            duration=self.numbers.duration if duration is None else self.read_duration(duration),
+        )
+        self._owner.changed()
+
+    def initial(self, **values: Any) -> None:
+        """State the initial values of states by name; states left out are free."""
+        self._set(
+            initial=merged(self.numbers.initial, self.model.states, values, "initial value", self.where)
+        )
+
+    def final(self, **values: Any) -> None:
+        """State the final values of states by name; states left out are free."""
+        self._set(final=merged(self.numbers.final, self.model.states, values, "final value", self.where))
+
+    def bounds(self, **ranges: Any) -> None:
+        """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
+        states, controls = self._split(one_sided(self.model, ranges, self.where), "bounds")
+        self._set(
+            states=merged(self.numbers.states, self.model.states, states, "bounds", self.where),
+            controls=merged(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
+        )
+
+    def bounds_norm(self, **ranges: Any) -> None:
+        """State bounds of the Euclidean norm of vector controls over the whole phase: ``bounds_norm(T=(0.0, 5.0))``.
+
+        A lower limit > 0 leaves an annulus, which is not convex; other than with ``T @ T >= lower**2`` its centre is
+        no place where derivatives vanish.
+
+        Raises
+        ------
+        ProblemError
+            The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
+        """
+        self.bounds(**of_magnitudes(self.model, ranges, self.where))
+
+    def path(
+        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
+    ) -> None:
+        """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` at all times.
+
+        Parameters
+        ----------
+        name : str
+            Unique in the phase; appears in reports and multipliers.
+        expression : casadi.SX or list
+            In the symbols of the phase's model; or an inequality or equation, ``T.T @ T <= d**2``, without limits.
+        lower, upper : float or array, optional
+            At least one of them, unless ``equals`` is given.
+        equals : float or array, optional
+            For an equality.
+        """
+        read_label(name, f"path constraint of {self.where}", ProblemError)
+        what = f"path constraint '{name}' of {self.where}"
+        if name in self.paths:
+            raise ProblemError(f"{self.where} has two path constraints '{name}': rename one.")
+        constraint = make_constraint(name, expression, lower, upper, equals, what)
+        self._owner.refuse_foreign(self, constraint.expression, what)
+        self._owner.refuse_if_frozen()
+        self.paths[name] = constraint
+        self._note_curved(constraint.expression)
+        self._owner.changed()
+
+    def integral(self, integrand: Any, name: str | None = None) -> Any:
+        """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
+
+        Use it in the cost (a Lagrange term) or in constraints.
+        """
+        label = f"integral_{len(self.integrands) + 1}" if name is None else name
+        remedy = 'its name comes last, write integral(expression, "name")'
+        read_label(label, f"integral of {self.where}", ProblemError, instead=remedy)
+        what = f"integral '{label}' of {self.where}"
+        if label in self.integrands:
+            raise ProblemError(f"{self.where} has two integrals '{label}': rename one.")
+        value = as_expression(integrand, what, 1, ProblemError)
+        self._owner.refuse_foreign(self, value, what)
+        self._owner.refuse_if_frozen()
+        symbol = ca.SX.sym(f"{self.name}_{label}")
+        self.integrands[label] = (symbol, value)
+        self._note_curved(value)
+        self._owner.changed()
+        return symbol
+
+    def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
+        """Give a starting trajectory; whatever is left out is guessed.
+
+        Parameters
+        ----------
+        time : array (n_times,), optional
+            Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays that were
+            given before keep their own times if others come with new ones, and move to these if given alone.
+        **values
+            By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
+            (n, n_times), or a function of time that returns the value.
+        """
+        guess, known = self.numbers.guess, self.guessable
+        sizes = {
+            name: (known.get(name) or self._owner_layout(name, "guess")[name]).size
+            for name in {**guess.values, **values}
+        }
+        self._set(guess=guess.joined(time, values, sizes, self.where))
+
+    def scale(self, **magnitudes: ArrayLike) -> None:
+        """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
+
+        Answers and costates do not depend on scales; convergence may.
+        """
+        scales = dict(self.numbers.scales)
+        for name, magnitude in magnitudes.items():
+            size = self._owner_layout(name, "scale")[name].size
+            scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
+        self._set(scales=scales)
+
+    def hold(
+        self,
+        arcs: ArrayLike | None,
+        *,
+        paths: ArrayLike | None = None,
+        states: ArrayLike | None = None,
+        smooth: tuple[Smooth, ...] = (),
+        junctions: tuple[Junction, ...] = (),
+    ) -> None:
+        """Hold controls on their bounds, segment by segment, for a mesh of K segments.
+
+        Parameters
+        ----------
+        arcs : array (n_controls, K) of ArcKind or int, or None
+            LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its bounds,
+            RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With movable mesh boundaries the
+            switch times are then what is left to optimise. ``None`` lets everything go.
+        paths : array (n_paths, K), optional
+            The same for the rows of the path constraints.
+        states : array (n_states, K), optional
+            LOWER or UPPER: on that bound, INTERIOR: within bounds, RELEASED: free of them. A bound of higher order (the
+            state's own derivative depends on no control) needs a junction where the arc begins.
+        smooth : tuple of Smooth
+            Controls that are one polynomial over several segments.
+        junctions : tuple of Junction
+            Mesh boundaries at which a state constraint meets its limit.
+        """
+        if arcs is None:
+            self._set(arcs=None)
+            return
+        model, box = self.model, self.numbers
+        rows = {
+            "controls": (arcs, model.controls.labels, box.controls),
+            "paths": (paths, self.path_labels, self.path_interval()),
+            "states": (states, model.states.labels, box.states),
+        }
+        kinds = {
+            name: read_kinds(given, labels, limits, name, self.where)
+            for name, (given, labels, limits) in rows.items()
+            if given is not None
+        }
+        self._set(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+
+    # --- internals --------------------------------------------------------------------------------
+
+    @property
+    def where(self) -> str:
+        """ "phase 'leg' of problem '...'", for messages."""
+        return f"phase '{self.name}' of problem '{self._owner.name}'"
+
+    def read_duration(self, duration: Any) -> Interval:
+        """Return the range of the phase's duration (s), which is positive; ``None`` is any."""
+        given = read_interval(duration, 1, f"the duration of {self.where}")
+        if given.upper[0] <= 0:
+            raise ProblemError(
+                f"the duration of {self.where} is at most {given.upper[0]:g} s: give a positive one."
+            )
+        return Interval(np.maximum(given.lower, 0.0), given.upper)
+
+    def times(self) -> tuple[Interval, Interval]:
+        """Return the ranges of initial and final time.
+
+        Where one of them is a given number, the range of the duration narrows the other.
+
+        Raises
+        ------
+        ProblemError
+            ``time`` was never called.
+        """
+        initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
+        if initial is None or final is None:
+            raise ProblemError(f"{self.where} has no times: call time(initial=..., final=...).")
+        if initial.fixed[0] and not final.fixed[0]:
+            return initial, intersect(final, Interval(initial.lower + span.lower, initial.lower + span.upper))
+        if final.fixed[0] and not initial.fixed[0]:
+            return intersect(initial, Interval(final.lower - span.upper, final.lower - span.lower)), final
+        return initial, final
+
+    @property
+    def guessable(self) -> dict[str, Variable]:
+        """All that a guess may name: states, controls, and the controls that are made of those."""
+        model = self.model
+        composed = (control.variable for control in model.composed_controls.values())
+        return {v.name: v for v in (*model.states.variables, *model.controls.variables, *composed)}
+
+    @property
+    def path_labels(self) -> tuple[str, ...]:
+        """Names of the rows of all path constraints, in order."""
+        return tuple(label for c in self.paths.values() for label in c.labels)
+
+    def path_interval(self) -> Interval:
+        """Bounds of all path constraint rows, in order."""
+        boxes = {name: c.interval for name, c in self.paths.items()}
+        boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
+        if not boxes:
+            return free(0)
+        return Interval(
+            *(np.concatenate([getattr(b, end) for b in boxes.values()]) for end in ("lower", "upper"))
+        )
+
+    @property
+    def vectors(self) -> tuple[VectorControl, ...]:
+        """The vector controls of the model."""
+        return tuple(c for c in self.model.composed_controls.values() if isinstance(c, VectorControl))
+
+    def on_sphere(self, vector: VectorControl) -> bool:
+        """Whether the direction of a vector control has the length 1 everywhere, instead of at most 1.
+
+        So it is where the norm is never zero, and where anything but affine functions of the vector could make
+        shorter ones look better than they are.
+        """
+        if vector.name in self._told_on_sphere:
+            return self._told_on_sphere[vector.name]
+        least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
+        return bool(least[0] > 0) or vector.name in self._curved
+
+    def replace_controls(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
+        """Take note that the model, the constraints and the integrands are those of a vector control now.
+
+        Parameters
+        ----------
+        vector : VectorControl
+        on_sphere : bool, optional
+            Whether its direction has the length 1; default: as `on_sphere` tells of others.
+        """
+        lengths = {v.length for v in self.vectors}
+        constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
+        for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
+            self._note_curved(expression)
+        self._limit_length(vector)
+        if on_sphere is not None:
+            self._told_on_sphere[vector.name] = on_sphere
+
+    def _limit_length(self, vector: VectorControl) -> None:
+        square = ca.sumsqr(self.model.symbol(vector.direction))
+        what = f"the direction of '{vector.name}'"
+        self.paths[vector.length] = make_constraint(vector.length, square, None, 1.0, None, what)
+
+    def _note_curved(self, expression: Any) -> None:
+        """Note in which vectors an expression is not affine."""
+        for vector in self.vectors:
+            direction = self.model.symbol(vector.direction)
+            if any(ca.which_depends(expression, direction, 2, True)):
+                self._curved.add(vector.name)
+
+    def path_expression(self) -> Any:
+        """Stacked SX expression of all path constraints."""
+        return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
+
+    def once(self, key: str, build: Callable[[], Any]) -> Any:
+        """Return what was built for this phase, or its variations with other numbers, before."""
+        return self._owner.once((key, self.name), build)
+
+    def integrand_expression(self) -> Any:
+        """Stacked SX expression of all integrands."""
+        return ca.vertcat(*[e for _, e in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
+
+    def integral_symbols(self) -> Any:
+        """Stacked SX symbols of all integrals."""
+        return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
+
+    @property
+    def siblings(self) -> tuple[Phase, ...]:
+        """All phases of the problem, this one among them."""
+        return tuple(self._owner.phases.values())
+
+    def note_told(self, end: str, state: str, component: int, value: float) -> None:
+        """Note what a boundary constraint tells of a state at the "initial" or "final" end, for the guess."""
+        told = self.told.get((end, state), np.full(self.model.states[state].size, np.nan)).copy()
+        told[component] = value
+        self.told[end, state] = told
+
+    def handed_over(self, state: str) -> tuple[Phase, Array] | None:
+        """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
+        if state not in self.handed:
+            return None
+        first, jump = self.handed[state]
+        order = list(self._owner.phases)
+        return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
+
+    @property
+    def in_time(self) -> tuple[Phase | None, Phase | None]:
+        """The phases in whose end this one begins, and that begin in its end, by links of times."""
+        order = list(self._owner.phases)
+        before = None if self.follows is None else self._owner.phases[self.follows]
+        if before is not None and order.index(before.name) >= order.index(self.name):
+            before = None
+        own = order.index(self.name)
+        later = (leg for leg in self.siblings[own + 1 :] if leg.follows == self.name)
+        return before, next(later, None)
+
+    def clone(self, owner: Owner | None = None) -> Phase:
+        """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""
+        twin = copy.copy(self)
+        twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
+        twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
+        twin.handed, twin.told = dict(self.handed), dict(self.told)
+        twin._owner = owner or self._owner
+        return twin
+
+    def _set(self, **numbers: Any) -> None:
+        self._owner.refuse_if_frozen()
+        self.numbers = replace(self.numbers, **numbers)
+
+    def _end(self, end: str, name: str | Symbol) -> Any:
+        key = name.variable.name if isinstance(name, Symbol) else name
+        if not isinstance(key, str) or key not in self._ends[end]:
+            raise unknown_name("state", key, self.where, self._ends[end])
+        return self._ends[end][key]
+
+    def _split(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        states: dict[str, Any] = {}
+        controls: dict[str, Any] = {}
+        for name, value in values.items():
+            (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
+        return states, controls
+
+    def _owner_layout(self, name: str, what: str) -> Layout:
+        for layout in (self.model.states, self.model.controls):
+            if name in layout:
+                return layout
+        known = [*self.model.states.names, *self.model.controls.names]
+        if name in self.model.parameters:
+            raise ProblemError(
+                f"{what}() of {self.where} got '{name}', which is a parameter of the model: use "
+                "Problem.parameter() to "
+                "optimise it or with_parameters() to change it."
+            )
+        raise unknown_name("state or control", name, f"{what}() of {self.where}", known)

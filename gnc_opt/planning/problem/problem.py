@@ -1,0 +1,568 @@
+"""Problem: one or more phases, their cost, constraints, linkages and free parameters.
+
+Fingerprint: a hash by which a stored solution recognises its problem.
+
+Linkages: a phase continues where another one ends.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_label, read_mapping, read_name, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, shown, unknown_name, warn_user
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
+from gnc_opt.planning.problem.arcs import Junction, Smooth
+from gnc_opt.planning.problem.check import check_problem
+from gnc_opt.planning.problem.constraints import make_constraint
+from gnc_opt.planning.problem.expressions import (
+    parameter_arguments,
+    refuse_foreign_along,
+    refuse_foreign_ends,
+    refuse_other_size,
+)
+from gnc_opt.planning.problem.guess.initial_guess import note_told_ends
+from gnc_opt.planning.problem.guess.values import GuessValue
+from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.text import heading, table
+
+
+def problem_fingerprint(problem: Statement) -> str:
+    """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits).
+
+    How an answer is looked for is left out: guesses, scales and held arcs.
+    """
+    digest = hashlib.sha256()
+    digest.update(repr((problem.sense, _names(problem.parameters), problem.constraint_labels())).encode())
+    for leg in problem.phases.values():
+        model = leg.model
+        layouts = [_names(layout) for layout in (model.states, model.controls, model.parameters)]
+        digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
+        digest.update(_along(problem, leg))
+        for vector in (_given(problem, leg), *_vectors(leg.numbers), *_vectors(leg.path_interval())):
+            digest.update(vector.tobytes())
+    digest.update(_at_ends(problem))
+    for vector in (*_vectors(problem.constraint_interval()), *_vectors(problem.parameter_interval())):
+        digest.update(vector.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _names(layout: Layout) -> tuple[tuple[str, int], ...]:
+    return tuple((v.name, v.size) for v in layout.variables)
+
+
+def _given(problem: Statement, leg: Phase) -> Array:
+    """Values of the model's parameters; of those that are optimised, the values say nothing."""
+    values = leg.model.parameter_values
+    for name in problem.parameters.names:
+        if name in leg.model.parameters:
+            values[leg.model.parameters.slice(name)] = 0.0
+    return values
+
+
+def _vectors(box: Any) -> Iterable[Array]:
+    """Yield every float vector of a dataclass of intervals, depth first."""
+    for value in vars(box).values():
+        if isinstance(value, Interval):
+            yield from (value.lower, value.upper)
+        elif isinstance(value, np.ndarray):
+            yield value
+
+
+def _along(problem: Statement, leg: Phase) -> bytes:
+    expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
+    return _exact([*leg.model.arguments(), problem.parameter_symbols()], expressions)
+
+
+def _at_ends(problem: Statement) -> bytes:
+    arguments: list[Any] = []
+    for leg, parameters in zip(
+        problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
+    ):
+        arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+        arguments += [leg.integral_symbols(), parameters]
+    return _exact([*arguments, problem.parameter_symbols()], [problem.cost, problem.constraint_expression()])
+
+
+def _exact(arguments: list[Any], expressions: list[Any]) -> bytes:
+    """Return expressions with the places of their symbols and every digit of their constants.
+
+    Printed, constants would be rounded to six digits, and symbols of one name would look alike.
+    """
+    return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
+
+
+def linkages(
+    problem: str,
+    first: Phase,
+    second: Phase,
+    states: Iterable[str] | None,
+    time: bool,
+    jump: Mapping[str, ArrayLike] | None,
+) -> Iterator[tuple[str, Any, Array]]:
+    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``.
+
+    The second phase notes for its guess what is handed over to it, and when. The names are
+    ``link_<first>_<second>_<state>`` and ``..._time``.
+    """
+    label = f"link_{first.name}_{second.name}"
+    if time and first is second:
+        raise ProblemError(
+            f"{label} of problem '{problem}' takes no time: link a phase to itself with time=False."
+        )
+    shared = [name for name in first.model.states.names if name in second.model.states]
+    names = shared if states is None else _state_names(states, f"the states of {label}")
+    jumps = {} if jump is None else expect(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
+    for name in dict.fromkeys([*names, *jumps]):
+        start, end = second.initial_state(name), first.final_state(name)
+        if start.shape != end.shape:
+            raise ProblemError(
+                f"{label} of problem '{problem}' joins state '{name}' of {end.shape[0]} components to "
+                f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
+            )
+        units = [leg.model.states[name].unit for leg in (first, second)]
+        if all(units) and units[0] != units[1]:
+            warn_user(
+                f"{label} of problem '{problem}' hands '{name}' over from {units[0]} to {units[1]}, and nothing is "
+                "converted: use one unit, or leave it out of states=[...] and constrain() it with a factor."
+            )
+        value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
+        second.handed[name] = (first.name, value)
+        yield f"{label}_{name}", start - end, value
+    if time:
+        second.follows = first.name
+        yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)
+
+
+def _state_names(states: Iterable[str], what: str) -> list[str]:
+    if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
+        return list(states)
+    raise ProblemError(f"{what} are {shown(states)}: give a list of names.")
+
+
+class Problem(Statement):
+    """An optimal control problem in Bolza form over one or more phases.
+
+    Parameters
+    ----------
+    name : str
+        For messages and reports.
+
+    Notes
+    -----
+    The cost is any expression in end-point symbols (``leg.final_time``, ``leg.final_state("m")``), integrals
+    (``leg.integral(a**2)``) and parameters. Costates follow Pontryagin's *minimum* principle for the
+    minimised functional; a maximised J is minimised as -J.
+
+    Examples
+    --------
+    >>> hop = go.Problem("rest to rest with the least effort")
+    >>> leg = hop.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> hop.minimize(leg.integral(cart.symbol("a") ** 2))
+    >>> print(round(go.solve(hop).objective, 6))
+    12.0
+    """
+
+    __slots__ = ("_frozen",)
+
+    def __init__(self, name: str) -> None:
+        super().__init__(expect(name, str, "the name of a problem", 'write Problem("rest to rest")'))
+        self._frozen = False
+
+    def __repr__(self) -> str:
+        return f"Problem({self.name!r}: {', '.join(map(repr, self.phases.values()))})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a row per phase."""
+        rows = [
+            (
+                leg.name,
+                leg.model.name,
+                ", ".join(map(str, leg.model.states.variables)),
+                ", ".join(map(str, leg.model.controls.variables)),
+                ", ".join(leg.path_labels),
+            )
+            for leg in self.phases.values()
+        ]
+        titles = ("phase", "model", "states", "controls", "path constraints")
+        cost = "maximised" if self.sense < 0 else "minimised"
+        return heading(f"{self.name}, cost {cost}") + table(titles, rows)
+
+    # --- declarations -----------------------------------------------------------------------------
+
+    def phase(self, name: str, model: Model) -> Phase:
+        """Add a phase that follows ``model`` and return it.
+
+        Raises
+        ------
+        ProblemError
+            The name is taken or not an identifier, or the model has missing dynamics.
+        """
+        self.refuse_if_frozen()
+        read_name(name, f"phase of problem '{self.name}'", ProblemError)
+        if name in self.phases:
+            raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
+        expect(
+            model, Model, f"the model of phase '{name}' of problem '{self.name}'", "write phase(name, model)"
+        )
+        for parameter in self.parameters.variables:
+            refuse_other_size(parameter.name, parameter.size, model, self.name)
+        model.derivative()
+        model.mark_in_use(f"problem '{self.name}'")
+        self.phases[name] = Phase(name, model, self)
+        self.changed()
+        return self.phases[name]
+
+    def parameter(
+        self,
+        name: str,
+        size: int = 1,
+        *,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        guess: ArrayLike | None = None,
+        unit: str = "",
+    ) -> Symbol:
+        """Declare a static parameter to optimise and return its symbol.
+
+        A model parameter of the same name becomes this free parameter, in every phase.
+
+        Parameters
+        ----------
+        name : str
+            An identifier, unique among the problem's parameters.
+        size : int
+            Number of components.
+        lower, upper : float or array (size,), optional
+            Bounds; left out, there is none.
+        guess : float or array (size,), optional
+            Starting value; default: the middle of the bounds.
+        unit : str
+            For printing.
+
+        Raises
+        ------
+        ProblemError
+            Name taken or no identifier, size < 1, crossed bounds.
+        """
+        self.refuse_if_frozen()
+        read_name(name, f"parameter of problem '{self.name}'", ProblemError)
+        if name in self._parameters:
+            raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
+        what = f"parameter '{name}' of problem '{self.name}'"
+        if isinstance(size, (tuple, list)):
+            raise ProblemError(
+                f"the size of {what} is {size}: write lower=..., upper=... for bounds, and an integer for its size."
+            )
+        size = read_integer(size, f"the size of {what}", 1, ProblemError)
+        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
+        bounds = read_range(lower, upper, size, what)
+        start = bounds.middle if guess is None else as_vector(guess, size, f"the guess of {what}")
+        if not np.all(np.isfinite(start)):
+            raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
+        for leg in self.phases.values():
+            refuse_other_size(name, size, leg.model, self.name)
+        self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
+        self.changed()
+        return self._parameters[name]
+
+    def constrain(
+        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
+    ) -> None:
+        """Add a boundary constraint on end-point states, times, integrals and parameters.
+
+        Parameters
+        ----------
+        name : str
+            Unique in the problem; appears in reports and names the multiplier.
+        expression : casadi.SX or list
+            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an inequality or
+            equation of these, ``leg.final_state("m") >= 300.0``, without limits.
+        lower, upper : float or array, optional
+            At least one of them, unless ``equals`` is given.
+        equals : float or array, optional
+            For an equality.
+
+        Raises
+        ------
+        ProblemError
+            Name taken, no limit or contradictory ones, or a symbol that varies along a phase.
+        """
+        self.refuse_if_frozen()
+        read_label(name, f"constraint of problem '{self.name}'", ProblemError)
+        what = f"constraint '{name}' of problem '{self.name}'"
+        if name in self.constraints:
+            raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
+        constraint = make_constraint(name, expression, lower, upper, equals, what)
+        self._refuse_foreign_ends(constraint.expression, what)
+        self.constraints[name] = constraint
+        note_told_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
+        self.changed()
+
+    def link(
+        self,
+        first: Phase | str,
+        second: Phase | str,
+        *,
+        states: Iterable[str] | None = None,
+        time: bool = True,
+        jump: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Continue ``second`` where ``first`` ends.
+
+        Parameters
+        ----------
+        first, second : Phase or str
+        states : iterable of str, optional
+            The states to hand over; default: all that both models have.
+        time : bool
+            Whether the second phase starts when the first one ends.
+        jump : mapping, optional
+            Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
+        """
+        legs = self.get_phase(first), self.get_phase(second)
+        for name, expression, value in linkages(self.name, *legs, states, time, jump):
+            self.constrain(name, expression, equals=value)
+
+    def sequence(
+        self,
+        *legs: Phase | str,
+        durations: Mapping[str, Any] | None = None,
+        start: Any = 0.0,
+        drops: Mapping[str, Mapping[str, ArrayLike]] | None = None,
+    ) -> None:
+        """Let phases follow each other: states and times handed over, masses dropped in between.
+
+        Parameters
+        ----------
+        *legs : Phase or str
+            In their order, two or more.
+        durations : mapping of str to float or tuple, optional
+            How long each phase takes, s: a number or a range ``(lower, upper)``; left out, any time. Ranges with both
+            ends make the better guess.
+        start : float, tuple or None
+            Initial time of the first phase, s, as in ``Phase.time``.
+        drops : mapping of str to mapping, optional
+            What is left behind at the end of a phase, by state, > 0: ``{"boost": {"m": 1200.0}}``.
+
+        Raises
+        ------
+        ProblemError
+            Fewer than two phases, one of them twice, or an unknown name.
+        """
+        chain = [self.get_phase(leg) for leg in legs]
+        names = [leg.name for leg in chain]
+        if len(set(names)) < max(2, len(names)):
+            raise ProblemError(
+                f"sequence() of problem '{self.name}' got {names}: give two phases or more, each once."
+            )
+        durations = read_mapping(durations, "durations of sequence()", 'write {"ascent": 100.0}')
+        drops = read_mapping(drops, "drops of sequence()", 'write {"ascent": {"m": 1200.0}}')
+        for given, known in ((durations, names), (drops, names[:-1])):
+            for name in given:
+                if name not in known:
+                    raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
+        spans = [leg.read_duration(durations.get(leg.name)) for leg in chain]
+        begin = read_interval(start, 1, f"the start of sequence() of problem '{self.name}'")
+        for leg, span in zip(chain, spans, strict=True):
+            end = Interval(begin.lower + span.lower, begin.upper + span.upper)
+            leg.time(initial=_as_given(begin), final=_as_given(end), duration=(span.lower[0], span.upper[0]))
+            begin = end
+        for first, second in pairwise(chain):
+            what = f"the drops after {first.where}"
+            left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
+            jump = {n: -read_numbers(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
+            self.link(first, second, jump=jump)
+
+    def minimize(self, cost: Any) -> None:
+        """State the cost to minimise: an expression in end points, integrals and parameters."""
+        self._set_cost(cost, 1.0)
+
+    def maximize(self, payoff: Any) -> None:
+        """State the payoff to maximise; costates belong to the minimised functional -payoff."""
+        self._set_cost(payoff, -1.0)
+
+    # --- variations: new numbers, same structure ----------------------------------------------------
+
+    def with_initial(self, phase: str | None = None, /, **values: Any) -> Problem:
+        """Return a copy with other initial values; ``phase`` may be left out when there is one."""
+        twin = self.clone()
+        twin.get_phase(phase).initial(**values)
+        return twin
+
+    def with_final(self, phase: str | None = None, /, **values: Any) -> Problem:
+        """Return a copy with other final values."""
+        twin = self.clone()
+        twin.get_phase(phase).final(**values)
+        return twin
+
+    def with_bounds(self, phase: str | None = None, /, **ranges: Any) -> Problem:
+        """Return a copy with other bounds of states or controls."""
+        twin = self.clone()
+        twin.get_phase(phase).bounds(**ranges)
+        return twin
+
+    def with_time(self, phase: str | None = None, /, **times: Any) -> Problem:
+        """Return a copy with other times: ``with_time(initial=..., final=..., duration=...)``."""
+        twin = self.clone()
+        leg = twin.get_phase(phase)
+        old = leg.numbers
+        shared = self.builds
+        given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
+        if set(times) - set(given):
+            raise unknown_name(
+                "time", next(iter(set(times) - set(given))), leg.where, ("initial", "final", "duration")
+            )
+        leg.time(**given)
+        leg.numbers = replace(
+            leg.numbers,
+            initial_time=leg.numbers.initial_time if "initial" in given else old.initial_time,
+            final_time=leg.numbers.final_time if "final" in given else old.final_time,
+        )
+        twin.builds = shared
+        return twin
+
+    def with_guess(
+        self, phase: str | None = None, /, time: ArrayLike | None = None, **values: GuessValue
+    ) -> Problem:
+        """Return a copy with another guess; see ``Phase.guess``."""
+        twin = self.clone()
+        twin.get_phase(phase).guess(time, **values)
+        return twin
+
+    def with_parameter_guess(self, **values: ArrayLike) -> Problem:
+        """Return a copy with other starting values of free parameters."""
+        twin = self.clone()
+        for name, value in values.items():
+            if name not in self._parameters:
+                raise unknown_name("parameter", name, f"problem '{self.name}'", self._parameters)
+            size = self._parameters[name].variable.size
+            twin.parameter_guess[name] = as_vector(value, size, f"the guess of parameter '{name}'")
+        return twin
+
+    def with_scale(self, phase: str | None = None, /, **magnitudes: ArrayLike) -> Problem:
+        """Return a copy with other scales; see ``Phase.scale``."""
+        twin = self.clone()
+        twin.get_phase(phase).scale(**magnitudes)
+        return twin
+
+    def with_arcs(
+        self,
+        phase: str | None = None,
+        /,
+        *,
+        arcs: ArrayLike | None,
+        paths: ArrayLike | None = None,
+        states: ArrayLike | None = None,
+        smooth: tuple[Smooth, ...] = (),
+        junctions: tuple[Junction, ...] = (),
+    ) -> Problem:
+        """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
+        twin = self.clone()
+        twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
+        return twin
+
+    def with_parameters(self, **values: ArrayLike) -> Problem:
+        """Return a copy with other values of model parameters (in every model that has them)."""
+        twin = self.clone()
+        for name in values:
+            if not any(name in leg.model.parameters for leg in twin.phases.values()):
+                known = {n for leg in twin.phases.values() for n in leg.model.parameters.names}
+                raise unknown_name("model parameter", name, f"problem '{self.name}'", sorted(known))
+        for leg in twin.phases.values():
+            own = {k: v for k, v in values.items() if k in leg.model.parameters}
+            leg.model = leg.model.with_parameters(**own)
+        return twin
+
+    def check(self) -> None:
+        """Raise `ProblemError` for what a solver could only stumble over; `solve` runs it too.
+
+        Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
+        and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
+        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) that are not
+        restated when the problem is solved, of linear
+        tables, and of a guess outside of a table.
+        """
+        check_problem(self)
+
+    def frozen(self) -> Problem:
+        """Return a copy that refuses to be changed; what was built serves both.
+
+        A solution keeps such a copy: what is asked of it later is asked of the problem that was solved.
+        """
+        if self._frozen:
+            return self
+        twin = self.clone()
+        twin._frozen = True
+        return twin
+
+    def fingerprint(self) -> str:
+        """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
+        return problem_fingerprint(self)
+
+    # --- internals --------------------------------------------------------------------------------
+
+    def refuse_if_frozen(self) -> None:
+        """Raise `ProblemError` if the problem is that of a solution."""
+        if self._frozen:
+            raise ProblemError(
+                f"problem '{self.name}' is the one that a solution solves and cannot be changed any more: "
+                "make a variation with with_bounds(), with_initial() or their like, or state a new problem."
+            )
+
+    def changed(self) -> None:
+        """Forget what was built from earlier declarations."""
+        self.builds = {}
+
+    def refuse_foreign(self, leg: Phase, expression: Any, what: str) -> None:
+        """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
+        refuse_foreign_along(
+            leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
+        )
+
+    def _refuse_foreign_ends(self, expression: Any, what: str) -> None:
+        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
+
+    def clone(self) -> Problem:
+        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
+        twin = copy.copy(self)
+        twin._frozen = False
+        twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}
+        twin.constraints = dict(self.constraints)
+        twin._parameters = dict(self._parameters)
+        twin.parameter_bounds = dict(self.parameter_bounds)
+        twin.parameter_guess = dict(self.parameter_guess)
+        return twin
+
+    def _set_cost(self, cost: Any, sense: float) -> None:
+        self.refuse_if_frozen()
+        if self.cost is not None:
+            raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
+        expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
+        self._refuse_foreign_ends(expression, f"the cost of problem '{self.name}'")
+        self.cost, self.sense = expression, sense
+        self.changed()
+
+
+def _as_given(interval: Interval) -> Any:
+    """Return a time's range as users write it."""
+    lower, upper = float(interval.lower[0]), float(interval.upper[0])
+    if lower == upper:
+        return lower
+    return (lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None)

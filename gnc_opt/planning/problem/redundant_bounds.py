@@ -1,0 +1,222 @@
+"""Vectors of states whose length the dynamics keep: unit quaternions, directions, spinning momenta.
+
+A bound that no vector of that length passes says nothing. Yet a quaternion that begins at rest, (1, 0, 0, 0), with
+bounds of 1 begins on a bound, whose gradient is that of the length: no step leads to the inside, and an interior point
+method, which lives there, wanders for thousands of iterations. Such bounds are dropped. (Wider ones leave an inside.)
+
+States that only rise, or only fall, whatever the controls do: budgets of fuel, dose, heat.
+
+Once such a budget is used up its bound holds by itself, as long as the controls that use it are on limits of their
+own. The multiplier of the bound could then be spread over that time in any way, and so could what follows from it,
+costates and switching functions. The bound at the one end says all that it says in between; alone it has one
+multiplier, and the costate stays what it is until then. In between there are loose bounds: they keep the solver
+where the dynamics mean something, and within them nothing may turn round.
+
+Controls of which a problem takes roots, powers or logarithms: what has no derivatives where they are zero.
+
+A rotor's lift pays by its power 3/2, whose second derivative is infinite at lift 0. A solver that stays between the
+bounds does not see it. Where a control is held on the bound it does, and cannot begin: there it is held a trace inside.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+LOOSE = 0.1
+"""Share of a state's bounds and start by which bounds are loosened that say nothing."""
+
+
+def loose_bounds(leg: Phase) -> Interval:
+    """Return the bounds of the states of a phase, somewhat wider."""
+    bounds, initial = leg.numbers.states, leg.numbers.initial
+    reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
+    room = LOOSE * np.max(np.where(np.isfinite(reach), reach, 0.0), axis=0)
+    return Interval(bounds.lower - room, bounds.upper + room)
+
+
+def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+    """Return which states of a phase never fall and which never rise.
+
+    They do not while controls keep to their bounds, and states to theirs as `loose_bounds` has them.
+
+    Only states with bounds that controls can bring to rest are looked at. The answer to the last numbers is kept.
+    """
+    numbers = leg.numbers
+    bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
+    rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
+    if not np.any(bounded[rows]):
+        return _none(leg), _none(leg)
+    values, times = leg.model.parameter_values, leg.times()
+    ranges = [
+        Interval(times[0].lower, times[1].upper),
+        loose_bounds(leg),
+        numbers.controls,
+        Interval(values, values),
+        problem.parameter_interval(),
+    ]
+    asked = (bounded.tobytes(), *(end.tobytes() for box in ranges for end in (box.lower, box.upper)))
+    place = ("one way", leg.name)
+    known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
+    if known is None or known[0] != asked:
+        rising, falling, rate = _none(leg), _none(leg), ranges_of(rates, ranges)
+        rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
+        problem.builds[place] = known = (asked, rising, falling)
+    return known[1:]
+
+
+def _none(leg: Phase) -> Mask:
+    return np.zeros(leg.model.states.size, dtype=bool)
+
+
+def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+    """Return which states that never fall, and which that never rise, a later phase takes over as such.
+
+    It takes them without a jump and with the same bound or a tighter one, which so holds here, too.
+    """
+    kept = np.zeros((2, leg.model.states.size), dtype=bool)
+    for later in problem.phases.values():
+        for name in later.model.states.names:
+            before, jump = later.handed_over(name) or (None, np.zeros(0))
+            if before is None or before.name != leg.name or np.any(jump):
+                continue
+            ours, theirs = leg.model.states.slice(name), later.model.states.slice(name)
+            bounds, tighter = leg.numbers.states, later.numbers.states
+            ways = one_way_states(problem, later)
+            kept[0, ours] = ways[0][theirs] & (tighter.upper[theirs] <= bounds.upper[ours])
+            kept[1, ours] = ways[1][theirs] & (tighter.lower[theirs] >= bounds.lower[ours])
+    ways = one_way_states(problem, leg)
+    return ways[0] & kept[0], ways[1] & kept[1]
+
+
+def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
+    """Rows of the states whose rates depend on controls, and their rates as a function."""
+    t, x, u, p = leg.model.arguments()
+    rates = problem.bind(leg, leg.model.derivative())
+    rows = np.unique(np.array(ca.jacobian_sparsity(rates, u).row(), dtype=int))
+    arguments = [t, x, u, p, problem.parameter_symbols()]
+    return rows, ca.Function("rates", arguments, [ca.densify(rates[rows.tolist()])])
+
+
+ROOTED = {ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_LOG, ca.OP_ASIN, ca.OP_ACOS}
+
+TRACE = 1e-14
+"""Share of the range of a control that it is held inside of its bounds: less than anything that is measured."""
+
+
+def reachable_bounds(problem: Statement, leg: Phase) -> Interval:
+    """Return the bounds of a phase's controls, a trace inside of them for controls of which roots are taken."""
+    bounds = leg.numbers.controls
+    rooted = problem.once(("rooted controls", leg.name), lambda: _rooted_controls(problem, leg))
+    width = bounds.upper - bounds.lower
+    step = np.where(rooted & np.isfinite(width), TRACE * width, 0.0)
+    return Interval(bounds.lower + step, bounds.upper - step)
+
+
+def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
+    """Return which controls are within a root, a power or a logarithm."""
+    found = np.zeros(leg.model.controls.size, dtype=bool)
+    parts = leg.model.derivative(), leg.path_expression(), leg.integrand_expression()
+    rows = problem.bind(leg, ca.vertcat(*parts))
+    if not operations_in(rows) & ROOTED:
+        return found
+    u = leg.model.arguments()[2]
+    for node in nodes_of(rows):
+        if node.op() in ROOTED:
+            found[ca.jacobian_sparsity(node.dep(0), u).get_col()] = True
+    return found
+
+
+PLACES, SEED = 8, 5
+"""Points at random on the sphere, with other states and controls at random, at which the length has no rate: what
+vanishes at them vanishes everywhere, but for functions made to deceive."""
+
+ROUNDING = 1e-12
+"""Share of its terms within which a rate is none, and of a length by which a bound may fall short of it."""
+
+ROOM = 1e-2
+"""Share of a length by which a bound of it may exceed it."""
+
+
+def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
+    """Return which lower and which upper bounds of states are the length that a vector of them keeps.
+
+    Vectors are those that are declared as such, and what scalars that share their bounds make together.
+    """
+    idle = np.zeros((2, leg.model.states.size), dtype=bool)
+    bounds = leg.numbers.states
+    for places in _vectors(leg):
+        length = _first_length(leg, places)
+        least, most = length * (1.0 - ROUNDING), length * (1.0 + ROOM)
+        below, above = -bounds.lower[places], bounds.upper[places]
+        lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
+        if length > 0 and np.any(lower | upper) and _kept(problem, leg, places, length):
+            idle[0, places], idle[1, places] = lower, upper
+    return idle[0], idle[1]
+
+
+def _vectors(leg: Phase) -> list[Indices]:
+    """Return the places of the vectors among the states; of scalars those with the same bounds to both sides."""
+    states, bounds = leg.model.states, leg.numbers.states
+    found, alike = [], dict[float, list[int]]()
+    for variable in states.variables:
+        places = np.arange(states.size)[states.slice(variable.name)]
+        if places.size > 1:
+            found.append(places)
+        elif np.isfinite(bounds.upper[places[0]]) and bounds.lower[places[0]] == -bounds.upper[places[0]]:
+            alike.setdefault(float(bounds.upper[places[0]]), []).append(int(places[0]))
+    return found + [np.array(places) for places in alike.values() if len(places) > 1]
+
+
+def _first_length(leg: Phase, places: Indices) -> float:
+    """Return the length that a vector begins with, here or in a phase that hands it over; NaN if that is open."""
+    for value in (leg.numbers.initial, leg.numbers.final):
+        if np.all(value.fixed[places]):
+            return float(np.linalg.norm(value.lower[places]))
+    names = {name for name in leg.model.states.names if np.isin(places, _places(leg, name)).any()}
+    if len(names) != 1:
+        return np.nan
+    (name,) = names
+    before, jump = leg.handed_over(name) or (None, np.zeros(0))
+    return np.nan if before is None or np.any(jump) else _first_length(before, _places(before, name))
+
+
+def _places(leg: Phase, name: str) -> Indices:
+    return np.arange(leg.model.states.size)[leg.model.states.slice(name)]
+
+
+def _kept(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
+    """Whether a vector of a length has no rate along itself, whatever everything else is."""
+    terms = problem.once(
+        ("rate along itself", leg.name, places.tobytes()), lambda: _terms(problem, leg, places)
+    )
+    random = np.random.default_rng(SEED)
+    free = problem.parameter_interval().lower.size
+    for _ in range(PLACES):
+        x = random.uniform(0.5, 1.5, leg.model.states.size)
+        x[places] = random.standard_normal(places.size)
+        x[places] *= length / np.linalg.norm(x[places])
+        u = random.uniform(0.5, 1.5, leg.model.controls.size)
+        t, q = random.uniform(0.5, 1.5), random.uniform(0.5, 1.5, free)
+        values = np.asarray(terms(t, x, u, leg.model.parameter_values, q)).ravel()
+        if not abs(values.sum()) <= ROUNDING * np.abs(values).sum():
+            return False
+    return True
+
+
+def _terms(problem: Statement, leg: Phase, places: Indices) -> Any:
+    """Return the products of a vector's components and their rates, as a function."""
+    t, x, u, p = leg.model.arguments()
+    rows = places.tolist()
+    rates = problem.bind(leg, leg.model.derivative())
+    products = ca.densify(x[rows] * rates[rows])
+    return ca.Function("along_itself", [t, x, u, p, problem.parameter_symbols()], [products])

@@ -1,0 +1,16 @@
+r"""Norms and kinks written by hand, restated without them.
+
+``T.T @ T <= d**2``, ``norm_2(T) <= 5`` and ``sqrt(T_x**2 + T_y**2 + T_z**2)`` in a cost or a mass flow have no slope,
+or no derivative, where a control is zero, which is where optima coast. With :math:`T = s n`, the magnitude s >= 0 and a
+direction n within the unit ball or on its sphere (see ``Model.vector_control``), all is smooth: norms become s, limits
+of norms limits of s, and cones about a direction, of which s is a factor, limits of n.
+
+Kinks that cost the more the larger they are (``fabs(u)``, ``fmax(2 * u, -u)``, ``if_else(u > 0, u / 0.8, 0.8 * u)``)
+bend along a control, which is the sum of parts from corner to corner then, or have a control above all of their pieces
+in their place. Limits of kinks are limits of their pieces. Path limits that repeat bounds are left to those.
+Bounds that leave an angle a whole turn limit nothing.
+"""
+
+from gnc_opt.planning.problem.reformulation.restate import restated
+
+__all__ = ["restated"]

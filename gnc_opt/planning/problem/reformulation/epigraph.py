@@ -1,0 +1,550 @@
+r"""The form of a phase without other kinks: controls above what costs, several smooth limits for one with kinks.
+
+The least s above all of :math:`e_0, \ldots, e_k` is the largest of them: so a control s takes the place of a kink that
+costs, with a path constraint per piece (epigraph form; S. Boyd & L. Vandenberghe, Convex Optimization, Cambridge 2004,
+section 4.1.3). The largest of them is within a limit if each of them is.
+
+Kinks along a phase that cost the more the larger they are, or limit that: which ones, and in which direction.
+
+Kinks as the largest or least of smooth pieces: ``fabs(e)`` of e and -e, ``fmax(a, b)``, sums of these and so on.
+
+The form of a problem without kinks of its cost and boundary constraints: free parameters above what costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.expressions import nodes_of, operations_in, replaced
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.expressions import table_uses
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.guess.values import GuessValue
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
+from gnc_opt.planning.problem.phase import Phase, PhaseGuess
+from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
+from gnc_opt.planning.problem.reformulation.table_lines import lines_of
+from gnc_opt.planning.problem.restatement import Restatement
+from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.tolerances import EQUAL
+
+
+@dataclass(frozen=True, eq=False)
+class Extremum:
+    """A kink that an optimum pushes against, as the largest or least of its pieces.
+
+    Attributes
+    ----------
+    node : casadi.SX
+    sense : int
+        1 if it is the largest of its pieces and less of it is better, -1 if it is the least and more is better.
+    pieces : list of casadi.SX
+    """
+
+    node: Any
+    sense: int
+    pieces: Pieces
+
+
+def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+    """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
+    ignored, found = _of_tables(problem, leg), {}
+    wanted = integral_senses(problem, leg)
+    for name, (_, integrand) in leg.integrands.items():
+        nodes = outermost(integrand, ignored, domain) if wanted[name] else []
+        if nodes:
+            found[name] = list(extrema_of(integrand, nodes, wanted[name], domain))
+    return {name: kinks for name, kinks in found.items() if kinks}
+
+
+def kinks_that_limit(problem: Statement, leg: Phase, domain: Domain) -> dict[tuple[str, int], list[Extremum]]:
+    """Return the kinks of path constraints that are convex towards their only limit, by constraint and row."""
+    ignored, found = _of_tables(problem, leg), {}
+    for name, constraint in leg.paths.items():
+        for i, row in enumerate(rows_of(constraint.expression)):
+            sense = limited_sense(constraint, i)
+            nodes = outermost(row, ignored, domain) if sense else []
+            if nodes:
+                found[name, i] = list(extrema_of(row, nodes, sense, domain))
+    return {place: kinks for place, kinks in found.items() if kinks}
+
+
+def kinks_that_drain(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+    """Return the kinks of rates of states of which more is better, as fuel, and that fall by them, by state.
+
+    (And the other way round.) That more is better is presumed from costs and limits at the end: where it is not, parts
+    of a split control push at once.
+    """
+    wanted = _state_senses(problem, leg)
+    return {
+        name: kinks
+        for name, rate, nodes in _kinked_rates(problem, leg, domain)
+        if wanted[name] and (kinks := list(extrema_of(rate, nodes, wanted[name], domain)))
+    }
+
+
+def kinks_of_rates(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+    """Return all kinks of rates that are the largest, or the least, of pieces, by state."""
+    found = {}
+    for name, _, nodes in _kinked_rates(problem, leg, domain):
+        tried = [(node, sense, pieces(node, sense, domain)) for node in nodes for sense in (1, -1)]
+        found[name] = [Extremum(node, sense, own) for node, sense, own in tried if own is not None]
+    return found
+
+
+def _kinked_rates(problem: Statement, leg: Phase, domain: Domain) -> Iterator[tuple[str, Any, list[Any]]]:
+    ignored = _of_tables(problem, leg)
+    for name, rate in zip(leg.model.states.labels, rows_of(leg.model.derivative()), strict=True):
+        nodes = outermost(rate, ignored, domain)
+        if nodes:
+            yield name, rate, nodes
+
+
+def _state_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+    """Return 1 for states of which less at the end is better, as far as cost and limits tell, -1 for more, else 0."""
+    domain, numbers = Domain.at_ends(problem), leg.numbers
+    cost = problem.bind(leg, problem.sense * problem.cost)
+    senses = {}
+    for i, (name, symbol) in enumerate(
+        zip(leg.model.states.labels, ca.vertsplit(leg.ends("final")), strict=True)
+    ):
+        slope = ca.jacobian(cost, symbol)
+        end = intersect(numbers.final, numbers.states)
+        fills = end.upper[i] > numbers.initial.upper[i]
+        limits = int(np.isfinite(end.upper[i]) and fills) - int(np.isfinite(end.lower[i]))
+        told = limits * int(end.lower[i] < end.upper[i])  # a given end tells nothing
+        senses[name] = told if slope.is_zero() else domain.sign(slope)
+    return senses
+
+
+def limited_sense(constraint: Constraint, row: int) -> int:
+    """Return 1 for a row with a limit from above alone, -1 from below alone, else 0."""
+    below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
+    return int(above) - int(below)
+
+
+def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+    """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
+    for node, direction in zip(nodes, domain.directions(expression, nodes), strict=True):
+        own = sense * direction
+        found = pieces(node, own, domain) if own else None
+        if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
+            yield Extremum(node, own, found)
+
+
+def _is_rounded(expression: Any, kink: Extremum) -> bool:
+    """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
+    z = ca.SX.sym("z")
+    of_z = replaced(expression, {kink.node.element_hash(): z})
+    slope = ca.densify(ca.jacobian(of_z, z))
+    for first, second in combinations(kink.pieces, 2):
+        symbol = next((s for s in ca.symvar(second - first) if is_affine(second - first, s)), None)
+        if symbol is None:
+            return False
+        gap = second - first
+        column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
+        slopes, here, *others = drawn(ca.substitute(column, symbol, meeting(gap, symbol)))
+        largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
+        if np.any(largest & ~np.isfinite(slopes)):
+            return True
+        if np.any(largest & (np.abs(slopes) > EQUAL)):
+            return False
+    return True
+
+
+def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+    """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
+    domain = Domain.at_ends(problem)
+    ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
+    box = problem.constraint_interval()
+    lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
+    senses = {}
+    for name, (symbol, _) in leg.integrands.items():
+        slopes = ca.jacobian(ends, symbol)
+        rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
+        own = {domain.sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        senses[name] = own.pop() if len(own) == 1 else 0
+    return senses
+
+
+def _of_tables(problem: Statement, leg: Phase) -> frozenset[int]:
+    return frozenset[int]().union(*(use.hashes for use in table_uses(problem, problem.phases[leg.name])))
+
+
+KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
+"""Operations by which kinks are written."""
+
+MOST = 16
+"""Pieces of a kink: a sum of four absolute values has as many."""
+
+Pieces: TypeAlias = list[Any]
+
+
+def is_smooth(expression: Any) -> bool:
+    """Whether an expression holds no operation of `KINKED`."""
+    return not any(node.op() in KINKED for node in nodes_of(expression))
+
+
+def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
+    """Return the kinks of a scalar expression that are in no other one.
+
+    Parameters
+    ----------
+    expression : casadi.SX
+    ignored : frozenset of int
+        Hashes of nodes that are left alone: those of tables.
+    domain : Domain
+    """
+    found: dict[int, Any] = {}
+    seen: set[int] = set()
+    waiting = [expression]
+    while waiting:
+        node = waiting.pop()
+        place = node.element_hash()
+        if place in seen or place in ignored:
+            continue
+        seen.add(place)
+        if _extremum(node, domain) is not None:
+            found[place] = node
+        else:
+            waiting += [node.dep(i) for i in range(node.n_dep())]
+    return list(found.values())
+
+
+def pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+    """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
+    found = _pieces(node, sense, domain)
+    return None if found is None or len(found) > MOST else _without_dominated(found, sense)
+
+
+def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+    if is_smooth(node):
+        return [node]
+    extremum = _extremum(node, domain)
+    if extremum is not None:
+        own, operands = extremum
+        if own != sense:
+            return None
+        if node.op() == ca.OP_FABS and domain.surely().sign(operands[0]) > 0:
+            operands = operands[:1]
+        return _union([_pieces(operand, sense, domain) for operand in operands])
+    operation = node.op()
+    if operation == ca.OP_NEG:
+        return _scaled(_pieces(node.dep(0), -sense, domain), -1)
+    if operation == ca.OP_TWICE:
+        return _scaled(_pieces(node.dep(0), sense, domain), 2)
+    if operation in (ca.OP_ADD, ca.OP_SUB):
+        sign = 1 if operation == ca.OP_ADD else -1
+        left, right = _pieces(node.dep(0), sense, domain), _pieces(node.dep(1), sign * sense, domain)
+        if left is None or right is None or len(left) * len(right) > MOST:
+            return None
+        return [a + sign * b for a, b in product(left, right)]
+    if operation in (ca.OP_MUL, ca.OP_DIV):
+        return _times(node, sense, domain)
+    return None
+
+
+def _times(node: Any, sense: int, domain: Domain) -> Pieces | None:
+    """Of a product or quotient of a kink and a smooth factor of known sign."""
+    kink, factor = node.dep(0), node.dep(1)
+    if node.op() == ca.OP_MUL and not is_smooth(factor):
+        kink, factor = factor, kink
+    sign = domain.sign(factor) if is_smooth(factor) else 0
+    if sign == 0:
+        return None
+    return _scaled(_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor)
+
+
+def _union(lists: list[Pieces | None]) -> Pieces | None:
+    found: dict[int, Any] = {}
+    for one in lists:
+        if one is None:
+            return None
+        found |= {e.element_hash(): e for e in one}
+    return list(found.values())
+
+
+def _scaled(found: Pieces | None, factor: Any) -> Pieces | None:
+    return None if found is None else [factor * e for e in found]
+
+
+def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+    """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
+    use = domain.tables.get(node.element_hash())
+    if use is not None:
+        return lines_of(use, domain)
+    operation = node.op()
+    if operation == ca.OP_FABS:
+        return 1, [node.dep(0), -node.dep(0)]
+    if operation == ca.OP_FMAX:
+        return 1, [node.dep(0), node.dep(1)]
+    if operation == ca.OP_FMIN:
+        return -1, [node.dep(0), node.dep(1)]
+    return _chosen(node, domain) if operation == ca.OP_ADD else None
+
+
+def _chosen(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+    """``if_else(a < b, ...)`` that is continuous, and bends where a = b, is the larger or the smaller of its values."""
+    first, second = node.dep(0), node.dep(1)
+    if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
+        return None
+    condition, other = first.dep(0), second.dep(0)
+    opposed = other.op() == ca.OP_NOT and other.dep(0).element_hash() == condition.element_hash()
+    if not opposed or condition.op() not in (ca.OP_LT, ca.OP_LE):
+        return None
+    when, otherwise = first.dep(1), second.dep(1)
+    gap, rise = condition.dep(1) - condition.dep(0), when - otherwise
+    for symbol in ca.symvar(gap):
+        if not is_affine(ca.vertcat(gap, rise), symbol):
+            continue
+        across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
+        left = drawn(ca.substitute(rise, symbol, meeting(gap, symbol)))
+        sense = domain.sign(across) * domain.sign(up)
+        if sense != 0 and np.all(np.abs(left) < EQUAL):
+            return sense, [when, otherwise]
+    return None
+
+
+def meeting(gap: Any, symbol: Any) -> Any:
+    """Return where a scalar that is affine in a symbol vanishes."""
+    return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
+
+
+def _without_dominated(found: Pieces, sense: int) -> Pieces:
+    """Leave out constants that the larger of e and -e is never below."""
+    values = drawn(ca.vertcat(*found))
+    opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
+    keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
+    return [e for e, kept in zip(found, keep, strict=True) if kept]
+
+
+def rows_of(column: Any) -> Iterator[Any]:
+    """Yield the rows of a column, of which there may be none."""
+    yield from ca.vertsplit(column) if column.numel() else ()
+
+
+def has_end_kinks(problem: Statement) -> bool:
+    """Whether cost or boundary constraints hold a kink."""
+    ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
+    return bool({*KINKED} & problem.once(("operations", "ends"), lambda: operations_in(ends)))
+
+
+@dataclass(frozen=True, eq=False)
+class EndForm:
+    """Cost and boundary constraints with free parameters in place of kinks.
+
+    Attributes
+    ----------
+    cost : casadi.SX
+    constraints : dict of Constraint
+    parameters : dict of (Symbol, float)
+        Those in place of kinks, and the least that they may be.
+    texts : tuple of str
+        What was restated.
+    """
+
+    cost: Any
+    constraints: dict[str, Constraint]
+    parameters: dict[str, tuple[Symbol, float]]
+    texts: tuple[str, ...]
+
+    @classmethod
+    def of(cls, problem: Statement, domain: Domain) -> EndForm:
+        """Restate a problem."""
+        limits = {name: smooth_limits(c, domain) for name, c in problem.constraints.items()}
+        changed = {name: c for name, c in limits.items() if c is not None}
+        constraints, instead = {**problem.constraints, **changed}, {}
+        parameters: dict[str, tuple[Symbol, float]] = {}
+        taken = {*problem.parameters.names, *constraints}
+        taken |= {name for leg in problem.phases.values() for name in leg.model.parameters.names}
+        nodes = outermost(problem.cost, frozenset(), domain)
+        for kink in extrema_of(problem.cost, nodes, int(problem.sense), domain):
+            name = f"epigraph_of_cost_{len(parameters) + 1}"
+            while name in taken:
+                name += "_"
+            symbol = Symbol(Variable(name, 1, ""))
+            constraints[name], least = above_pieces(symbol, kink)
+            parameters[name] = (symbol, least)
+            instead[kink.node.element_hash()] = kink.sense * symbol
+        texts = (
+            *(
+                f"a kink of the cost is solved for as parameter {name}, kept beyond its pieces"
+                for name in parameters
+            ),
+            *(f"'{name}' is solved for as {c.size} smooth limits" for name, c in changed.items()),
+        )
+        return cls(replaced(problem.cost, instead), constraints, parameters, texts)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The same for the same form."""
+        return tuple((name, c.size) for name, c in self.constraints.items())
+
+    def apply(self, problem: Statement) -> None:
+        """Give a problem this form."""
+        for symbol, least in self.parameters.values():
+            box = Interval(np.array([least]), np.full(1, np.inf))
+            problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
+        problem.cost, problem.constraints = self.cost, dict(self.constraints)
+        if self.texts:
+            leg = next(iter(problem.phases.values()))
+            leg.restatement = Restatement.of_limits(leg.model, self.texts).after(leg.restatement)
+
+
+@dataclass(frozen=True, eq=False)
+class Kinked:
+    """What kinks of a phase have to be put aside.
+
+    Attributes
+    ----------
+    costs : dict of list of Extremum
+        By integral.
+    limits : dict of Constraint
+        Path constraints whose kinked rows are several smooth ones each.
+    """
+
+    costs: dict[str, list[Extremum]]
+    limits: dict[str, Constraint]
+
+    @classmethod
+    def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
+        """Find them."""
+        _, x, u, _ = leg.model.arguments()
+        found = kinks_that_cost(problem, leg, domain)
+        costs = {
+            name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
+        }
+        limits = {name: smooth_limits(c, domain) for name, c in leg.paths.items()}
+        return cls(
+            {name: own for name, own in costs.items() if own},
+            {name: c for name, c in limits.items() if c is not None},
+        )
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The same for the same form."""
+        costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
+        return (*costs, *((name, c.size) for name, c in self.limits.items()))
+
+
+def smooth_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
+    """Return a constraint with smooth rows for each row that is the largest or least of them; None if there is none."""
+    rows: list[tuple[Any, float, float]] = []
+    box, changed = constraint.interval, False
+    for i, row in enumerate(rows_of(constraint.expression)):
+        sense = limited_sense(constraint, i)
+        own = pieces(row, sense, domain) if sense and not is_smooth(row) else None
+        changed |= own is not None
+        kept = [e for e in own or [row] if own is None or not _holds(e, box.lower[i], box.upper[i])]
+        rows += [(e, box.lower[i], box.upper[i]) for e in kept]
+    if not changed or not rows:
+        return None
+    expressions, lower, upper = zip(*rows, strict=True)
+    return Constraint(constraint.name, ca.vertcat(*expressions), Interval(np.array(lower), np.array(upper)))
+
+
+def above_pieces(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
+    """Return the constraint that keeps a symbol above the pieces of a kink, and the largest constant among them."""
+    above = [kink.sense * e for e in kink.pieces]
+    rows = [symbol - e for e in above if not e.is_constant()]
+    constants = [float(e) for e in above if e.is_constant()]
+    limits = Interval(np.zeros(len(rows)), np.full(len(rows), np.inf))
+    return Constraint(symbol.variable.name, ca.vertcat(*rows), limits), max(constants, default=-np.inf)
+
+
+def _holds(expression: Any, lower: float, upper: float) -> bool:
+    """Whether an expression is a constant within limits."""
+    return bool(expression.is_constant() and lower <= float(expression) <= upper)
+
+
+@dataclass(frozen=True, eq=False)
+class EpigraphForm(PhaseForm):
+    """A phase with controls in place of kinks.
+
+    Attributes
+    ----------
+    kinks : dict of Extremum
+        By the control that takes its place.
+    least : dict of float
+        The least that those may be.
+    """
+
+    kinks: dict[str, Extremum]
+    least: dict[str, float]
+
+    @classmethod
+    def of(cls, leg: Phase, kinked: Kinked) -> EpigraphForm:
+        """Restate a phase with a control for each kink that costs."""
+        old = leg.model
+        symbols: dict[int, Symbol] = {}
+        kinks, least, texts = {}, {}, []
+        integrands, paths = dict(leg.integrands), {**leg.paths, **kinked.limits}
+        for name, own in kinked.costs.items():
+            for kink in own:
+                place = kink.node.element_hash()
+                if place in symbols:
+                    continue
+                s = symbols[place] = _new(old, len(symbols))
+                label = s.variable.name
+                kinks[label] = kink
+                paths[label], least[label] = above_pieces(s, kink)
+                texts.append(f"a kink of integral '{name}' is solved for as {label}, kept beyond its pieces")
+            value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
+            symbol, integrand = integrands[name]
+            integrands[name] = (symbol, replaced(integrand, value))
+        texts += [f"'{n}' is solved for as {c.size} smooth limits" for n, c in kinked.limits.items()]
+        none = ca.SX(0, 1)
+        values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
+        controls = [*(old.symbol(name) for name in old.controls.names), *symbols.values()]
+        return cls(
+            old.in_controls(controls, [], lambda expression: expression),
+            paths,
+            integrands,
+            Restatement(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
+            kinks,
+            least,
+        )
+
+    def apply(self, problem: Statement, leg: Phase) -> None:
+        """Give a phase this form with its own numbers."""
+        stated = leg.clone()
+        least = np.array([self.least[name] for name in self.kinks])
+        box = leg.numbers.controls
+        guess = leg.numbers.guess
+        values = {
+            name: along_guess(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
+        }
+        controls = Interval(
+            np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
+        )
+        guessed = PhaseGuess(guess.time, {**guess.values, **values})
+        self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))
+
+
+def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+    """Return the values of a column along the guess of a phase, as a function of time."""
+    arguments = [*stated.model.arguments(), problem.parameter_symbols()]
+    function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
+    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+
+    def at(t: Any) -> Array:
+        first, last = guess_times(stated)
+        start = start_phase(stated, np.array([(t - first) / (last - first)]), perturbed=False)
+        values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
+        return np.asarray(values.full()[:, 0])
+
+    return at
+
+
+def _new(model: Model, k: int) -> Symbol:
+    return Symbol(Variable(free_name(model, "epigraph" if k == 0 else f"epigraph_{k + 1}"), 1, ""))

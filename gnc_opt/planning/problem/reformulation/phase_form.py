@@ -1,0 +1,61 @@
+"""The form of a phase in other controls: all of it but the numbers.
+
+What models that take the place of others need: names that are not taken, and the same numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from gnc_opt.model.model import Model
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.phase import Phase, PhaseNumbers
+from gnc_opt.planning.problem.restatement import Restatement
+
+
+def taken_names(model: Model) -> frozenset[str]:
+    """Return the names of a model's variables and outputs."""
+    layouts = (model.states, model.controls, model.parameters, model.outputs)
+    return frozenset(name for layout in layouts for name in layout.names)
+
+
+def free_name(model: Model, wanted: str) -> str:
+    """Return a name that a model does not have yet."""
+    taken = taken_names(model)
+    while wanted in taken:
+        wanted += "_"
+    return wanted
+
+
+def with_values_of(model: Model, old: Model) -> Model:
+    """Return a model with the values of another one's parameters."""
+    layout = old.parameters
+    return model.with_parameters(
+        **{v.name: old.parameter_values[layout.slice(v.name)] for v in layout.variables}
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseForm:
+    """A phase restated in other controls.
+
+    Attributes
+    ----------
+    model : Model
+    paths : dict of Constraint
+    integrands : dict of (symbol, expression)
+    restatement : Restatement
+    """
+
+    model: Model
+    paths: dict[str, Constraint]
+    integrands: dict[str, tuple[Any, Any]]
+    restatement: Restatement
+
+    def give(self, leg: Phase, numbers: PhaseNumbers) -> None:
+        """Give a phase this form, and numbers in its controls."""
+        leg.model = with_values_of(self.model, leg.model)
+        leg.numbers = numbers
+        leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
+        leg.restatement = self.restatement.after(leg.restatement)

@@ -1,0 +1,309 @@
+"""From a problem with norms by hand to one with vector controls.
+
+Bounds of angles that leave out no direction: they limit nothing, but stop a solver on its way across them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.expressions import ROOTS, operations_in
+from gnc_opt.planning.problem.angles import ELSEWHERE, PERIODS, Turns, turned_back
+from gnc_opt.planning.problem.expressions import along
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval_arithmetic import Domain
+from gnc_opt.planning.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.planning.problem.reformulation.actuators import Actuators
+from gnc_opt.planning.problem.reformulation.argument import ArgumentForm, argument_of_norm
+from gnc_opt.planning.problem.reformulation.dead_zone import DeadZoneForm
+from gnc_opt.planning.problem.reformulation.epigraph import (
+    KINKED,
+    EndForm,
+    EpigraphForm,
+    Kinked,
+    has_end_kinks,
+)
+from gnc_opt.planning.problem.reformulation.repeated import without_repeated
+from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
+from gnc_opt.planning.problem.reformulation.vector_norms import (
+    Form,
+    box_rows,
+    guessed_controls,
+    norm_by_hand,
+    without_roots,
+)
+from gnc_opt.planning.problem.statement import Statement
+
+SHORT = 1e-6
+"""Share of a turn that bounds may lack: pi is often written with six digits."""
+
+_DRAWS = 24
+
+_TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
+
+
+def without_full_turns(problem: P) -> P:
+    """Return a problem whose angles are free where their bounds leave out no direction; itself if it has none."""
+    found = {
+        name: turns for name, leg in problem.phases.items() if np.any((turns := _turns(problem, leg)).free)
+    }
+    if not found:
+        return problem
+    twin = problem.clone()
+    for name, turns in found.items():
+        leg = twin.phases[name]
+        old, free = leg.numbers.controls, turns.free
+        box = Interval(np.where(free, -np.inf, old.lower), np.where(free, np.inf, old.upper))
+        leg.numbers = replace(leg.numbers, controls=box, turns=turns)
+    return twin
+
+
+def _turns(problem: Statement, leg: Phase) -> Turns:
+    box = leg.numbers.controls
+    room, none = box.upper - box.lower, np.zeros(box.lower.size)
+    turns = Turns(none - np.inf, none + np.inf, none)
+    bounded = np.isfinite(room) & (room > 0)
+    if not np.any(bounded) or leg.numbers.arcs is not None:
+        return turns
+    if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(along(leg))):
+        return turns
+    drawn = _Drawn.of(problem, leg)
+    for i in np.flatnonzero(bounded | np.isinf(room)):
+        turns.periods[i] = drawn.period(int(i), float(room[i]))
+    reach = 0.5 * turns.periods
+    whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - SHORT) * reach)
+    azimuths = np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))).tolist()
+    pairs: list[tuple[int, int]] = []
+    for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)).tolist():
+        mirrored = (i for i in azimuths if drawn.mirrored((i, j), turns.periods, box.upper[j]))
+        azimuth = next(mirrored, None) if abs(room[j] - reach[j]) <= SHORT * reach[j] else None
+        pairs += [] if azimuth is None else [(azimuth, j)]
+    for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
+        half = max(reach[i], 0.5 * room[i]) if whole[i] else 0.5 * reach[i]
+        middle = 0.5 * (box.lower[i] + box.upper[i])
+        turns.lower[i], turns.upper[i] = middle - half, middle + half
+    return replace(turns, pairs=tuple(pairs))
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """All that varies along a phase, at random times, states, controls and free parameters."""
+
+    function: Any
+    at: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, problem: Statement, leg: Phase) -> _Drawn:
+        t, x, u, p = leg.model.arguments()
+        q = problem.parameter_symbols()
+
+        def build() -> Any:
+            return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
+
+        rng = np.random.default_rng(20)
+        at = [rng.uniform(-1.5, 1.5, (s.numel(), _DRAWS)) for s in (t, x, u, q)]
+        function = problem.once(("along", leg.name), build)
+        return cls(function, (at[0][0], at[1], at[2], leg.model.parameter_values, at[3]))
+
+    def values(self, u: Array) -> Array:
+        t, x, _, p, q = self.at
+        return evaluate(self.function, t, x, u, p, q)
+
+    def shifted(self, i: int, by: float) -> Array:
+        u = self.at[2].copy()
+        u[i] += by
+        return u
+
+    def period(self, i: int, room: float) -> float:
+        """Return the period in a control: the room of its bounds, or one of `PERIODS`; 0 without."""
+        here = self.values(self.at[2])
+        if not np.all(np.any(np.isfinite(here), axis=1)):
+            return 0.0
+        for period in (*PERIODS, *([room] if np.isfinite(room) else [])):
+            turned, elsewhere = (self.values(self.shifted(i, by)) for by in (period, ELSEWHERE * period))
+            if turned_back(here, turned, elsewhere):
+                return period
+        return 0.0
+
+    def mirrored(self, pair: tuple[int, int], periods: Array, upper: float) -> bool:
+        """Whether the second angle on the other side of an end, and half a turn of the first, are the same."""
+        i, j = pair
+        away = self.shifted(i, 0.5 * periods[i])
+        other = away.copy()
+        other[j] = 2.0 * upper - other[j]
+        return turned_back(self.values(self.at[2]), self.values(other), self.values(away))
+
+
+P = TypeVar("P", bound=Statement)
+
+
+def restated(problem: P) -> P:
+    """Return a problem without norms of controls that are written by hand; itself if it has none.
+
+    Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
+    of one another. Path limits that repeat bounds are free, and angles whose bounds leave them a whole turn.
+    """
+    return without_full_turns(without_repeated(_without_norms(problem)))
+
+
+def _without_norms(problem: P) -> P:
+    kinked_ends = has_end_kinks(problem)
+    if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
+        return problem
+    twin, keys = problem.clone(), []
+    for leg in twin.phases.values():
+        key: tuple[Any, ...] = (
+            leg.name,
+            np.sign(leg.numbers.controls.lower).tobytes(),
+            guessed_controls(leg),
+        )
+        while (form := _form(problem, leg, key)) is not None:
+            key = (*key, form.vector.places, *_restate(leg, form))
+        while (named := _named(problem, leg, key)) is not None:
+            key = (*key, named)
+            while (form := _form(problem, leg, key)) is not None:
+                key = (*key, form.vector.places, *_restate(leg, form))
+        key = (*key, *_straighten(problem, leg, key))
+        rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
+        leg.paths |= rootless
+        keys.append((*key, *rootless))
+    ends = _restate_ends(problem, twin) if kinked_ends else ()
+    if all(len(key) == 3 for key in keys) and not ends:
+        return problem
+    twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
+    return twin
+
+
+def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+    """Restate the kinks of cost and boundary constraints; return what tells the form from others."""
+    domain = Domain.at_ends(problem)
+    form = problem.once(("ends", domain.key), lambda: EndForm.of(problem, domain))
+    if form.texts:
+        form.apply(twin)
+    return form.key if form.texts else ()
+
+
+def _may_have_norms(problem: Statement, leg: Phase) -> bool:
+    if leg.numbers.arcs is not None:
+        return False
+    operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
+    return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
+
+
+def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
+    """The next form of a phase, which is the same for all variations."""
+
+    def build() -> Form | None:
+        places = norm_by_hand(leg)
+        return None if places is None else Form.of(leg, places)
+
+    return problem.once(("form", *key), build)
+
+
+def _named(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> int | None:
+    """Restate the argument of a norm as a control; return what tells the form from others, None without such a norm."""
+    if not {*ROOTS} & problem.once(("operations", *key), lambda: operations_in(along(leg))):
+        return None
+    domain = Domain.along(problem, leg)
+    found = problem.once(("argument", *key, domain.key), lambda: argument_of_norm(problem, leg, domain))
+    if found is None:
+        return None
+    place = int(found.root.element_hash())
+    problem.once(("named", *key, place), lambda: ArgumentForm.of(leg, found)).apply(problem, leg)
+    return place
+
+
+def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Restate the kinks of a phase that cost, or limit; return what tells the form from others."""
+    told = key
+    if not _has_kinks(problem, leg, told):
+        return ()
+    domain = Domain.along(problem, leg)
+    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
+    if bounds:
+        told = (*told, *bounds)
+        bound_controls(leg, bounds)
+        domain = Domain.along(problem, leg)
+    actuators = problem.once(("actuators", *told, domain.key), lambda: Actuators.of(problem, leg, domain))
+    if actuators.bounds or actuators.dead:
+        told = (*told, *actuators.key)
+        actuators.bound(leg)
+        if actuators.dead:
+            problem.once(("dead", *told), lambda: DeadZoneForm.of(leg, actuators.dead)).apply(leg)
+        domain = Domain.along(problem, leg)
+    bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
+    if bends.at:
+        told = (*told, *bends.key)
+        problem.once(("split", *told), lambda: SplitForm.of(leg, bends)).apply(leg)
+        domain = Domain.along(problem, leg)
+    if not _has_kinks(problem, leg, told):
+        return told[len(key) :]
+    kinked = problem.once(("kinked", *told, domain.key), lambda: Kinked.of(problem, leg, domain))
+    if kinked.costs or kinked.limits:
+        told = (*told, *kinked.key)
+        problem.once(("epigraph", *told), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
+    return told[len(key) :]
+
+
+def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
+    return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(along(leg))))
+
+
+def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
+    """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
+    stated, rows = leg.clone(), box_rows(form, leg)
+    form.give(leg, _numbers(stated, form))
+    leg.paths |= rows
+    leg.replace_controls(form.control, on_sphere=form.on_sphere)
+    return tuple(rows)
+
+
+def _numbers(stated: Phase, form: Form) -> PhaseNumbers:
+    """The numbers of a phase in its new controls."""
+    old, new, numbers = stated.model.controls, form.model.controls, stated.numbers
+    box = free(new.size)
+    for name in new.names:
+        if name in old:
+            box.lower[new.slice(name)] = numbers.controls.lower[old.slice(name)]
+            box.upper[new.slice(name)] = numbers.controls.upper[old.slice(name)]
+    if form.rest is not None:
+        place, rest = new.slice(form.rest.variable.name), list(form.vector.rest)
+        box.lower[place], box.upper[place] = numbers.controls.lower[rest], numbers.controls.upper[rest]
+    scales = {name: value for name, value in numbers.scales.items() if name in new or name not in old}
+    if form.control.magnitude not in old:
+        place = new.slice(form.control.magnitude)
+        box.lower[place], box.upper[place] = form.limits
+        own = [np.max(numbers.scales[v.name]) for v in form.vector.stated if v.name in numbers.scales]
+        scales |= {form.control.magnitude: np.array([max(own)])} if own else {}
+    return replace(
+        numbers, controls=Interval(box.lower, box.upper), scales=scales, guess=_guess(stated, form)
+    )
+
+
+def _guess(stated: Phase, form: Form) -> PhaseGuess:
+    """The guess, that of components of the vector as one of the vector."""
+    guess, gone = stated.numbers.guess, {v.name for v in form.vector.stated}
+    given = gone & guess.values.keys()
+    if not given or (len(gone) == 1 and form.rest is None):
+        return guess
+    kept = {name: value for name, value in guess.values.items() if name not in gone}
+
+    def component(places: tuple[int, ...]) -> Any:
+        def at(t: float) -> Array:
+            first, last = guess_times(stated)
+            fraction = np.array([(t - first) / (last - first)])
+            return start_phase(stated, fraction, perturbed=False).controls[list(places), 0]
+
+        return at
+
+    kept[form.control.name] = component(form.vector.places)
+    if form.rest is not None:
+        kept[form.rest.variable.name] = component(form.vector.rest)
+    return PhaseGuess(guess.time, kept)

@@ -1,0 +1,69 @@
+r"""The order of a pure state constraint: how often it is differentiated until a control appears.
+
+Along :math:`\dot x = f(t, x, u)` a constraint S(t, x) has the derivatives (Bryson & Ho, Applied Optimal Control, 1975,
+section 3.11; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 2)
+
+.. math:: S^{(0)} = S, \qquad S^{(k+1)} = \frac{\partial S^{(k)}}{\partial t} + \frac{\partial S^{(k)}}{\partial x} f,
+
+and its order q is the first k for which :math:`S^{(k)}` depends on a control. The first q of them are functions of the
+state: a trajectory that reaches the limit to stay there, or touches it, does so with :math:`\dot S = \dots =
+S^{(q-1)} = 0`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.statement import Statement
+
+MOST_ORDER = 4
+"""Orders that are looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintOrder:
+    """A path constraint or a state with its derivatives along the dynamics.
+
+    Attributes
+    ----------
+    label : str
+    order : int or None
+        q; 0 if a control enters the constraint itself, None if none appears up to `MOST_ORDER`.
+    derivatives : tuple of casadi.SX
+        S and its derivatives up to the q-th (all that were taken if q is None).
+    controls : tuple of int
+        Controls on which the q-th derivative depends.
+    """
+
+    label: str
+    order: int | None
+    derivatives: tuple[Any, ...]
+    controls: tuple[int, ...]
+
+
+def constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+    """Return the order of one row of the path constraints of a phase, then of its states."""
+    return problem.once(("constraint order", leg.name, row), lambda: _find(problem, leg, row))
+
+
+def _find(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+    t, x, u, _ = leg.model.arguments()
+    rates = problem.bind(leg, leg.model.derivative())
+    value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])
+    return _order((*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates)
+
+
+def _order(label: str, value: Any, t: Any, x: Any, u: Any, rates: Any) -> ConstraintOrder:
+    derivatives = [value]
+    while True:
+        controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))
+        if controls:
+            return ConstraintOrder(label, len(derivatives) - 1, tuple(derivatives), controls)
+        if len(derivatives) > MOST_ORDER:
+            return ConstraintOrder(label, None, tuple(derivatives), ())
+        last = derivatives[-1]
+        derivatives.append(ca.simplify(ca.jacobian(last, t) + ca.jacobian(last, x) @ rates))

@@ -1,0 +1,153 @@
+"""Statement: what an optimal control problem consists of, and what follows from it; `Problem` declares it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import Strict
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.table import TableUse
+from gnc_opt.model.variables import Layout, Symbol
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.phase import Phase
+
+S = TypeVar("S", bound="Statement")
+T = TypeVar("T")
+
+
+class Statement(Strict):
+    """Phases, cost, boundary constraints and free parameters.
+
+    Attributes
+    ----------
+    name : str
+    phases : dict of Phase
+    constraints : dict of Constraint
+    cost : casadi.SX or None
+    sense : float
+        1 to minimise the cost, -1 to maximise it.
+    parameter_bounds, parameter_guess : dict
+        Of the free parameters, by name.
+    builds : dict
+        What has been built from the declarations and serves every variation with other numbers.
+    """
+
+    __slots__ = (
+        "_parameters",
+        "builds",
+        "constraints",
+        "cost",
+        "name",
+        "parameter_bounds",
+        "parameter_guess",
+        "phases",
+        "sense",
+    )
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.phases: dict[str, Phase] = {}
+        self.constraints: dict[str, Constraint] = {}
+        self.cost: Any = None
+        self.sense = 1.0
+        self._parameters: dict[str, Symbol] = {}
+        self.parameter_bounds: dict[str, Interval] = {}
+        self.parameter_guess: dict[str, Array] = {}
+        self.builds: dict[Any, Any] = {}
+
+    @property
+    def parameters(self) -> Layout:
+        """Names, sizes and units of the free parameters."""
+        return Layout(
+            "parameter", tuple(s.variable for s in self._parameters.values()), f"problem '{self.name}'"
+        )
+
+    def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
+        """Let a symbol be a free parameter from now on."""
+        name = symbol.variable.name
+        self._parameters[name] = symbol
+        self.parameter_bounds[name] = bounds
+        self.parameter_guess[name] = guess
+
+    def parameter_symbols(self) -> Any:
+        """Stacked SX symbols of the free parameters."""
+        return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)
+
+    def parameter_table_uses(self) -> list[TableUse]:
+        """Return the calls of tables with expressions in the free parameters."""
+        return [use for symbol in self._parameters.values() for use in symbol.table_uses]
+
+    def parameter_interval(self) -> Interval:
+        """Bounds of the stacked free parameters."""
+        boxes = list(self.parameter_bounds.values())
+        if not boxes:
+            return free(0)
+        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+
+    def get_phase(self, phase: Phase | str | None = None) -> Phase:
+        """Return a phase by name; ``None`` is the only one there is."""
+        if isinstance(phase, Phase):
+            own = self.phases.get(phase.name)
+            if own is None or own.initial_time is not phase.initial_time:
+                raise ProblemError(
+                    f"{phase.where} is not a phase of problem '{self.name}': use one of its own."
+                )
+            return own
+        if phase is None:
+            if len(self.phases) != 1:
+                raise ProblemError(
+                    f"problem '{self.name}' has {len(self.phases)} phases: name one of {list(self.phases)}."
+                )
+            return next(iter(self.phases.values()))
+        if not isinstance(phase, str) or phase not in self.phases:
+            raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
+        return self.phases[phase]
+
+    def bind(self, phase: Phase, expression: Any) -> Any:
+        """Replace model parameters that the problem optimises by the problem's own symbols."""
+        for name, symbol in self._parameters.items():
+            if name in phase.model.parameters:
+                expression = ca.substitute(expression, phase.model.symbol(name), symbol)
+        return expression
+
+    def constraint_expression(self) -> Any:
+        """Stacked SX expression of all boundary constraints."""
+        rows = [c.expression for c in self.constraints.values()]
+        return ca.vertcat(*rows) if rows else ca.SX(0, 1)
+
+    def constraint_interval(self) -> Interval:
+        """Bounds of all boundary constraint rows."""
+        boxes = [c.interval for c in self.constraints.values()]
+        if not boxes:
+            return free(0)
+        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+
+    def constraint_labels(self) -> tuple[str, ...]:
+        """Names of the boundary constraint rows."""
+        return tuple(label for c in self.constraints.values() for label in c.labels)
+
+    def clone(self: S) -> S:
+        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
+        raise NotImplementedError
+
+    def once(self, key: Any, build: Callable[[], T]) -> T:
+        """Return what was built for this problem, or its variations with other numbers, before."""
+        if key not in self.builds:
+            self.builds[key] = build()
+        built: T = self.builds[key]
+        return built
+
+    def leads_to(self, other: Statement) -> bool:
+        """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
+        return other.builds is self.builds or _contains(self.builds, other.builds)
+
+
+def _contains(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
+    nested = (value for value in builds.values() if isinstance(value, dict))
+    return any(own is others or _contains(own, others) for own in nested)

@@ -1,0 +1,162 @@
+"""Following: a variation of a problem from the refined solution of another one, by its arcs or on its mesh.
+
+Where arcs are known, the variation is solved with them, their ends free as before, every piece as fine as it was; the
+structure loop mends what has changed. Otherwise it is solved on the mesh that was fine enough, which is made finer
+where it no longer is. What comes of it is taken if it came to rest within the tolerance.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import MOVED
+from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.loop import TIGHT, optimise_switches
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.attempt import RefinementAttempt, result_of
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.refinement.switching.warm_start import on_the_way
+from gnc_opt.planning.solution.history import History
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
+
+WARM_ITERATIONS = 50
+"""After which a warm start has lost its way, and the trajectory alone is kept."""
+
+PASSES = 6
+"""At most so many solves: where more are needed, little is left of what was known."""
+
+NEARBY = SolverOptions(tolerance=TIGHT, max_iterations=30)
+"""For solves with known arcs: where these have a solution nearby, it takes fewer iterations."""
+
+LEAST_WORK = 1e4
+"""What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
+
+WRONG = 0.1
+"""Arcs with a larger error are not those of the variation. Of 30 of these, those that settled began with 2e-3 at
+most, others with 0.3 or more."""
+
+Judged: TypeAlias = Literal["always", "changed"]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownArcs:
+    """What of a solution serves where variations of its problem are to be as accurate.
+
+    Attributes
+    ----------
+    solution : Solution
+    structures : mapping of PhaseStructure
+        By phase; empty if its mesh was refined without any.
+    """
+
+    solution: Solution
+    structures: Mapping[str, PhaseStructure]
+
+    @classmethod
+    def of(cls, solution: Solution) -> KnownArcs:
+        """Return what is known of a solution."""
+        if not solution.structure:
+            return cls(solution, {})
+        found = structures_of(replace(solution, structure=()))
+        return cls(solution, {name: _without_slivers(s, solution, name) for name, s in found.items()})
+
+    def vary(self, problem: Problem, tol: float, judged: Judged) -> Solution | None:
+        """Return the solution of a variation within a tolerance, or None if it is not found nearby.
+
+        Parameters
+        ----------
+        problem : Problem
+            One that passes its `check`.
+        tol : float
+            On the error between the nodes.
+        judged : {"always", "changed"}
+            Whether it has to pass the verdict, which it carries then: in any case, or if it has other arcs than the
+            known one or its mesh had to be refined.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C: there is no solution yet.
+        """
+        begin = time.perf_counter()
+        start = replace(on_the_way(self.solution, problem), problem=problem.frozen(), structure=())
+        found = self._by_arcs(start, tol) if self.structures else self._by_mesh(start, problem, tol)
+        if found is None:
+            return None
+        attempt = RefinementAttempt(*found)
+        if attempt.stopped:
+            raise KeyboardInterrupt
+        if not attempt.history.converged:
+            return None
+        if judged == "changed" and self._stands(attempt):
+            return replace(attempt.solution, history=None)
+        return result_of(start, [attempt], tol, begin) if attempt.final else None
+
+    def _by_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
+        left = {name: s.after(start.phases[name].initial_time) for name, s in self.structures.items()}
+        return optimise_switches(
+            start,
+            tol=tol,
+            limits=replace(self._limits, worst=WRONG),
+            structures=left,
+            options=NEARBY,
+            segments="kept",
+        )
+
+    def _by_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
+        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        scheme = next(iter(start.phases.values())).scheme
+        found = solve_mesh(problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(WARM_ITERATIONS))
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return refine_mesh(found, tol=tol, limits=self._limits) if found.status.solved else None
+
+    def _stands(self, found: RefinementAttempt) -> bool:
+        """Whether a solution has the same arcs as the known one, or else is on the very mesh of it."""
+        known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
+        same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
+        return same and (bool(known) or len(found.history.passes) == 1)
+
+    @property
+    def _limits(self) -> PassLimits:
+        history = self.solution.history
+        taken = 0.0 if history is None else sum(p.work for p in history.passes)
+        return PassLimits(PASSES, work=max(taken, LEAST_WORK))
+
+
+def first_meshes(known: Solution) -> dict[str, Mesh]:
+    """Return the meshes that a solution was refined from; the default where that is not known.
+
+    Its history begins with them, or with boundaries that arcs had moved already.
+    """
+    meshes = {} if known.history is None else known.history.passes[0].meshes
+    given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
+    return read_meshes(meshes if given else None, known.phases, known.problem_name)
+
+
+def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
+    """Return a detected structure without the pieces between rows that change at one time.
+
+    Samples show the ends of arcs of several rows a little apart.
+    """
+    ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
+    while structure.pieces > len(ends) - 1:
+        shortest = int(np.argmin(structure.lengths))
+        fewer = structure.without(shortest)
+        if (
+            structure.lengths[shortest] > MOVED * structure.lengths.sum()
+            or fewer.pieces != structure.pieces - 1
+        ):
+            break
+        structure = fewer
+    return structure

@@ -1,0 +1,504 @@
+"""What one pass of the structure loop solves: pieces, how finely each is collocated, which boundaries may move."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.model import Model
+from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraints import constraint_order
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
+from gnc_opt.planning.transcription.mesh import Mesh
+
+FIRST_DEGREE, MAX_DEGREE = 6, 12
+"""Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
+
+SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
+"""Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
+
+HELPED = 0.3
+"""A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
+
+INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
+"""First degree of an interior piece, and the number of its segments if it were the whole phase."""
+
+MOST_INHERITED, MOST_CUT, FEWEST = 20, 14, 4
+"""Collocation points of a segment of a mesh that is gone on with: at most, where it is cut, and at least."""
+
+SLIVER = 0.1
+"""Ends of its segments nearer than this share of a neighbour to the end of a piece are left out."""
+
+MAX_SEGMENTS = 64
+"""Segments of a piece at most."""
+
+GAIN, STEP = 1.0, 3
+"""A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
+
+HALVED = 3.0
+"""Decades that halving a segment of `MAX_DEGREE` points gains: its polynomials converge like their 12th power of its
+length where it is smooth, and hardly where it is not."""
+
+BOLD = 6.0
+"""No more decades than this are expected of one pass."""
+
+COARSE = 100
+"""Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
+
+TURNING_SEGMENTS = 6
+"""Segments, each half as long as the one before, towards a time at which a vector turns fast to hold a constraint."""
+
+THINNED = 1.5
+"""Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
+
+MOVED = 1e-2
+"""Share of the phase by which the ends of pieces that samples show may be off the breaks of their mesh."""
+
+SAME = 0.9
+"""Share of both that pieces of two structures have in common to be the same."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a piece is collocated.
+
+    Attributes
+    ----------
+    segments, degree : int
+        Number of segments, and collocation points of each.
+    smooth : int
+        Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
+    gradient : float
+        Largest dH/du that was left along the piece with the degree before; see `smoother`.
+    edges : tuple of float
+        Where segments meet, in shares of the piece; none: they are equally long.
+    degrees : tuple of int
+        Collocation points of every segment, if they differ; ``degree`` is the largest then.
+    """
+
+    segments: int = 1
+    degree: int = FIRST_DEGREE
+    smooth: int = 0
+    gradient: float = np.inf
+    edges: tuple[float, ...] = ()
+    degrees: tuple[int, ...] = ()
+
+    @property
+    def each(self) -> tuple[int, ...]:
+        """Collocation points of every segment."""
+        return self.degrees or (self.degree,) * self.segments
+
+    @property
+    def shares(self) -> Array:
+        """Boundaries of the segments, in shares of the piece: (segments + 1,) from 0 to 1."""
+        if self.edges:
+            return np.array([0.0, *self.edges, 1.0])
+        return np.linspace(0.0, 1.0, self.segments + 1)
+
+    def finer(self, decades: Array) -> Resolution:
+        """Return the resolution with which errors fall by so many decades; the finest one is itself.
+
+        First with more points, then by halving segments where that is not enough: those that are worst first, as far as
+        there may be more. Along a singular control's polynomial, whose degree is what most of the errors come from, all
+        segments step by step.
+
+        Parameters
+        ----------
+        decades : array (segments,)
+            Of each segment; none of its points is too few where it is not positive.
+        """
+        most = float(np.max(decades))
+        if most <= 0:
+            return self
+        if self.degree < MAX_DEGREE:
+            points = STEP if self.smooth else max(STEP, math.ceil(most / GAIN))
+            return replace(self, degree=min(self.degree + points, MAX_DEGREE))
+        halvings = np.ones_like(decades) if self.smooth else np.ceil(np.clip(decades, 0.0, BOLD) / HALVED)
+        return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
+
+    def with_points(self, more: Indices) -> Resolution:
+        """Return the resolution with so many points more in every segment, which is cut where that is too many.
+
+        A segment half as long with the same points leaves out about the square root of what the whole one did.
+        """
+        shares, edges, degrees = self.shares, [], []
+        for k, (n, added) in enumerate(zip(self.each, more, strict=True)):
+            parts = 1 if n + added <= MOST_INHERITED else 2 if n + added <= 2 * MOST_INHERITED else 4
+            each = n + max(int(added), 2 if added else 0) if parts == 1 else min(n, MOST_CUT)
+            edges += list(np.linspace(shares[k], shares[k + 1], parts + 1)[1:])
+            degrees += [each] * parts
+        inner = tuple(map(float, edges[:-1]))
+        return Resolution(len(degrees), max(degrees), edges=inner, degrees=tuple(degrees))
+
+    def _cut(self, parts: Indices, order: Indices) -> Resolution:
+        """Return the resolution with every segment cut in equal parts, in this order up to `MAX_SEGMENTS`."""
+        allowed, room = np.ones_like(parts), MAX_SEGMENTS - self.segments
+        for k in order:
+            allowed[k] = min(parts[k], room + 1)
+            room -= allowed[k] - 1
+        count = int(np.sum(allowed))
+        if np.all(allowed == allowed[0]) and not self.edges:
+            return replace(self, segments=count)
+        shares = self.shares
+        pieces = [
+            np.linspace(left, right, n + 1)[1:]
+            for left, right, n in zip(shares[:-1], shares[1:], allowed, strict=True)
+        ]
+        return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
+
+    def smoother(self, gradient: float) -> Resolution:
+        """Return the resolution with singular controls of a higher degree, and points enough for them and the states.
+
+        It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
+        control can remove it.
+        """
+        if self.smooth == 0 or gradient > HELPED * self.gradient:
+            return self
+        smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
+        raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
+        wanted = math.ceil(2 * smooth / degree)
+        return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Structure and resolution of one phase.
+
+    Attributes
+    ----------
+    structure : PhaseStructure
+    resolutions : tuple of Resolution
+        One per piece.
+    points : float
+        Collocation points of the mesh that the structure was found on, if all of it were as coarse as its coarsest
+        segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
+        shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
+    loose : bool
+        Whether state constraints may be left beside their touches, too. The barrier of an interior-point method pushes
+        where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
+    firm : bool
+        Whether they may be left beside arcs that do not move only; see `PhaseStructure.beside_contacts`.
+    """
+
+    structure: PhaseStructure
+    resolutions: tuple[Resolution, ...]
+    points: float = 0.0
+    loose: bool = False
+    firm: bool = False
+
+    @classmethod
+    def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
+        """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
+        first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
+        return cls(structure, first, points)
+
+    @classmethod
+    def on_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
+        """Return a plan that starts with the segments of the mesh that the structure was found on."""
+        times = np.asarray(structure.times)
+        ends = (times - times[0]) / (times[-1] - times[0])
+        pieces = itertools.pairwise(map(float, ends))
+        return cls(structure, tuple(_inherited(mesh, a, b) for a, b in pieces), points_of(mesh))
+
+    @classmethod
+    def refined(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
+        """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
+        found, times = cls.of(structure, points_of(mesh)), np.asarray(structure.times)
+        ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
+        places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
+        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > MOVED:
+            return found
+        moved = times[0] + breaks[places] * (
+            times[-1] - times[0]
+        )  # detected from samples, known from the mesh
+        pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
+        return replace(
+            found,
+            structure=structure.at(tuple(map(float, moved))),
+            resolutions=tuple(_refined(mesh, *piece, first) for piece, first in pieces),
+        )
+
+    def restructured(self, structure: PhaseStructure) -> Plan:
+        """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
+
+        What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
+
+        Beside a bang that H bends along, a short interior arc shows on a fine mesh only: there the mesh stays as fine.
+        """
+        if self.inherits:
+            return replace(Plan.on_mesh(structure, self.mesh()), firm=self.firm)
+        same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
+        plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
+        kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
+        plan = replace(plan, resolutions=kept)
+        if structure.bends and structure.pieces > self.structure.pieces:
+            finer = tuple(self._as_fine_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
+            return replace(plan, resolutions=finer)
+        return plan
+
+    def completed(self, structure: PhaseStructure) -> Plan:
+        """Return the plan of the structure with one more arc: pieces that are as before keep their segments.
+
+        They are fine enough already, and what the arc changes in them is small.
+        """
+        plan = self.restructured(structure)
+        if self.inherits:
+            return plan
+        kept = tuple(self._of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions))
+        return replace(plan, resolutions=kept)
+
+    def _of_same_piece(self, structure: PhaseStructure, piece: int) -> Resolution | None:
+        """The resolution of the piece of this plan that does the same at nearly the same time, or None."""
+        left, right = structure.times[piece : piece + 2]
+        for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
+            shared = min(right, end) - max(left, begin)
+            if self.structure.kinds[k] == structure.kinds[piece] and shared > SAME * max(
+                right - left, end - begin
+            ):
+                return self.resolutions[k]
+        return None
+
+    def _as_fine_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+        """The resolution of a piece of another structure with the segments that this plan has in its place."""
+        times, (left, right) = np.asarray(self.structure.times), structure.times[piece : piece + 2]
+        shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
+        counts = [r.segments for r in self.resolutions] * shared / self.structure.lengths
+        degree = max(r.degree for r in (first, *itertools.compress(self.resolutions, shared > 0)))
+        wanted = math.ceil(np.sum(counts))
+        finer = replace(first, degree=degree)
+        return finer if wanted <= first.segments else replace(finer, segments=wanted, edges=())
+
+    def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+        """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
+        now = [
+            r
+            for kinds, r in zip(self.structure.kinds, self.resolutions, strict=True)
+            if kinds == structure.kinds[piece] and r.smooth > first.smooth > 0
+        ]
+        return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
+
+    @property
+    def inherits(self) -> bool:
+        """Whether it goes on with the segments of a mesh, each of its own degree."""
+        return any(r.degrees for r in self.resolutions)
+
+    @property
+    def leaves_limits(self) -> bool:
+        """Whether state constraints may be left beside arcs that move."""
+        loose, firm = (self.structure.beside_contacts(self.loose, firm) for firm in (self.firm, True))
+        return bool(np.any(loose != firm))
+
+    @property
+    def segment_pieces(self) -> Indices:
+        """The piece of every segment (K,)."""
+        return np.repeat(np.arange(self.structure.pieces), [r.segments for r in self.resolutions])
+
+    @property
+    def piece_ends(self) -> tuple[int, ...]:
+        """Indices of the mesh breaks at which pieces start and end; A + 1 of them."""
+        return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
+
+    def mesh(self) -> Mesh:
+        """Return the mesh whose boundaries between pieces are movable, but for kinks, which stay where they are."""
+        times = [self.structure.times[0]]
+        degrees: list[int] = []
+        for k, r in enumerate(self.resolutions):
+            left, right = self.structure.times[k], self.structure.times[k + 1]
+            times += [left + (right - left) * float(share) for share in r.shares[1:]]
+            degrees += r.each
+        fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
+        inner = range(1, self.structure.pieces)
+        movable = tuple(
+            self.piece_ends[k] for k in inner if not self.structure.kinked(k) or self.structure.slides(k)
+        )
+        return Mesh(tuple(fractions), tuple(degrees), movable)
+
+    def hold(self, problem: Problem, phase: str) -> Problem:
+        """Return the problem with controls, path constraints and states held as the structure says."""
+        structure, segments = self.structure, self.segment_pieces
+        n_controls, n_paths = len(structure.controls), len(structure.paths)
+        # An interior control may leave its bounds: by how much tells where its arc has to end.
+        controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
+        paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
+        kinds = np.vstack([controls, paths, structure.states])[:, segments]
+        free = kinds == ArcKind.INTERIOR
+        kinds = choose(free & self._released(), ArcKind.RELEASED, kinds)
+        kinds = choose(free & self._eased(), ArcKind.EASED, kinds)
+        paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
+        return problem.with_arcs(
+            phase,
+            arcs=kinds[:n_controls],
+            paths=paths if paths.size else None,
+            states=states if np.any(states != ArcKind.INTERIOR) else None,
+            smooth=self._smooth(),
+            junctions=(
+                *self._junctions(),
+                *self._ends_of_segments(problem, phase),
+                *self._starts(problem, phase),
+            ),
+        )
+
+    def _released(self) -> Mask:
+        """Return where rows may leave their limits, if they are on none of them, (n_rows, K).
+
+        Beside a time at which a vector turns to hold a constraint, which is tangent to its limit there, one segment.
+        """
+        structure = self.structure
+        beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
+        found = (structure.curved() | beside)[:, self.segment_pieces]
+        for k in filter(structure.slides, range(1, structure.pieces)):
+            end = self.piece_ends[k]
+            for row in structure.changes(k):
+                found[row, end - 1 : end + 1] |= bool(structure.orders[row])
+        return np.asarray(found)
+
+    def _eased(self) -> Mask:
+        """Return where controls may leave their bounds a little: H is strictly convex in them, but not farther off."""
+        structure = self.structure
+        found = np.zeros((len(structure.kinds[0]), structure.pieces), dtype=bool)
+        begins, ends = np.asarray(structure.times[:-1]), np.asarray(structure.times[1:])
+        for row, start, end in structure.arched:
+            found[row] |= (begins >= start) & (ends <= end)
+        return found[:, self.segment_pieces]
+
+    def _junctions(self) -> tuple[Junction, ...]:
+        """Where state constraints that determine a control reach their limit to stay there, or touch it.
+
+        Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
+        Where a vector turns to hold a constraint the derivative in which it appears vanishes, too: that makes the time
+        known, on which the cost hardly depends.
+        """
+        structure, n_controls = self.structure, len(self.structure.controls)
+        found: list[tuple[int, int, ArcKind, int, int]] = []
+        for k in range(1, structure.pieces):
+            sliding, taken = structure.slides(k), structure.taken_over(k)[:1]
+            for i in structure.changes(k):
+                before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
+                tangent = i in taken or (sliding and order > 0)
+                if after.at_limit and (order or tangent):
+                    found.append((k, i, after, order, -1 if tangent else 0))
+                elif tangent:
+                    found.append((k, i, before, 0, 1))
+            found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
+            paths = [i for i in structure.handed_over(k) if i >= n_controls]
+            for i in paths[:1]:
+                before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
+                found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
+        found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
+        return tuple(
+            Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
+            for k, i, kind, conditions, tangent in found
+        )
+
+    def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
+
+        Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
+        that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
+        it, and errors fall with the third power of the length of segments only.
+        """
+        structure, n_controls = self.structure, len(self.structure.controls)
+        found = []
+        for piece, kinds in enumerate(structure.kinds):
+            held = [
+                row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
+            ]
+            for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
+                free = [i for i in structure.holders[row] if not kinds[i].at_limit]
+                singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
+                if 0 < len(singular) < len(free) and _move_apart(problem.phases[phase].model, free):
+                    last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
+                    ends = range(self.piece_ends[piece] + 1, last)
+                    found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
+        return tuple(found)
+
+    def _starts(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
+        leg, n_controls = problem.phases[phase], len(self.structure.controls)
+        free, found = ~leg.numbers.initial.fixed, []
+        for row in range(len(self.structure.paths)):
+            kind = self.structure.kinds[0][n_controls + row]
+            if self.structure.orders[n_controls + row] and kind.at_limit:
+                value = constraint_order(problem, leg, row).derivatives[0]
+                depends = ca.jacobian(value, leg.model.arguments()[1]).sparsity().get_col()
+                if np.any(free[np.asarray(depends, dtype=int)]):
+                    found.append(Junction(row, 0, kind, 1))
+        return tuple(found)
+
+    def _smooth(self) -> tuple[Smooth, ...]:
+        """One polynomial for every control that nothing determines, over each of its pieces."""
+        found, ends = [], self.piece_ends
+        for i, row in enumerate(self.structure.controls):
+            for k in np.flatnonzero(row == ArcKind.SINGULAR):
+                r = self.resolutions[k]
+                if (
+                    i not in self.structure.determined(int(k))
+                    and r.smooth
+                    and r.smooth < r.segments * r.degree - 1
+                ):
+                    found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
+        return tuple(found)
+
+
+def _move_apart(model: Model, controls: list[int]) -> bool:
+    """Whether controls can move the states in more than one direction."""
+    moved = ca.jacobian(model.derivative(), model.arguments()[2])
+    return bool(ca.sprank(moved[:, controls]) > 1)
+
+
+def points_of(mesh: Mesh) -> float:
+    """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
+    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
+
+
+def _inherited(mesh: Mesh, start: float, end: float) -> Resolution:
+    """The segments of a mesh between two fractions of the phase; what ends too close to them is joined to the next."""
+    breaks, degrees = np.asarray(mesh.breaks), np.asarray(mesh.degrees)
+    inside = np.flatnonzero((breaks > start) & (breaks < end))
+    room = SLIVER * np.minimum(breaks[inside] - breaks[inside - 1], breaks[inside + 1] - breaks[inside])
+    kept = breaks[inside[np.minimum(breaks[inside] - start, end - breaks[inside]) > room]]
+    cuts = np.array([start, *kept, end])
+    middles = 0.5 * (cuts[1:] + cuts[:-1])
+    own = degrees[np.searchsorted(breaks, middles, "right") - 1]
+    edges = tuple(float(e) for e in (kept - start) / (end - start))
+    return Resolution(own.size, int(own.max()), edges=edges, degrees=tuple(max(FEWEST, int(n)) for n in own))
+
+
+def _refined(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
+    """The segments of a mesh from one break to another, with as smooth a control as they have points for."""
+    breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
+    shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
+    smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)
+    return Resolution(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
+
+
+def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
+    kinds, share = structure.kinds[piece], structure.lengths[piece] / structure.lengths.sum()
+    singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
+    if singular - structure.determined(piece):
+        return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
+    if ArcKind.INTERIOR in structure.controls[:, piece]:
+        degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
+        edges = _turning_edges(structure, piece)
+        segments = len(edges) + 1 if edges else int(np.ceil(INTERIOR_SEGMENTS * share))
+        return Resolution(segments, degree, edges=edges)
+    segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
+    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
+
+
+def _turning_edges(structure: PhaseStructure, piece: int) -> tuple[float, ...]:
+    """Boundaries of segments, in shares of a piece, ever closer to where a vector turns fast; none if it does not."""
+    turns = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
+    if structure.on_contact(piece) or not any(turns):
+        return ()
+    closer = [0.5**k for k in range(1, TURNING_SEGMENTS)]
+    if not all(turns):
+        return tuple(closer[::-1] if turns[0] else [1.0 - share for share in closer])
+    halves = [0.5 * share for share in closer]
+    return (*halves[::-1], 0.5, *[1.0 - half for half in halves])

@@ -1,0 +1,98 @@
+"""How much finer a structure is collocated where its solution does not meet dynamics or costates between the nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
+from gnc_opt.planning.refinement.arcs.error_propagation import Decay, on_carrying_arcs
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import TINY
+
+STATIONARY = 1e-9
+"""First-order gain in H, in shares of H, that may be left along a singular arc."""
+
+ROUGH = 1e-4
+"""Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+
+
+def finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
+    """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
+    errors = defects(samples)
+    gradient = samples.functions.state_gradient(
+        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
+    )
+    residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
+    worth = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
+    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
+    if plan.inherits:
+        return _finer_inherited(samples, plan, per_segment, tol)
+    by_piece = np.split(per_segment, plan.piece_ends[1:-1])
+    wanted = tuple(
+        next_resolution(r, errors, gradient, tol)
+        for r, errors, gradient in zip(plan.resolutions, by_piece, open_gradient(samples, plan), strict=True)
+    )
+    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _finer_inherited(samples: PhaseSamples, plan: Plan, errors: Array, tol: float) -> Plan | None:
+    """Return the plan with segments made finer that are to blame for errors (K,), or None."""
+    decay = Decay.of(samples)
+    own = decay.own_errors(on_carrying_arcs(plan.structure)[plan.segment_pieces], errors)
+    points = np.ceil(np.log10(np.maximum(own, tol) / tol) / decay.rates)
+    by_piece = np.split(points.astype(int), plan.piece_ends[1:-1])
+    wanted = tuple(r.with_points(more) for r, more in zip(plan.resolutions, by_piece, strict=True))
+    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def defects(samples: PhaseSamples) -> Array:
+    """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
+    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
+    return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
+
+
+def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
+    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing.
+
+    Parameters
+    ----------
+    r : Resolution
+    errors : array (segments,)
+        Of states and costates in every segment of the piece.
+    gradient, tol : float
+    """
+    smoother = r.smoother(gradient) if gradient > STATIONARY else r
+    if smoother != r and gradient > max(float(np.max(errors)), ROUGH):
+        return smoother
+    if np.all(errors <= tol):
+        return smoother
+    return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+
+
+def smoother(solution: Solution, plans: Mapping[str, Plan]) -> dict[str, Plan]:
+    """Return the plans with higher degrees where singular controls leave some of dH/du, as far as these help."""
+    found = {}
+    for name, s in solution.samples().items():
+        left_open = zip(plans[name].resolutions, open_gradient(s, plans[name]), strict=True)
+        smoother = tuple(r.smoother(g) if g > STATIONARY else r for r, g in left_open)
+        found[name] = replace(plans[name], resolutions=smoother)
+    return found
+
+
+def open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
+    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
+    kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
+    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
+    per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
+    worst = np.zeros(plan.structure.pieces)
+    np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
+    return worst

@@ -1,0 +1,321 @@
+"""Where constraints push on the nodes of a mesh, and the contacts that this shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.state_constraints import NEAR, StateConstraints
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.error import states_at_points
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+PUSHING = 1e-3
+"""Share of the largest push of a constraint that counts as one, ..."""
+
+WORTH = 1e-5
+"""... if that is worth this share of the cost."""
+
+SHORT = 2.0
+"""Closer than so many segments, an arc begins or ends where a control that holds it switches."""
+
+TURNING = 0.05
+"""Share of a singular arc along which a vector is at its limit to begin with, to turn there."""
+
+FEW = 5
+"""A contact of second order over no more nodes than this is a touch to begin with."""
+
+LASTING = 3
+"""So many nodes in a row at which a constraint pushes say that a control holds it there."""
+
+BOUNCE = 1e-3
+"""So many nodes in a row that far from a limit of higher order, in shares of what the constraint moves, without a push
+among them, are between two touches if all points of a segment are among them: an arc that need not push between its
+ends stays on the limit, and a polynomial that meets it at some of its points may swing between the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """Neighbouring nodes of a mesh near a limit at some of which a constraint pushes.
+
+    Attributes
+    ----------
+    row : int
+        Of the structure.
+    kind : ArcKind
+    times, worth : array
+        Of the nodes, and of the pushes there in shares of the cost; zero where there is none that counts.
+    """
+
+    row: int
+    kind: ArcKind
+    times: Array
+    worth: Array
+
+    def added(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+        """Return the structure with the contacts of the nodes."""
+        runs, order = runs_of(self.worth > 0), structure.orders[self.row]
+        first, last = samples.leg.breaks[[0, -1]]
+        free = self._free(structure)
+        beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
+        if (
+            order == 2 and free and (runs[-1][1] - runs[0][0] > FEW or beside)
+        ):  # between its ends an arc need not push
+            runs, order = [(runs[0][0], runs[-1][1])], 1
+        if order == 1:
+            runs = _joined(runs)
+            if len(structure.holders[self.row]) > 1:
+                runs = self._along_singular(runs, structure, samples)
+        for a, b in runs:
+            at_end = self._end_touched(structure, a, b, samples)
+            if at_end is not None:
+                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
+                continue
+            if order == 1:
+                start, end = self._between(a, first), self._between(b, last)
+                switches = [self._switch(structure, t, samples, k) for k, t in enumerate((start, end))]
+                if switches[0] < switches[1]:
+                    start, end = switches
+                turned = structure
+                if len(structure.holders[self.row]) > 1:
+                    start, end = self._up_to_arcs(structure, start, end, samples)
+                    turned = self._turned(structure, start, end)
+                structure = turned.with_arc(
+                    self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
+                )
+                continue
+            time = float(np.average(self.times[a:b], weights=self.worth[a:b]))
+            if first < time < last:
+                structure = structure.with_touch(self.row, time, self.kind)
+        return structure
+
+    def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
+
+        A mesh of Gauss points has no row there, so that its points beside the end push for it.
+        """
+        leg, path = samples.leg, self.row - len(structure.controls)
+        if b - a > FEW or path >= structure.n_paths:
+            return None
+        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
+        for end, given, node in ends:
+            slope = samples.functions.path_state_jacobian(
+                samples.times[end], samples.x[:, end], samples.u[:, end]
+            )
+            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
+                return end
+        return None
+
+    def known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
+        end = self._end_touched(structure, 0, self.times.size, samples)
+        return end is not None and (self.row, self.kind) in structure.touches[end]
+
+    def beside_slide(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is in the segment beside an end of an arc of its own that is where the solver wants it.
+
+        A vector turns fast there: what pushes is the mesh, which has to be finer.
+        """
+        pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
+        for k in range(1, structure.pieces):
+            if self.row in structure.changes(k) and structure.slides(k):
+                at = int(np.argmin(np.abs(breaks - structure.times[k])))
+                if np.all((pushing >= breaks[at - 1]) & (pushing <= breaks[at + 1])):
+                    return True
+        return False
+
+    def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.
+
+        What begins or ends with the phase is more than that.
+        """
+        pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
+        if np.any(np.isin(samples.leg.point_times[[0, -1]], pushing)):
+            return False
+        for time in structure.touching(self.row, self.kind):
+            at = int(np.argmin(np.abs(breaks - time)))
+            first, last = breaks[max(at - 1, 0)], breaks[min(at + 1, breaks.size - 1)]
+            if np.all((pushing >= first) & (pushing <= last)):
+                return True
+        return False
+
+    def possible(self, structure: PhaseStructure) -> bool:
+        """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
+        return structure.orders[self.row] > 1 or bool(self._free(structure))
+
+    def _free(self, structure: PhaseStructure) -> list[int]:
+        """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
+        pushing = self.times[self.worth > 0]
+        pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.pieces - 1)
+        return [
+            i
+            for i in structure.holders[self.row]
+            if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
+        ]
+
+    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int) -> float:
+        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
+
+        The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
+        (side 1). It does neither where another arc of its begins or ends.
+        """
+        breaks, holders = samples.leg.breaks, structure.holders[self.row]
+        segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
+        reach = SHORT * float(breaks[segment + 1] - breaks[segment])
+        switches = []
+        for k in range(1, structure.pieces):
+            at = structure.times[k]
+            if abs(at - time) >= reach or structure.kinked(k):
+                continue
+            if len(holders) == 1 and self._others(structure, *sorted((at, time))):
+                continue
+            outer = structure.kinds[k - 1 if side == 0 else k]
+            changed = [i for i in structure.changes(k) if i in holders]
+            if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
+                switches.append(at)
+        return min(switches, key=lambda t: abs(t - time), default=time)
+
+    def _others(self, structure: PhaseStructure, start: float, end: float) -> bool:
+        """Whether another constraint with the same holders is on a limit for some of a time."""
+        return any(
+            kinds[row].at_limit and structure.times[k] < end and structure.times[k + 1] > start
+            for row in np.flatnonzero(structure.orders)
+            for k, kinds in enumerate(structure.kinds)
+            if row != self.row and structure.holders[row] == structure.holders[self.row]
+        )
+
+    def _up_to_arcs(
+        self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples
+    ) -> tuple[float, float]:
+        """Return the ends of an arc, extended to arcs on the same limit that are close by."""
+        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        for k, kinds in enumerate(structure.kinds):
+            if kinds[self.row] is self.kind:
+                entry, leave = structure.times[k : k + 2]
+                if start < entry < end + reach:
+                    end = max(end, entry)
+                if start - reach < leave < end:
+                    start = min(start, leave)
+        return start, end
+
+    def _turned(self, structure: PhaseStructure, start: float, end: float) -> PhaseStructure:
+        """Return the structure with singular vectors beside an arc at their limits for a while, to turn on it.
+
+        The solver finds out how long; a very short arc is no place to begin.
+        """
+        turned = structure
+        for k in range(1, structure.pieces):
+            time = structure.times[k]
+            for near, other, far in ((k - 1, k, structure.times[k + 1]), (k, k - 1, structure.times[k - 1])):
+                if time != (end if near < k else start):
+                    continue
+                room = max(TURNING - (end - start) / abs(far - time), 0.0) * (far - time)
+                first, last = sorted((time, time + room))
+                for i in structure.holders[self.row]:
+                    kinds = structure.kinds[near][i], structure.kinds[other][i]
+                    if kinds == (ArcKind.INTERIOR, ArcKind.SINGULAR) and room:
+                        turned = turned.with_arc(i, first, last, ArcKind.INTERIOR)
+        return turned
+
+    def _segments(self, samples: PhaseSamples) -> Indices:
+        """The segments of the nodes."""
+        breaks = samples.leg.breaks
+        return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
+
+    def _along_singular(
+        self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
+    ) -> list[tuple[int, int]]:
+        """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
+        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        joined = runs[:1]
+        for a, b in runs[1:]:
+            before, after = self.times[joined[-1][1] - 1], self.times[a]
+            piece = int(np.searchsorted(structure.times[1:-1], 0.5 * (before + after)))
+            kinds = [structure.kinds[piece][i] for i in structure.holders[self.row]]
+            if after - before < reach and ArcKind.SINGULAR in kinds:
+                joined[-1] = (joined[-1][0], b)
+            else:
+                joined.append((a, b))
+        return joined
+
+    def _between(self, node: int, end: float) -> float:
+        """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
+        times, size = self.times, self.times.size
+        if 0 < node < size:
+            return float(0.5 * (times[node - 1] + times[node]))
+        outer, inner = (
+            (times[0], times[min(1, size - 1)]) if node == 0 else (times[-1], times[max(-2, -size)])
+        )
+        return float(end if abs(end - outer) <= abs(outer - inner) else outer)
+
+
+def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Push]:
+    """Where constraints of some rows push."""
+    s, rows = constraints.samples, list(rows)
+    found: list[Push] = []
+    if not rows:
+        return found
+    times, values, pushes = _at_nodes(constraints)
+    for row in rows:
+        for kind, limit in constraints.limits(int(row)):
+            near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]
+            worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
+            worth = np.where(near & (worth > max(PUSHING * float(np.max(worth)), WORTH)), worth, 0.0)
+            near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
+            if constraints.order(int(row)) > 1:
+                off = np.abs(values[row] - limit) > BOUNCE * constraints.scales[row]
+                for a, b in runs_of(off & (worth == 0)):
+                    near[a:b] &= b - a < LASTING or not _fills_a_segment(times[a:b], s)
+            runs = [(a, b) for a, b in runs_of(near) if np.any(worth[a:b] > 0)]
+            found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+    return found
+
+
+def _fills_a_segment(times: Array, samples: PhaseSamples) -> bool:
+    """Whether all points of some segment are among the times of neighbouring nodes."""
+    leg = samples.leg
+    inside = np.isin(leg.point_times, times)
+    return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
+
+
+def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
+    """Times of points and inner boundaries, rows there and what they push on costates (n_rows, n_nodes)."""
+    leg = constraints.samples.leg
+    inner, points = leg.breaks[1:-1], leg.point_times
+    weights = np.concatenate([r.weights for r in leg.rules]) * np.repeat(
+        0.5 * np.diff(leg.breaks), leg.mesh.degrees
+    )
+    times = np.concatenate([points, inner])
+    x = np.hstack([states_at_points(leg), leg.x(inner)])
+    u = np.hstack([*leg.u.values, leg.u(inner)])
+    densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
+    # Path constraints have no row at a boundary: there they push as long as they do on both sides.
+    paths = densities[: len(leg.path_labels)]
+    first = np.array(leg.mesh.offsets[1:-1], dtype=int)
+    left, right = paths[:, first - 1], paths[:, first]
+    atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
+    order = np.argsort(times, kind="stable")
+    pushes = np.hstack([densities, atoms])[:, order]
+    return times[order], constraints.values(times, x, u)[:, order], pushes
+
+
+def _joined(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Join runs with one node between them: a boundary of the mesh, where a limit held at the points may be left."""
+    joined = runs[:1]
+    for a, b in runs[1:]:
+        if a - joined[-1][1] == 1:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
+
+
+def runs_of(here: Mask) -> list[tuple[int, int]]:
+    """First places, and those after the last ones, of the runs in which something holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

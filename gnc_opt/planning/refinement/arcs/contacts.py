@@ -1,0 +1,265 @@
+r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, found and mended.
+
+Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in the controls that
+:math:`S^{(q)}` depends on. Then the control is continuous where an arc on the limit begins and ends (Jacobson, Lele &
+Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995): there :math:`S^{(q)}` comes to
+zero, with a kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends
+on the time; so an entry is kept where it is during a solve, in which the constraint may be left beside the arc, and
+then moves to where :math:`S^{(q)}` of the interior arc vanishes. Since states and costates are wrong in second order
+only, repeating this converges quadratically.
+
+A control that enters H linearly jumps to where it holds the limit, and back (McDanell & Powers, SIAM J. Control 9(2),
+1971). The times of such an arc are variables, as those of switches; it begins with
+:math:`S = \dots = S^{(q-1)} = 0`. Where all controls of :math:`S^{(q)}` are on limits of their own there are touches
+only.
+
+The time of a touch, of order two or more, is a variable: with :math:`S = \dot S = 0` there the cost has a strict
+minimum at the time at which the multiplier of :math:`\dot S = 0` vanishes, so that the costate jumps along
+:math:`\partial S/\partial x` alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Indices
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
+from gnc_opt.planning.refinement.arcs.contact_detection import LASTING, SHORT, Push, pushing_runs, runs_of
+from gnc_opt.planning.refinement.arcs.control_oscillation import with_short_arc, without_ringing
+from gnc_opt.planning.refinement.arcs.ends import with_starts_on_limits
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import TINY
+
+SWINGING = 0.05
+"""A control is between its bounds on average if the mean is this far from them, relative to its range."""
+
+EXCEEDED = 1e-8
+"""A constraint beyond its limit by this share of what it moves is left."""
+
+OVERRUN = 1e-6
+"""A control that leaves its bound by this share of its range runs into it."""
+
+ODD = 1e-6
+"""A push of the wrong direction worth this share of the cost says that there is no contact."""
+
+
+# --- controls that are determined -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Determined:
+    """A control between its bounds, from ``start`` to ``end`` (s), because it holds a state constraint on its limit.
+
+    The constraint is a row of `StateConstraints`, the limit a kind.
+    """
+
+    control: int
+    start: float
+    end: float
+    row: int = -1
+    kind: ArcKind = ArcKind.INTERIOR
+
+
+def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
+    """Return the controls that hold state constraints on their limits.
+
+    On a mesh such a control swings about what holds the constraint, and so does its switching function about zero: at
+    single times neither says anything. Their means do, and the pushes of the constraint.
+    """
+    constraints, leg = StateConstraints(problem, samples), samples.leg
+    points, u = leg.point_times, np.hstack(leg.u.values)
+    found = []
+    rows = [row for row in range(constraints.size) if constraints.order(row)]
+    for run in pushing_runs(constraints, rows):
+        held = np.flatnonzero(run.worth > 0)
+        start, end = run.times[held[[0, -1]]]
+        inside = (points >= start) & (points <= end)
+        if held.size < LASTING or np.sum(inside) < LASTING:
+            continue
+        mean = np.mean(u[:, inside], axis=1)
+        at_lower, at_upper = leg.control_bounds.near(mean, SWINGING * samples.control_scale)
+        found += [
+            Determined(i, float(start), float(end), run.row, run.kind)
+            for i in constraints.holders(run.row)
+            if not at_lower[i] and not at_upper[i]
+        ]
+    return found
+
+
+# --- found on a mesh ------------------------------------------------------------------------------------------
+
+
+def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the contacts that multipliers and slacks of a mesh show.
+
+    A constraint of first order that pushes is on its limit; one of higher order is where it stays there over
+    more than a segment, else it touches; one of third order only touches, as arcs of odd order beyond the first have no
+    simple junctions (Jacobson, Lele & Speyer, 1971).
+    """
+    constraints, first = StateConstraints(problem, samples), len(structure.controls)
+    held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
+    orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
+    asked = [
+        bool(order) or (on and constraints.order(k) == 1)
+        for k, (order, on) in enumerate(zip(orders, held, strict=True))
+    ]
+    known = structure.holders[first:]
+    holders = [constraints.holders(row) if ask else known[row] for row, ask in enumerate(asked)]
+    known = structure.leans[first:]
+    leans = [constraints.leans(row) if ask else known[row] for row, ask in enumerate(asked)]
+    structure = replace(
+        structure,
+        orders=(*(0,) * first, *orders),
+        holders=(*((),) * first, *holders),
+        leans=(*((),) * first, *leans),
+    )
+    structure = _with_short_arcs(structure, constraints)
+    if not any(orders):
+        return without_ringing(without_overlaps(structure), constraints, SHORT)
+    for run in _runs_of_pushes(constraints, structure):
+        structure = run.added(structure, samples)
+    structure = without_ringing(structure, constraints, SHORT)
+    longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
+    structure = with_possible_ends(without_overlaps(structure), longest)
+    return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
+
+
+def _with_short_arcs(structure: PhaseStructure, constraints: StateConstraints) -> PhaseStructure:
+    """Return the structure with arcs of limits of first order that one control holds for less than a segment."""
+    first = len(structure.controls)
+    rows = [
+        row
+        for row in range(constraints.size)
+        if structure.first_order(first + row) and len(structure.holders[first + row]) == 1
+    ]
+    for run in pushing_runs(constraints, rows):
+        pushing = run.times[run.worth > 0]
+        if not np.any(structure.contact(first + run.row, pushing)):
+            pushed = float(pushing[0]), float(pushing[-1])
+            structure = with_short_arc(structure, constraints, first + run.row, run.kind, pushed)
+    return structure
+
+
+def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
+    """Where constraints push that determine a control, but for the contacts of the structure."""
+    first, found = len(structure.controls), []
+    for run in pushing_runs(constraints, np.flatnonzero(structure.orders[first:])):
+        worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
+        if np.any(worth > 0):
+            found.append(replace(run, row=first + run.row, worth=worth))
+    return [
+        run
+        for run in found
+        if run.possible(structure)
+        and not run.known(structure, constraints.samples)
+        and not run.beside_slide(structure, constraints.samples)
+        and not run.beside_touch(structure, constraints.samples)
+    ]
+
+
+# --- mended ---------------------------------------------------------------------------------------------------
+
+
+def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
+    """Return boundary and row of a touch whose limit would have to pull, or None."""
+    s, first = constraints.samples, len(structure.controls)
+    for k, touches in enumerate(structure.touches):
+        for row, kind in touches:
+            time = float(s.leg.breaks[np.argmin(np.abs(s.leg.breaks - structure.times[k]))])
+            gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
+            jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
+            push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
+            if push < -ODD * s.cost_scale:
+                return k, row
+    return None
+
+
+def pushed_contact(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
+    return _worst_added(constraints, structure, _runs_of_pushes(constraints, structure))
+
+
+def crossed_contact(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact where a constraint is left, and what was done; None if none is."""
+    return _worst_added(constraints, structure, _excesses(constraints, structure))
+
+
+def overrun_bound(
+    samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
+
+    Where a control that enters H linearly comes to its bound while it holds a limit, and others that H determines could
+    hold it as well, H goes on without a jump only if they do, for as long as the costate takes for its own: shortly.
+    Without them the control leaves its bound before the limit is left.
+
+    Parameters
+    ----------
+    samples : PhaseSamples
+    structure : PhaseStructure
+    pieces : int array (n_samples,)
+        The piece of every sample.
+    """
+    bounds = samples.leg.control_bounds
+    for boundary in range(1, structure.pieces):
+        taken = structure.taken_over(boundary)
+        if not taken:
+            continue
+        state, row = taken
+        after = structure.kinds[boundary][state].at_limit
+        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
+        if len(structure.holders[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
+            continue
+        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
+        limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
+        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
+        within = np.flatnonzero(beyond <= 0)
+        if beyond[-1] > OVERRUN and within.size:
+            last = slice(within[-1], within[-1] + 2)
+            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
+            label = samples.leg.controls.labels[row]
+            return structure.with_arc(
+                row, ends[0], ends[1], kind
+            ), f"{label} at its bound from {ends[0]:.4g} s"
+    return None, ""
+
+
+def _worst_added(
+    constraints: StateConstraints, structure: PhaseStructure, runs: list[Push]
+) -> tuple[PhaseStructure | None, str]:
+    s, labels = (
+        constraints.samples,
+        (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
+    )
+    for run in sorted(runs, key=lambda r: float(np.max(r.worth)), reverse=True):
+        added = run.added(structure, s)
+        if added != structure:
+            at = run.times[int(np.argmax(run.worth))]
+            label = labels[run.row - len(structure.controls)]
+            return added, f"contact of {label} added at {at:.4g} s"
+    return None, ""
+
+
+def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
+    """Samples at which constraints are left beside their arcs and between points."""
+    s, first = constraints.samples, len(structure.controls)
+    values = constraints.values(s.times, s.x, s.u_polynomial)
+    found: list[Push] = []
+    for row in np.flatnonzero(structure.orders[first:]):
+        known = structure.contact(first + int(row), s.times)
+        for kind, limit in constraints.limits(int(row)):
+            excess = np.where(known, 0.0, kind.sign * (values[row] - limit) / constraints.scales[row])
+            found += [
+                Push(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in runs_of(excess > EXCEEDED)
+            ]
+    return [run for run in found if run.possible(structure)]

@@ -1,0 +1,133 @@
+"""How H bends in each control: linear, convex, or convex for as long as what it moves is worth something."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import CONVEX
+
+HOLLOW = 1e-2
+"""H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
+average: where a costate vanishes or jumps the mesh leaves as much."""
+
+LINEAR = 1e-9
+"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
+
+
+def affine_channels(samples: PhaseSamples) -> Mask:
+    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,).
+
+    Or are pressed to their ends: `linear_limits`.
+    """
+    bounds, limits = samples.leg.control_bounds, linear_limits(samples)
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    linear = _linear(samples)
+    for i in limits.rows:
+        bounded[i], linear[i] = all(limits.ended(i)), True
+    return linear & bounded
+
+
+def curved_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls between two finite bounds H is neither linear nor convex along the phase, (m,).
+
+    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
+    """
+    bounds = samples.leg.control_bounds
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    return np.asarray(bounded & ~_linear(samples) & ~convex_channels(samples))
+
+
+def linear_limits(samples: PhaseSamples) -> LinearLimits:
+    """Return the path constraints that limit one control each that enters H linearly, or is pressed to its ends.
+
+    A turn at the most lift, or the largest load factor, has no use for less of it, however H may bend.
+    """
+    linear = _linear(samples)
+    bent = LinearLimits.of(samples, ~linear & ~convex_channels(samples))
+    for i in bent.rows:
+        linear[i] = bent.presses(i)
+    return LinearLimits.of(samples, linear)
+
+
+def _linear(samples: PhaseSamples) -> Mask:
+    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < LINEAR)
+
+
+def regular_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls H is strictly convex all along the phase, (m,)."""
+    return np.asarray(np.min(curvature(samples), axis=1, initial=np.inf) > CONVEX)
+
+
+def convex_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls H is convex all along the phase, and strictly at times, (m,).
+
+    It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
+    limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
+    strictly convex all along: where it is not, it is worth nothing, and may jump.
+    """
+    bends = curvature(samples)
+    above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
+    at_times = np.any(bends > CONVEX, axis=1) & (below < HOLLOW * above)
+    return np.asarray((at_times & ~_coupled(samples)) | regular_channels(samples))
+
+
+def _coupled(samples: PhaseSamples) -> Mask:
+    """Return which controls have a second derivative of H with another one, (m,)."""
+    scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
+    shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
+    np.fill_diagonal(shares, 0.0)
+    return np.asarray(np.any(shares > LINEAR, axis=1))
+
+
+def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the times at which H is linear in controls that it is convex in at others.
+
+    A path constraint is left or met with a jump where one of its controls jumps.
+    """
+    flat, count = curvature(samples) <= CONVEX, len(structure.controls)
+    convex = np.asarray(structure.regular[:count], dtype=bool)
+    rows = {int(i): flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
+    if rows and structure.n_paths:
+        slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+        for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
+            rows[count + int(path)] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
+    return replace(structure, flat=_spans(rows, samples, 1))
+
+
+def with_arched_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the times at which H is strictly convex in controls that it is not convex in at others.
+
+    There they enter and leave their bounds with kinks, however short they are between them.
+    """
+    convex = curvature(samples) > CONVEX
+    rows = {int(i): convex[i] for i in np.flatnonzero(curved_channels(samples)) if not structure.regular[i]}
+    return replace(structure, arched=_spans(rows, samples, 0))
+
+
+def _spans(
+    rows: Mapping[int, Mask], samples: PhaseSamples, beyond: int
+) -> tuple[tuple[int, float, float], ...]:
+    """Rows with start and end (s) of the times along which something holds, up to so many samples beyond."""
+    found, times = [], samples.times
+    for row, here in rows.items():
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+        found += [
+            (row, float(times[max(a - beyond, 0)]), float(times[min(b - 1 + beyond, here.size - 1)]))
+            for a, b in edges.reshape(-1, 2)
+        ]
+    return tuple(found)
+
+
+def curvature(samples: PhaseSamples) -> Array:
+    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
+    scale = samples.control_scale
+    return np.asarray(
+        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
+    )

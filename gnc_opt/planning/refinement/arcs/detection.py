@@ -1,0 +1,443 @@
+"""Recognising the control structure from controls and switching functions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.contacts import Determined, determined, with_contacts
+from gnc_opt.planning.refinement.arcs.curvature import (
+    affine_channels,
+    convex_channels,
+    curvature,
+    linear_limits,
+    regular_channels,
+    with_flat_times,
+)
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.vector_arcs import label_vectors
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.verification.singular_arcs import chatters
+from gnc_opt.tolerances import CONVEX
+
+NEAR = 0.02
+"""A control this close to a bound, relative to its range, is taken to sit on it."""
+
+CLEARLY = 2.0
+"""A state so many times as far from its bound has left it."""
+
+REACHED = 1e-3
+"""A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
+multiplier says so too."""
+
+IDLE = 1e-6
+"""A multiplier this small, relative to its largest value, is rounding."""
+
+STILL = 1e-4
+"""A state that stays this close to its bound, relative to its size, along a segment is held there."""
+
+SMALL = 2e-2
+"""A switching function this small over whole segments, in shares of H, marks a singular arc."""
+
+LAST_DIGITS = 1e-14
+"""Relative accuracy of a time at which a function crosses zero."""
+
+MOST_HALVINGS = 100
+"""Steps that find it in any case; a smooth function needs six or so."""
+
+PROBE = 1e-3
+"""Share of a control's range by which it is moved to see whether a rate depends on it."""
+
+SHORT = 2.0
+"""Bangs beside a singular arc that are shorter than this many segments belong to it."""
+
+
+def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases, contacts with state constraints included; sharp: see `detect`."""
+    problem = solution.need_problem("refine")
+    return {
+        name: with_contacts(detect(s, determined(problem, s), sharp), problem, s)
+        for name, s in solution.samples().items()
+    }
+
+
+def detect(
+    samples: PhaseSamples, determined: Sequence[Determined] = (), sharp: bool = False
+) -> PhaseStructure:
+    """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
+
+    Controls that enter H linearly follow the sign of their switching function, except where it stays near
+    zero over whole segments with the control between its bounds (a singular arc, or one on a state
+    constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
+    judged by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
+    """
+    leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
+    strictly = regular_channels(samples)
+    limits = linear_limits(samples)
+    held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
+    rows = [
+        _linear_labels(samples, i, held[i], sharp)
+        if affine[i]
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
+        for i in range(leg.controls.size)
+    ]
+    mixed = _mixed_paths(samples, regular)
+    mixed_holders, leans = _mixed_holders(samples, mixed)
+    paths = _path_labels(samples, mixed)
+    for i in limits.rows:
+        if affine[i]:
+            _limit(limits, i, rows[i], paths, held[i])
+    directions = label_vectors(samples, rows)
+    changes = _change_times(samples, rows)
+    controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
+    for labels in [*paths, *_state_labels(samples, controls, determined)]:
+        rows.append(labels)
+        changes.append(_middles(samples, labels))
+    first, last = leg.breaks[0], leg.breaks[-1]
+    times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
+    middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+    kinds = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    found = PhaseStructure(
+        tuple(float(t) for t in times),
+        tuple(tuple(column) for column in kinds.T),
+        (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
+        leg.controls.size,
+        len(leg.path_labels),
+        holders=(
+            *((),) * leg.controls.size,
+            *(
+                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p])
+                for p in range(len(leg.path_labels))
+            ),
+            *((),) * leg.states.size,
+        ),
+        slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
+        leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
+    ).merged()
+    return with_flat_times(found, samples)
+
+
+def with_bangs(problem: Problem, samples: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
+    """Return the structure with bangs, as the signs of the switching functions are, in place of arcs that chatter."""
+    affine = affine_channels(samples)
+    for i in np.flatnonzero(np.any(structure.controls == ArcKind.SINGULAR, axis=1)):
+        if not affine[i] or not chatters(problem, samples, int(i)):
+            continue
+        labels = choose(samples.control_gradient[i] > 0, ArcKind.LOWER, ArcKind.UPPER)
+        kinds = [labels[0], *labels[1:][labels[1:] != labels[:-1]]]
+        edges = [structure.times[0], *_middles(samples, labels), structure.times[-1]]
+        for kind, start, end in zip(kinds, edges[:-1], edges[1:], strict=True):
+            structure = structure.with_arc(int(i), start, end, kind)
+    return structure
+
+
+def switching(samples: PhaseSamples, times: Array) -> Array:
+    """Return dH/du of every control at some times (s), (m, n_times)."""
+    leg = samples.leg
+    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros(0)
+    return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
+
+
+def _linear_labels(
+    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
+) -> KindArray:
+    """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
+    gradient = _share(samples, samples.control_gradient, i)
+    labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
+    for k in _singular_segments(samples, i, gradient):
+        labels[samples.segments == k] = ArcKind.SINGULAR
+    labels[_within(samples, held)] = ArcKind.SINGULAR
+    if not sharp:
+        _absorb(samples, i, labels, gradient)
+    return labels
+
+
+def _within(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
+    """Which samples lie within some times."""
+    found = np.zeros(samples.times.size, dtype=bool)
+    for start, end in spans:
+        found |= (samples.times >= start) & (samples.times <= end)
+    return found
+
+
+def _limit(
+    limits: LinearLimits,
+    i: int,
+    labels: KindArray,
+    paths: list[KindArray],
+    determined: Sequence[tuple[float, float]],
+) -> None:
+    """Put path constraints in the place of bounds of a control, where they are tighter.
+
+    Singular arcs stay, and times at which state constraints determine the control.
+    """
+    samples = limits.samples
+    inside = ~limits.near_end(i, NEAR * samples.control_scale[i])
+    segments = _singular_segments(samples, i, _share(samples, samples.switching, i))
+    free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
+    singular = np.isin(samples.segments, free)
+    singular |= _within(samples, determined)
+    own, held = limits.labels(i, samples.switching[i] < 0)
+    labels[:] = choose(singular, ArcKind.SINGULAR, own)
+    for row, kinds in held.items():
+        paths[row] = choose(singular, ArcKind.INTERIOR, kinds)
+
+
+def _share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+    """What a control's whole range gains in H, in shares of H, (n_samples,)."""
+    return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
+
+
+def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
+    """Give short bangs beside a singular arc to it that are noise or chatter.
+
+    Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for. But
+    where the arc keeps a state on its bound, a bang that brings it there or takes it away is neither.
+    """
+    bounds = samples.leg.control_bounds
+    wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
+    miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
+    noise = np.empty(labels.size, dtype=bool)
+    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
+    for first, last in itertools.pairwise(edges):
+        small = np.max(np.abs(gradient[first:last])) < SMALL and not _leaves_bound(samples, i, first, last)
+        noise[first:last] = small or np.mean(miss[first:last]) > 0.5
+    _spread(samples, labels, ArcKind.SINGULAR, noise)
+
+
+def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
+    """Whether a state that a control moves at once is on its bound at an end of a run of samples, and leaves it."""
+    bounds, ends = samples.leg.state_bounds, [first, last - 1]
+    off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
+    share = off[:, first:last] / samples.state_scale[:, None]
+    left = (np.min(share[:, [0, -1]], axis=1) < NEAR) & (np.max(share, axis=1) > CLEARLY * NEAR)
+    return bool(np.any(left)) and bool(np.any(left & np.any(_moved_at_once(samples, i)[:, ends], axis=1)))
+
+
+def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
+    """Let arcs of a label swallow neighbours shorter than `SHORT` segments, if all of those are candidates."""
+    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    grown = True
+    while grown:
+        grown = False
+        changes = (labels[1:] != labels[:-1]) | (candidates[1:] != candidates[:-1])
+        edges = [0, *(np.flatnonzero(changes) + 1), labels.size]
+        for first, last in itertools.pairwise(edges):
+            beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
+            short = samples.times[last - 1] - samples.times[first] < SHORT * np.max(lengths[first:last])
+            if labels[first] != label and candidates[first] and beside and short:
+                labels[first:last], grown = label, True
+                break
+
+
+def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
+    """Segments on which the control lies between its bounds while its switching function stays small.
+
+    A switch smears over one segment, too, but there the switching function leaves zero at once; so a lone
+    segment does not count.
+    """
+    leg = samples.leg
+    bounds, margin = leg.control_bounds, NEAR * samples.control_scale[i]
+    found = []
+    for k, values in enumerate(leg.u.values):
+        inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
+        small = np.max(np.abs(gradient[samples.segments == k])) < SMALL
+        if small and np.mean(inside) > 0.5:
+            found.append(k)
+    return [k for k in found if k - 1 in found or k + 1 in found]
+
+
+def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
+    """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
+    at_lower, at_upper = samples.leg.control_bounds.near(samples.u, REACHED * samples.control_scale)
+    gradient = samples.control_gradient[i]
+    labels = _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
+    for first, last in itertools.pairwise(edges):
+        ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
+        width = samples.times[last - 1] - samples.times[first]
+        if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
+            high = samples.u[i, first:last] > samples.leg.control_bounds.middle[i]
+            labels[first:last] = choose(high, ArcKind.UPPER, ArcKind.LOWER)
+    return labels
+
+
+def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
+    """Which path constraints are inequalities on controls that H determines: they become active with a kink.
+
+    The length of a direction does not: it is at its limit all along but where the direction does not matter.
+    """
+    leg = samples.leg
+    lengths = [v.length for v in leg.composed_controls if isinstance(v, VectorControl)]
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    depends = np.any(slopes != 0, axis=2)
+    inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
+    return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+
+
+def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """The controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
+    if not np.any(mixed):
+        return [()] * mixed.size, [()] * mixed.size
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    own = [
+        tuple(np.flatnonzero(np.any(slope != 0, axis=1)).tolist()) if found else ()
+        for slope, found in zip(slopes, mixed, strict=True)
+    ]
+    signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
+    return own, [tuple(int(signs[p, i]) for i in held) for p, held in enumerate(own)]
+
+
+def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
+    """LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR for all but mixed ones.
+
+    Where H bends in none of its controls, as their costates vanish, so does its multiplier, and nothing else
+    determines them.
+    """
+    if not mixed.size:
+        return []
+    values = samples.functions.paths(samples.times, samples.x, samples.u)
+    depends = np.any(
+        samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
+    )
+    bends = curvature(samples) > CONVEX
+    idle = np.abs(samples.mu) <= IDLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
+    alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
+    at_lower, at_upper = samples.leg.path_bounds.near(values, REACHED * np.max(np.abs(values), axis=1))
+    at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
+    return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
+
+
+def _state_labels(
+    samples: PhaseSamples, controls: KindArray, determined: Sequence[Determined] = ()
+) -> list[KindArray]:
+    """LOWER, INTERIOR or UPPER at each sample for every state.
+
+    A state counts as held along segments on which it stays on its bound while some singular control could move
+    it at once (a bound of first order), and all the time at which it pushes, where it may swing between the points. No
+    arc reaches an end of the phase at which another value is given.
+    """
+    first = len(samples.leg.path_labels)
+    leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
+    ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
+    for i in range(leg.states.size):
+        labels = np.full(samples.times.size, ArcKind.INTERIOR)
+        margin = STILL * samples.state_scale[i]
+        limits = (
+            (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
+            (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
+        )
+        for kind, _, distance in limits:
+            for k in range(leg.mesh.segments):
+                here = samples.segments == k
+                if np.all(distance[here] < margin) and _middle(commanded[i, here]):
+                    labels[here] = kind
+        for kind, limit, _ in limits if np.any(labels != ArcKind.INTERIOR) else ():
+            off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
+            inner = ~np.isin(samples.segments, off)
+            pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
+            labels[_within(samples, pushes) & inner] = kind
+            _spread(samples, labels, kind, commanded[i] & inner)
+        rows.append(labels)
+    return rows
+
+
+def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
+    """Where a singular control moves a state at once, (n_states, n_samples)."""
+    found = np.zeros(samples.x.shape, dtype=bool)
+    for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
+        found |= _moved_at_once(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+    return found
+
+
+def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
+    """Where the rate of a state depends on a control, (n_states, n_samples)."""
+    moved = samples.u.copy()
+    moved[channel] += PROBE * samples.control_scale[channel]
+    rates = samples.functions.rates
+    return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
+
+
+def _middle(values: Mask) -> bool:
+    return bool(values[values.size // 2])
+
+
+def _at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
+    return choose(at_lower, ArcKind.LOWER, choose(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
+
+
+def _middles(samples: PhaseSamples, labels: KindArray) -> list[float]:
+    """Times between samples of different labels."""
+    jumps = np.flatnonzero(labels[1:] != labels[:-1])
+    return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
+
+
+def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
+    """Times at which each control's label changes; sign changes of the switching functions are polished."""
+    times = samples.times
+    found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
+    polished = [
+        (i, j)
+        for i, j in found
+        if rows[i][j].at_limit and rows[i][j + 1].at_limit and times[j + 1] > times[j]
+    ]
+    at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
+    if polished:
+        channels, places = np.array(polished).T
+        asked = np.arange(channels.size)
+
+        def own(t: Array) -> Array:
+            return np.asarray(switching(samples, t)[channels, asked])
+
+        at |= zip(polished, roots(own, times[places], times[places + 1]), strict=True)
+    return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
+
+
+def roots(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between left and right (n,), or the middle where the signs do not differ."""
+    differ, middle = function(left) * function(right) < 0, 0.5 * (left + right)
+    return crossings(function, np.where(differ, left, middle), np.where(differ, right, middle))
+
+
+def crossings(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between times (s) (n,) at which the signs differ, to the last digits of a time.
+
+    Chandrupatla's method, all intervals at once: inverse quadratic interpolation where it is safe, else bisection
+    (Advances in Engineering Software 28, 1997).
+    """
+    a, b = np.array(right, dtype=float), np.array(left, dtype=float)
+    at_a, at_b = function(a), function(b)
+    share, slack = np.full(a.size, 0.5), LAST_DIGITS * np.maximum(1.0, np.abs(a))
+    for _ in range(MOST_HALVINGS):
+        here = a + share * (b - a)
+        value = function(here)
+        beyond = np.sign(value) == np.sign(at_a)
+        c, at_c = np.where(beyond, a, b), np.where(beyond, at_a, at_b)
+        b, at_b = np.where(beyond, b, a), np.where(beyond, at_b, at_a)
+        a, at_a, b = here, value, np.where(value == 0, here, b)
+        width = np.abs(b - a)
+        if np.all(width <= 2 * slack):
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along, up = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+            step = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            step += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+            least = np.minimum(slack / width, 0.5)
+            safe = (up**2 < along) & ((1 - up) ** 2 < 1 - along) & np.isfinite(step)
+        share = np.clip(np.where(safe, step, 0.5), least, 1 - least)
+    return np.where(np.abs(at_a) < np.abs(at_b), a, b)
+
+
+def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:
+    """Labels of a channel at times that lie between its changes."""
+    starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
+    return np.asarray(labels[starts][np.searchsorted(changes, times)])

@@ -1,0 +1,139 @@
+r"""Junctions of interior arcs with bound arcs: kinks of a control that H determines.
+
+Where H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
+constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: held on its bound too long or too
+short by :math:`\delta`, the control is wrong by :math:`O(\delta)` for a time :math:`\delta`, which costs
+:math:`O(\delta^3)`. As a variable of the program the time of a kink would therefore drift to wherever the error of
+the discretisation is most welcome.
+
+But states and costates are wrong only by :math:`O(\delta^2)`. So a kink is kept where it is during a solve, in which
+the control is held on one side and free *of its bounds* on the other; then it moves to where the control of the
+interior arc meets the bound (it was held too short) or the switching function of the held arc changes sign (too
+long). Repeating this converges quadratically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.detection import crossings
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.solution.polynomial import Side
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import BESIDE
+
+SETTLED, OF_PIECE = 1e-7, 3e-6
+"""A kink that wants to move by less than these shares of the phase and of the shorter piece beside it is where it
+belongs: states and costates are wrong by the square of the first, controls by the second, in shares of their range."""
+
+FARTHEST = 0.5
+"""Share of the shorter piece beside a junction by which it may move at once."""
+
+ENTERED = 1e-10
+"""The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
+
+
+def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
+    """Return the structure with its kinks where the solution wants them, or None if they are there.
+
+    Pieces may be left with no length, or less.
+    """
+    structure, samples = plan.structure, constraints.samples
+    times = list(structure.times)
+    for boundary in range(1, structure.pieces):
+        if structure.kinked(boundary) and not structure.slides(boundary):
+            wanted = [
+                junction_time(constraints, structure, boundary, i)
+                if structure.orders[i]
+                else _wanted(samples, plan, boundary, i)
+                for i in structure.changes(boundary)
+            ]
+            times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
+    moves = np.abs(np.asarray(times) - np.asarray(structure.times))
+    contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
+    span, lengths = times[-1] - times[0], structure.lengths
+    beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
+    settled = np.where(
+        [False, *contact, False], ENTERED * span, np.minimum(SETTLED * span, OF_PIECE * beside)
+    )
+    if np.all(moves <= settled):
+        return None
+    return structure.at(tuple(times))
+
+
+def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
+    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
+    leg, first = constraints.samples.leg, len(structure.controls)
+    entered = structure.kinds[boundary][row].at_limit
+    side: Side = "left" if entered else "right"
+    time = structure.times[boundary]
+    k = int(np.argmin(np.abs(leg.breaks - time)))
+    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
+    times = np.array([leg.breaks[k], leg.breaks[k] - step])
+    values = constraints.derivative(
+        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
+    )
+    slope = (values[0] - values[1]) / step
+    lengths = structure.lengths
+    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
+    move = -values[0] / slope if slope != 0 else 0.0
+    return time + float(np.clip(move, -most, most))
+
+
+def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
+    """Where one control or path constraint wants its kink."""
+    before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
+    held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
+    direction = before.sign or after.sign
+    n_controls = len(plan.structure.controls)
+    signals = _control_signals if row < n_controls else _path_signals
+    pieces = plan.segment_pieces[samples.segments]
+    for piece, number in ((interior, 0), (held, 1)):
+        here = np.flatnonzero(pieces == piece)
+        side: Side = "right"
+        if piece < boundary:
+            here, side = here[::-1], "left"
+        index = row if row < n_controls else row - n_controls
+
+        def offence(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
+            return direction * signals(samples, index, direction, side, t)[number]
+
+        reach = _reach(samples.times[here], offence)
+        if reach is not None:
+            return reach
+    return plan.structure.times[boundary]
+
+
+def _control_signals(
+    samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
+) -> tuple[Array, Array]:
+    """How far a control lies above its limit, and its switching function, at some times (n_times,)."""
+    leg, bounds = samples.leg, samples.leg.control_bounds
+    u, mu = leg.u(t, side), leg.path_multiplier(t, side)
+    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
+    return u[i] - limit, gradient[i]
+
+
+def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
+    """How far a path constraint lies above its limit, and its multiplier with the sign reversed, (n_times,)."""
+    leg, bounds = samples.leg, samples.leg.path_bounds
+    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    values = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))
+    return values[i] - limit, -leg.path_multiplier(t, side)[i]
+
+
+def _reach(times: Array, offence: Callable[[Array], Array]) -> float | None:
+    """Return up to where an offence that starts at the first time reaches, or None if there is none."""
+    over = offence(times) > 0
+    if not over[0]:
+        return None
+    if np.all(over):
+        return float(times[-1])
+    k = int(np.argmin(over))
+    return float(crossings(offence, times[k - 1 : k], times[k : k + 1])[0])

@@ -1,0 +1,378 @@
+"""Switch-time optimisation: the structure loop.
+
+Controls are held on their bounds piece by piece, the times of the switches are variables, and each piece is
+collocated with a high degree; controls between bounds (interior and singular arcs) stay free inside their pieces. The
+costates of the optimum then judge the structure: a piece whose length goes to zero is dropped (or the two switches
+at its ends change places), a switching function of the wrong sign asks for an arc that is missing. The loop ends
+when signs and structure agree everywhere and the error between the nodes is small.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions
+from gnc_opt.planning.problem.arcs import Arc
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, points_of
+from gnc_opt.planning.refinement.arcs.arc_refinement import smoother
+from gnc_opt.planning.refinement.arcs.curvature import with_arched_times, with_flat_times
+from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.resolution import resolved
+from gnc_opt.planning.refinement.arcs.split_switches import shared, solve_apart
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.update import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve
+from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits, with_singular_magnitudes
+from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record, same_pass
+from gnc_opt.planning.refinement.switching.collocated_flight import collocated
+from gnc_opt.planning.refinement.switching.costates import settle_costates
+from gnc_opt.planning.refinement.switching.newton import settle
+from gnc_opt.planning.solution.history import History, Pass, RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.verification.engine import verify
+
+PATIENCE = 4
+"""Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
+
+IN_VAIN = 2
+"""Structures without a solution, one made of the other, after which the loop gives up."""
+
+FINEST = 1e-9
+"""Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
+
+ROOM = 0.4
+"""Share of the tolerance that segments of a mesh that is gone on with are refined to."""
+
+FINISHING = 4.0
+"""Passes that are, or may be, the last ones begin for up to so many times the work."""
+
+ALIKE = 1.01
+"""Ratio of errors of passes that differ by rounding."""
+
+TIGHT, MOST_ITERATIONS = 1e-11, 200
+"""Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
+
+
+Segments: TypeAlias = Literal["few", "mesh", "kept"]
+
+
+def optimise_switches(
+    solution: Solution,
+    *,
+    tol: float = FINEST,
+    limits: PassLimits | None = None,
+    structures: Mapping[str, PhaseStructure] | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+    segments: Segments = "few",
+) -> tuple[Solution, History]:
+    """Return the solution with exact switch times and its `structure`, and the history of the loop.
+
+    Parameters
+    ----------
+    solution : Solution
+        A solved collocation solution, with its problem.
+    tol : float
+        On the error between the nodes; see `gnc_opt.planning.refinement.error`.
+    limits : PassLimits, optional
+    structures : mapping of PhaseStructure, optional
+        What to start from, by phase, if it has been detected already.
+    options : SolverOptions, optional
+    progress : bool
+        Show one line per pass.
+    segments : {"few", "mesh", "kept"}
+        Begin with few, with those of the solution's mesh, or with those that these very structures were refined to.
+
+    Returns
+    -------
+    Solution
+        Where the loop comes to rest; else that of the pass with the least error, or the given one if no pass had a
+        solution.
+    History
+    """
+    begin = time.perf_counter()
+    problem = solution.need_problem("refine")
+    chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
+    found = structures or structures_of(solution)
+    solution = with_magnitudes_at_limits(solution)
+    plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
+    tries: list[_Try] = []
+    with pass_meter(solution.problem_name, tol, progress) as show:
+        try:
+            loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
+            guess, settled, flown = (
+                _settled(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
+            )
+            status = loop.run(guess, settled, flown)
+            if status is RefinementStatus.FAILED and guess is not solution:
+                status = loop.run(solution, plans)
+        except KeyboardInterrupt:
+            status = RefinementStatus.INTERRUPTED
+    best = _best(tries, status)
+    records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
+    message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
+    history = History(status, tol, tuple(records), best or 0, message, seconds)
+    if best is None:
+        return solution, history
+    solution, plans = tries[best].solution, tries[best].plans
+    if status is RefinementStatus.CONVERGED:
+        solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
+    return replace(solution, structure=_arcs(solution, plans)), history
+
+
+def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
+    if segments == "few":
+        return Plan.of(structure, points_of(mesh))
+    return Plan.on_mesh(structure, mesh) if segments == "mesh" else Plan.refined(structure, mesh)
+
+
+def _with_unique_costates(
+    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+) -> Solution:
+    """Return the solution with costates that make every switching function vanish where switches share a time."""
+    settled = settle_costates(solution)
+    if not any(shared(plan.structure) for plan in plans.values()) or verify(settled).ok:
+        return settled
+    apart = solve_apart(solution, plans, options, deadline)
+    return settled if apart is None or not verify(apart).ok else apart
+
+
+Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
+"""Phase and its order of arcs, without times, before and after it is mended."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """One pass: what was found for which structure."""
+
+    solution: Solution
+    plans: dict[str, Plan]
+    record: Pass
+
+
+def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
+    """Return the pass to keep: where the loop came to rest, or the one with the least error; None without any.
+
+    Of passes with the same error but for rounding the last one, which mended what the error does not show.
+    """
+    solved = {k: t.record.error for k, t in enumerate(tries) if t.record.solved}
+    if not solved or status is RefinementStatus.CONVERGED:
+        return max(solved, default=None)
+    least = min(solved.values())
+    return max((k for k, error in solved.items() if error <= ALIKE * least), default=min(solved))
+
+
+def _settled(
+    solution: Solution, plans: dict[str, Plan], aim: float
+) -> tuple[Solution, dict[str, Plan], Solution | None]:
+    """Go to the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that.
+
+    Returned are a guess, the plans and, where no limit is in its way, the flight as their solution.
+    """
+    if len(plans) > 1:
+        return solution, plans, None  # The flow of one phase says nothing about the others.
+    ((name, plan),) = plans.items()
+    found = settle(solution, plan.structure)
+    if found is None:
+        return solution, plans, None
+    structure, flight = found
+    guess = flight.solution(solution)
+    plan = resolved(Plan.of(structure, plan.points), solution.samples()[name], guess, aim)
+    return guess, {name: plan}, collocated(solution, flight, plan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """What it is asked for, and what it has tried."""
+
+    problem: Problem
+    tol: float
+    limits: PassLimits
+    options: SolverOptions
+    show: Callable[[Pass], None]
+    tries: list[_Try]
+
+    def run(
+        self, solution: Solution, plans: dict[str, Plan], flown: Solution | None = None
+    ) -> RefinementStatus:
+        """Solve, but for the first pass where its solution has been flown, and mend until nothing is left to mend.
+
+        Every pass is added to ``tries``.
+        """
+        left: set[tuple[str, PhaseStructure]] = set()
+        asked: set[Change] = set()
+        vain = 0
+        for _ in range(self.limits.passes):
+            begin = time.perf_counter()
+            if begin > self.limits.deadline:
+                return RefinementStatus.INTERRUPTED
+            if any(plan.mesh().size > self.limits.points for plan in plans.values()):
+                return self._limited(RefinementStatus.POINT_LIMIT)
+            spent = sum(record.work for record in self.records)
+            if spent > self._allowed:
+                return self._limited(RefinementStatus.WORK_LIMIT)
+            within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
+            found = flown or _solve(self.problem, plans, solution, self.options, within)
+            flown = None
+            if not found.status.solved:
+                self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+                if found.status.value == "interrupted":
+                    return RefinementStatus.INTERRUPTED
+                vain += 1
+                others = _instead(found, plans, left)
+                if others is None or vain == IN_VAIN:
+                    return RefinementStatus.FAILED
+                plans = others
+                continue
+            solution, vain = found, 0
+            current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
+            plans, action = improve(solution, current, left, self._aim_of(current))
+            record = _record(solution, begin, action or "structure stands")
+            resolved = _resolved([*self.records, record], self._aim_of(current))
+            if resolved and (finer := smoother(solution, current)) != current:
+                plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
+            self._note(_Try(solution, current, record))
+            if len(self.records) == 1 and record.error > self.limits.worst:
+                return RefinementStatus.FAILED
+            # The kinks that a mesh shows have been moved at least once.
+            settled = len(self.records) > 1 and record.error <= self.tol
+            if not action or resolved or (settled and _adjusts_mesh(current, record)):
+                return RefinementStatus.CONVERGED
+            changes = set() if _adjusting(record) else _changes(current, plans)
+            again, asked = changes & asked, changes | asked
+            if again or _restless(self.records) or self._known(record):
+                return RefinementStatus.STALLED
+        return self._limited(RefinementStatus.PASS_LIMIT)
+
+    @property
+    def aim(self) -> float:
+        """Error that meshes are refined to: it costs little more, where a structure is known."""
+        return min(self.tol, FINEST)
+
+    def _aim_of(self, plans: Mapping[str, Plan]) -> float:
+        """That error, or the tolerance with some room: the points of a mesh that is gone on with are many."""
+        return ROOM * self.tol if any(plan.inherits for plan in plans.values()) else self.aim
+
+    @property
+    def records(self) -> list[Pass]:
+        """Of all tries."""
+        return [t.record for t in self.tries]
+
+    @property
+    def _allowed(self) -> float:
+        """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out.
+
+        And where the one before is, the last one being the first with another structure; or where the next one is
+        accurate if errors go on to fall as they did.
+        """
+        errors = [r.error for r in self.records[-2:] if r.solved]
+        if not errors or min(*errors, errors[-1] ** 2 / errors[0]) > self.tol:
+            return self.limits.allowed(self.records)
+        return FINISHING * self.limits.work
+
+    def _known(self, record: Pass) -> bool:
+        """Whether another attempt has come to the same, which led it nowhere."""
+        return record.solved and any(same_pass(record, known) for known in self.limits.known)
+
+    def _note(self, tried: _Try) -> None:
+        self.tries.append(tried)
+        self.show(tried.record)
+
+    def _limited(self, status: RefinementStatus) -> RefinementStatus:
+        """How it ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
+        last = self.records[-1:]
+        rests = any(r.solved and r.actions == RAISED and r.error <= self.tol for r in last)
+        return RefinementStatus.CONVERGED if rests else status
+
+
+def _instead(
+    failed: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]]
+) -> dict[str, Plan] | None:
+    """Return what to try where a structure had no solution, or None.
+
+    Without limits beside them arcs may have left for where these are worth nothing; else a piece that vanished on the
+    way is in the way.
+    """
+    if any(plan.leaves_limits for plan in plans.values()):
+        return {name: replace(plan, firm=True) for name, plan in plans.items()}
+    for name, s in failed.samples().items():
+        current = _at_solution(plans[name], failed, name)
+        structure, _ = collapsed(s, current, left)
+        if structure is not None:
+            return {**plans, name: current.restructured(structure)}
+    return None
+
+
+def _resolved(records: list[Pass], tol: float) -> bool:
+    """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
+    return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
+
+
+def _restless(records: list[Pass]) -> bool:
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
+
+    Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
+    """
+    changes = [k for k, r in enumerate(records) if not _adjusting(r) or SMOOTHED in str(r.actions)]
+    errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
+    return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
+
+
+def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
+    """Return the orders of arcs, whatever their times, before and after a change of a structure."""
+    return {
+        (name, plan.structure.at(()), after[name].structure.at(()))
+        for name, plan in before.items()
+        if after[name].structure != plan.structure
+    }
+
+
+def _adjusting(record: Pass) -> bool:
+    """Whether a solution asked for nothing but other kinks and resolutions."""
+    return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
+
+
+def _adjusts_mesh(plans: Mapping[str, Plan], record: Pass) -> bool:
+    """Whether the structure stays, on the segments of a mesh: as many points as those are not refined any further."""
+    return any(plan.inherits for plan in plans.values()) and _adjusting(record)
+
+
+def _solve(
+    problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, limits: SolveLimits
+) -> Solution:
+    held = problem
+    for name, plan in plans.items():
+        held = plan.hold(held, name)
+    meshes = {name: plan.mesh() for name, plan in plans.items()}
+    found = solve_mesh(held, meshes, guess=guess, options=options, limits=limits)
+    return replace(found, problem=problem)
+
+
+def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
+    """Return the plan with the switch times of the solution, and with those at which H is linear in controls."""
+    leg = solution.phases[name]
+    times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
+    found = plan.structure.at(times)
+    if any(found.regular):
+        found = with_flat_times(found, solution.samples()[name])
+    if found.bends:
+        found = with_arched_times(found, solution.samples()[name])
+    return replace(plan, structure=found)
+
+
+def _record(solution: Solution, begin: float, action: str) -> Pass:
+    return pass_record(solution, estimate_errors(solution), begin, action)
+
+
+def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
+    arcs: list[Arc] = []
+    for name, s in solution.samples().items():
+        labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
+        arcs += with_singular_magnitudes(s, plans[name].structure).arcs(name, labels)
+    return tuple(arcs)

@@ -1,0 +1,172 @@
+r"""Controls that enter H linearly, limited by path constraints: thrust per mass, thrust by altitude, load factors.
+
+With :math:`c(t, x, u) = a(t, x) u + b(t, x)` at most :math:`\bar c`, such a control is where the sign of its switching
+function :math:`H_u` (without :math:`\mu`) sends it, as far as its own bound and the constraint let it go: at
+:math:`(\bar c - b) / a` the constraint is at its limit and determines the control, with
+:math:`\mu = -H_u / a` (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 4). It jumps there and back: the times
+of such an arc are switch times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+LINEAR = 1e-9
+"""Relative change of a slope over `NEARBY` of the control's range below which it is constant."""
+
+NEARBY = 0.1
+"""By this share of its range the control is moved to see whether a slope changes."""
+
+PRESSED, ALMOST = 0.01, 0.95
+"""A control this close to its end, in shares of its range, is at it; that along so much of the samples, all along: the
+mesh blurs what happens in a segment in which it jumps."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLimits:
+    """The path constraints of a phase that limit one control each, and are linear in it.
+
+    Attributes
+    ----------
+    samples : PhaseSamples
+    rows : mapping of tuple of int
+        Path constraints by control.
+    slopes : array (n_paths, n_samples)
+        Of each constraint in its control; 0 for others.
+    """
+
+    samples: PhaseSamples
+    rows: Mapping[int, tuple[int, ...]]
+    slopes: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples, linear: Mask) -> LinearLimits:
+        """Find those of controls in which H is linear, (m,)."""
+        leg, found = samples.leg, dict[int, tuple[int, ...]]()
+        slopes = np.zeros((len(leg.path_labels), samples.times.size))
+        if not (leg.path_labels and np.any(linear)):
+            return cls(samples, found, slopes)
+        jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+        moved = samples.functions.path_control_jacobian(
+            samples.times, samples.x, samples.u + NEARBY * samples.control_scale[:, None]
+        )
+        same = np.abs(moved - jacobian) <= LINEAR * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
+        depends = np.any(jacobian != 0, axis=2)
+        inequality = leg.path_bounds.lower < leg.path_bounds.upper
+        for i in np.flatnonzero(linear):
+            alone = depends[:, i] & (np.sum(depends, axis=1) == 1) & np.all(same[:, i], axis=1)
+            rows = np.flatnonzero(alone & inequality)
+            if rows.size:
+                found[int(i)] = tuple(int(row) for row in rows)
+                slopes[rows] = jacobian[rows, i]
+        return cls(samples, found, slopes)
+
+    @property
+    def paths(self) -> Mask:
+        """Which path constraints are among them, (n_paths,)."""
+        return np.asarray(
+            np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
+        )
+
+    @property
+    def signs(self) -> tuple[int, ...]:
+        """The sign of each constraint's slope in its control, (n_paths,)."""
+        return tuple(int(np.sign(np.sum(slope))) for slope in self.slopes)
+
+    def ended(self, control: int) -> tuple[bool, bool]:
+        """Return whether a control has a lower, and an upper, end all along the phase."""
+        above, below = self._reaches(control)
+        bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
+        most = np.min([bounds.upper[control] * everywhere, *above.values()], axis=0)
+        least = np.max([bounds.lower[control] * everywhere, *below.values()], axis=0)
+        return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
+
+    def near_end(self, control: int, margin: float) -> Mask:
+        """Where a control is as close as this to the least or most that its constraints allow, (n_samples,)."""
+        above, below = self._reaches(control)
+        u = self.samples.u[control]
+        least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
+        return np.asarray((u - least <= margin) | (most - u <= margin))
+
+    def presses(self, control: int) -> bool:
+        """Whether H sends a control to its bounds and constraints, and it is there, all along the phase."""
+        s, bounds = self.samples, self.samples.leg.control_bounds
+        above, below = self._reaches(control)
+        upward = s.switching[control] < 0
+        most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
+        least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
+        off = np.where(upward, most - s.u[control], s.u[control] - least)
+        return bool(np.mean(np.abs(off) <= PRESSED * s.control_scale[control]) > ALMOST)
+
+    def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
+        """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
+        bounds = self.samples.leg.control_bounds
+        own = choose(upward, ArcKind.UPPER, ArcKind.LOWER)
+        above, below = self._reaches(control)
+        best = np.where(upward, bounds.upper[control], bounds.lower[control])
+        held: dict[int, KindArray] = {}
+        for row in self.rows[control]:
+            here = np.where(upward, above[row], below[row])
+            tighter = np.where(upward, here < best, here > best)
+            best = np.where(tighter, here, best)
+            own = choose(tighter, ArcKind.SINGULAR, own)
+            for other, kinds in held.items():
+                held[other] = choose(tighter, ArcKind.INTERIOR, kinds)
+            limit = choose(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = choose(tighter, limit, ArcKind.INTERIOR)
+        return own, held
+
+    def _reaches(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
+        """The largest and least values of a control that each of its constraints allows, (n_samples,)."""
+        s, bounds = self.samples, self.samples.leg.path_bounds
+        u, values = s.u[control], s.functions.paths(s.times, s.x, s.u)
+        above, below = dict[int, Array](), dict[int, Array]()
+        for row in self.rows[control]:
+            slope = np.where(self.slopes[row] == 0, np.nan, self.slopes[row])
+            ends = u + (np.array([bounds.lower[row], bounds.upper[row]])[:, None] - values[row]) / slope
+            above[row] = np.where(np.isnan(slope), np.inf, np.max(ends, axis=0))
+            below[row] = np.where(np.isnan(slope), -np.inf, np.min(ends, axis=0))
+        return above, below
+
+    # --- mending ---
+
+    def with_arc(
+        self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
+    ) -> PhaseStructure:
+        """Return the structure with a row at another place over an interval, and what limits it, or it limits, with it.
+
+        Parameters
+        ----------
+        row : int
+            Of the structure: controls, then path constraints.
+        sample : int
+            Where it is asked for.
+        interval : tuple of float
+            s.
+        kind : ArcKind
+            INTERIOR for a constraint that is to be left: its control goes to the other side.
+        """
+        first = len(structure.controls)
+        holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
+        if holder is not None:
+            inner = np.asarray(structure.times[1:-1])
+            piece = int(np.searchsorted(inner, 0.5 * (interval[0] + interval[1])))
+            left = structure.kinds[piece][row]
+            upward = (left is ArcKind.UPPER) == bool(self.slopes[row - first, sample] > 0)
+            structure = structure.with_arc(row, *interval, ArcKind.INTERIOR)
+            row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
+        if row not in self.rows or not kind.at_limit:
+            return structure.with_arc(row, *interval, kind)
+        own, held = self.labels(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
+        for path, kinds in held.items():
+            if kinds[sample].at_limit:
+                structure = structure.with_arc(first + path, *interval, kinds[sample])
+        return structure.with_arc(row, *interval, own[sample])

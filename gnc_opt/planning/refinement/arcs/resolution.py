@@ -1,0 +1,117 @@
+"""How finely pieces are collocated along which the trajectory is known already.
+
+The slopes of states and costates along a segment, as Legendre series, tell what n collocation points leave of them: the
+terms from the n-th on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution, points_of
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.error import PhaseError
+from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.quadrature import gauss_rule
+
+FEWEST = 4
+"""Collocation points of a segment at least."""
+
+TERMS = MAX_DEGREE + 4
+"""Of the series; those beyond them are nothing beside the last."""
+
+HELPED = 0.1
+"""Halving a segment has helped if it leaves at most this share."""
+
+MARGIN = 0.1
+"""Share of the tolerance that the terms left out may amount to."""
+
+
+def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
+    """Return the plan with as many collocation points as the flight along its pieces needs.
+
+    Parameters
+    ----------
+    plan : Plan
+        Every control is on a bound all along.
+    s : PhaseSamples
+        Of a solution nearby: what states and costates are measured in.
+    flown : Solution
+        Of one phase.
+    tol : float
+        On the defects between the nodes, in those measures.
+    """
+    left = _left_out(s, flown)
+    times = np.asarray(plan.structure.times)
+    at_once = left(times)
+    found = [_resolution(left, row, times[k], times[k + 1], MARGIN * tol) for k, row in enumerate(at_once)]
+    return replace(plan, resolutions=tuple(found))
+
+
+def error_at_first(error: PhaseError, structure: PhaseStructure) -> float:
+    """Return the largest error that a known trajectory has on the few segments that a structure begins with."""
+    leg = error.samples.leg
+    first = Plan.of(structure, points_of(leg.mesh)).mesh()
+    times = leg.initial_time + leg.duration * np.asarray(first.breaks)
+    trials = [Piece(*ends, n) for ends, n in zip(pairwise(map(float, times)), first.degrees, strict=True)]
+    return float(np.max(trial_errors(error, trials)[0]))
+
+
+def _resolution(
+    left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
+) -> Resolution:
+    """As few segments as are fine enough with `MAX_DEGREE` points at most, and the points of each."""
+    found = _cut(left, whole, (start, end), most, MAX_SEGMENTS)
+    fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[FEWEST:MAX_DEGREE] <= most)
+    degree = FEWEST + int(fine[0]) if fine.size else MAX_DEGREE
+    edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
+    return Resolution(len(found), degree, edges=edges)
+
+
+def _cut(
+    left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
+) -> list[tuple[float, Array]]:
+    """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
+    start, end = ends
+    if row[MAX_DEGREE] <= most or room == 1:
+        return [(end, row)]
+    middle = 0.5 * (start + end)
+    halves = left(np.array([start, middle, end]))
+    if (
+        not np.max(halves[:, MAX_DEGREE]) < HELPED * row[MAX_DEGREE]
+    ):  # what is left is how far the flight is off
+        return [(end, row)]
+    first = _cut(left, halves[0], (start, middle), most, room // 2)
+    return first + _cut(left, halves[1], (middle, end), most, room // 2)
+
+
+def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+    """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, TERMS)."""
+    (leg,) = flown.phases.values()
+    rule = gauss_rule(TERMS)
+    series = np.linalg.inv(legendre.legvander(rule.points, TERMS - 1))
+
+    def left(breaks: Array) -> Array:
+        lengths = np.diff(breaks)
+        t = (breaks[:-1, None] + 0.5 * lengths[:, None] * (1 + rule.points)).ravel()
+        x, u, lam = leg.x(t), leg.u(t), leg.lam(t)
+        free = np.zeros((len(leg.path_labels), t.size))
+        slopes = np.vstack(
+            [
+                s.functions.rates(t, x, u) / s.state_scale[:, None],
+                s.functions.state_gradient(t, x, u, lam, free) * (s.state_scale / s.cost_scale)[:, None],
+            ]
+        )
+        terms = np.abs(slopes.reshape(slopes.shape[0], lengths.size, TERMS) @ series.T)
+        amounts = np.max(terms, axis=0) * lengths[:, None]
+        return np.asarray(np.cumsum(amounts[:, ::-1], axis=1)[:, ::-1])
+
+    return left

@@ -1,0 +1,498 @@
+"""Control structure: which control sits on which bound when."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.arcs import Arc, ArcKind, Kinds
+
+KindArray: TypeAlias = NDArray[np.object_]
+"""Kinds of arcs."""
+
+Touch: TypeAlias = "tuple[int, ArcKind]"
+"""A row that meets a limit for an instant, and which limit."""
+
+
+@dataclass(frozen=True)
+class PhaseStructure:
+    """The switches of all controls of a phase in one order.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Start, every switch in order, end; A + 1 of them, in s.
+    kinds : tuple of A tuples of ArcKind
+        For each piece between neighbouring times what every row does: LOWER or UPPER at that limit, INTERIOR wherever
+        it likes, SINGULAR between its bounds though it enters H linearly.
+    regular : tuple of bool
+        For each row whether H is convex in the control, so that it enters and leaves its bounds (or the mixed path
+        constraint) with kinks instead of jumps, but for times at which it is ``flat``.
+    n_controls : int or None
+        The rows are so many controls, then path constraints, then states, at the limit that is active there or
+        interior; None: controls only.
+    n_paths : int
+    orders : tuple of int
+        For each row the order of the state constraint, if its contacts are looked for; else 0.
+    touches : tuple of A + 1 tuples of Touch
+        What state constraints only touch, at each of the times.
+    holders : tuple of tuple of int
+        For each of the rows with an order or a slope, and of mixed path constraints, the controls that can hold it on
+        its limit; those that do it best come first.
+    slopes : tuple of int
+        For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
+    leans : tuple of tuple of int
+        For each of the rows with an order, and of mixed path constraints, the signs of what each of the holders does to
+        it, or to its derivative of the constraint's order; 0 if that changes.
+    flat : tuple of tuple
+        Row, start and end (s) of times at which H is linear in a control that it is convex in at others.
+    arched : tuple of tuple
+        The same for times at which H is strictly convex in a control that it is neither linear nor convex in at others.
+    """
+
+    times: tuple[float, ...]
+    kinds: Kinds
+    regular: tuple[bool, ...] = ()
+    n_controls: int | None = None
+    n_paths: int = 0
+    orders: tuple[int, ...] = ()
+    touches: tuple[tuple[Touch, ...], ...] = ()
+    holders: tuple[tuple[int, ...], ...] = ()
+    slopes: tuple[int, ...] = ()
+    leans: tuple[tuple[int, ...], ...] = ()
+    flat: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
+    arched: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.orders:
+            object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
+        if not self.holders:
+            object.__setattr__(self, "holders", ((),) * len(self.kinds[0]))
+        if not self.slopes:
+            object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
+        if not self.leans:
+            object.__setattr__(self, "leans", ((),) * len(self.kinds[0]))
+        if not self.touches:
+            object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
+        if not self.regular:
+            object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
+
+    @property
+    def controls(self) -> KindArray:
+        """What the controls do (n_controls, A)."""
+        return self.matrix()[: self.n_controls]
+
+    @property
+    def paths(self) -> KindArray:
+        """What the path constraints do (n_paths, A)."""
+        return self.matrix()[self._n_free : self._n_free + self.n_paths]
+
+    @property
+    def states(self) -> KindArray:
+        """What the states do (n_states, A)."""
+        return self.matrix()[self._n_free + self.n_paths :]
+
+    @property
+    def _n_free(self) -> int:
+        """Number of controls."""
+        return len(self.kinds[0]) if self.n_controls is None else self.n_controls
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces A."""
+        return len(self.kinds)
+
+    @property
+    def lengths(self) -> Array:
+        """Length of each piece (A,), s."""
+        return np.diff(np.asarray(self.times))
+
+    def matrix(self) -> KindArray:
+        """The kinds as an object array (n_rows, A)."""
+        return np.asarray(self.kinds, dtype=object).T
+
+    @property
+    def bends(self) -> bool:
+        """Whether a control is between its bounds along a piece in which H is neither linear nor, all along, convex."""
+        curved = ~np.asarray(self.regular[: self._n_free], dtype=bool)
+        return bool(np.any(self.controls[curved] == ArcKind.INTERIOR))
+
+    def after(self, time: float) -> PhaseStructure:
+        """Return what of it lies after a time (s)."""
+        if time <= self.times[0]:
+            return self
+        first = max(k for k, begin in enumerate(self.times[:-1]) if begin <= time)
+        times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
+        return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
+
+    def determined(self, piece: int) -> set[int]:
+        """Return the controls that state bounds and path constraints determine which are held in a piece.
+
+        Of several singular controls that can hold a limit it determines one, the first of its holders that no other
+        limit does; the others are as singular as before. Mixed path constraints determine controls that H is convex in;
+        another limit of which it is not known what holds it is taken to determine all of them.
+        """
+        found: set[int] = set()
+        for i in range(self._n_free, len(self.orders)):
+            if self.kinds[piece][i].at_limit:
+                holders = self.holders[i] or self._may_hold(i)
+                free = [
+                    c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
+                ]
+                singular = {c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
+                found |= ({*holders} - singular) | {*free[:1]}
+        return found
+
+    def _may_hold(self, row: int) -> list[int]:
+        mixed = self.regular[row]
+        return [i for i in range(self._n_free) if not mixed or self.regular[i]]
+
+    def changes(self, boundary: int) -> list[int]:
+        """Return the rows that change between a piece and the one before."""
+        pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
+        return [i for i, (before, after) in enumerate(pair) if before is not after]
+
+    def kinked(self, boundary: int) -> bool:
+        """Whether controls only have a kink between a piece and the one before.
+
+        They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
+        a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
+        state constraint or from another limit, the time is as well determined as that of a switch: both are met.
+        """
+        if self.taken_over(boundary) or self.handed_over(boundary) or self.jumped_to(boundary):
+            return False
+        before, after = self.kinds[boundary - 1], self.kinds[boundary]
+        return not self.touches[boundary] and all(
+            (self._bends_at(i, boundary) or self._determines(i, boundary) or self.gives_out(i, boundary))
+            and not (before[i].at_limit and after[i].at_limit)
+            for i in self.changes(boundary)
+        )
+
+    def _bends_at(self, row: int, boundary: int) -> bool:
+        """Whether a row is of a control that H is strictly convex in at a boundary."""
+        time = self.times[boundary]
+        spans = self.flat if self.regular[row] else self.arched
+        return self.regular[row] != any(i == row and a <= time <= b for i, a, b in spans)
+
+    def curved(self) -> Mask:
+        """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
+        found = np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
+        for row, start, end in self.flat:
+            found[row] &= (np.asarray(self.times[1:]) <= start) | (np.asarray(self.times[:-1]) >= end)
+        return found
+
+    def gives_out(self, row: int, boundary: int) -> bool:
+        """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
+
+        It comes to its bound as continuously as a control that H determines.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
+        if row >= self._n_free or len(singular) != 1 or row not in self.determined(singular[0]):
+            return False
+        bound = beside[0] if singular[0] == boundary else beside[1]
+        return any(
+            order
+            and row in holders
+            and all(kinds[i].at_limit for kinds in beside)
+            and not all(bound[other].at_limit for other in holders)
+            for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
+        )
+
+    def slides(self, boundary: int) -> bool:
+        """Whether the direction of a vector turns there to hold a state constraint, or no more.
+
+        As little as the vector may matter to H, as fast does it turn: only close to its end such an arc has a kink.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        turning = [
+            kinds[i] is ArcKind.INTERIOR and not self.regular[i]
+            for row in self.changes(boundary)
+            if self.orders[row]
+            for kinds in beside
+            for i in self.holders[row]
+        ]
+        return self.kinked(boundary) and any(turning)
+
+    def handed_over(self, boundary: int) -> list[int]:
+        """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
+        rows = self.changes(boundary)
+        beside = self.kinds[boundary - 1 : boundary + 1]
+        sides = [held[i].sign * self._slope(i) for held in beside for i in rows if held[i].at_limit]
+        controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
+        return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
+
+    def taken_over(self, boundary: int) -> list[int]:
+        """Return a state constraint and a limit of the control that holds it, if one takes over from the other there.
+
+        Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
+        other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
+        """
+        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
+        states = [i for i in rows if self.first_order(i)]
+        if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
+            return []
+        (state,), (limit,) = states, [i for i in rows if i not in states]
+        owner, holders = (limit,) if limit < self._n_free else self.holders[limit], self.holders[state]
+        if self.orders[limit] or len(owner) != 1 or owner[0] not in holders:
+            return []
+        if not all(self.regular[i] for i in holders if i not in owner):
+            return []
+        kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
+        if len(kinds) != 2:
+            return []
+        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
+        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
+        return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def jumped_to(self, boundary: int) -> list[int]:
+        """Return the controls that are at a bound on one side of a boundary and hold a state constraint on the other.
+
+        Of second order or higher: where H determines such a control it is continuous, and goes from one to the other
+        along an interior arc, which may be too short for the mesh to show. Without that it jumps, at a time that the
+        cost depends on as on that of a switch.
+        """
+        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        found: list[int] = []
+        for row in rows:
+            if self.orders[row] > 1:
+                free = beside[0] if beside[1][row].at_limit else beside[1]
+                found += [i for i in self.holders[row] if i in rows and self.regular[i] and free[i].at_limit]
+        return found
+
+    def _slope(self, row: int) -> int:
+        """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""
+        own = 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
+        return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
+
+    def first_order(self, row: int) -> bool:
+        """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
+        held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
+        return self.orders[row] == 1 or held
+
+    def on_sphere(self) -> Mask:
+        """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
+
+        Elsewhere H sees to that, but there it may as well be the direction's length that holds the constraint.
+        """
+        found = np.zeros((self.n_paths, self.pieces), dtype=bool)
+        contact = np.array([self.on_contact(k) for k in range(self.pieces)])
+        for path in range(self.n_paths):
+            row = self._n_free + path
+            if self.holders[row] and not (self.orders[row] or self.slopes[row] or self.regular[row]):
+                singular = np.any(self.matrix()[list(self.holders[row])] == ArcKind.SINGULAR, axis=0)
+                found[path] = contact & ~singular
+        return found
+
+    def limited_by_paths(self) -> Mask:
+        """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
+        held = np.zeros((self._n_free, self.pieces), dtype=bool)
+        for row in np.flatnonzero(self.slopes):
+            held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
+        return held
+
+    def beside_takeovers(self) -> Mask:
+        """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
+        beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
+        for k in range(1, self.pieces):
+            given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
+            for row in [*self.handed_over(k), *self.taken_over(k), *given_out]:
+                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
+        return beside
+
+    def _determines(self, row: int, boundary: int) -> bool:
+        """Whether a state constraint determines, on one side of a boundary, none but controls that H determines."""
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
+        return bool(self.orders[row]) and not linear
+
+    def beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
+        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A).
+
+        But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
+        beyond. Firm: only beside arcs that stay where they are during a solve; others may move to where their limit is
+        worth nothing.
+        """
+        held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
+        beside = np.zeros_like(held)
+        for k in range(1, self.pieces):
+            if not firm or self.kinked(k):
+                beside[:, k - 1] |= held[:, k]
+                beside[:, k] |= held[:, k - 1]
+        if touches:
+            beside[[row for here in self.touches for row, _ in here]] = True
+        for row in np.flatnonzero(self.orders):
+            bends = [i for i in self.holders[row] if not self.regular[i]]
+            beside[row] &= ~np.any(self.matrix()[bends] == ArcKind.INTERIOR, axis=0)
+        return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
+
+    def on_contact(self, piece: int) -> bool:
+        """Whether a state constraint determines a control in a piece."""
+        return any(
+            kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
+        )
+
+    def touching(self, row: int, kind: ArcKind) -> list[float]:
+        """Times at which a row touches a limit, s."""
+        return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
+
+    def contact(self, row: int, times: Array) -> Mask:
+        """Whether a row is held at a limit, or touches it, at some times (n,)."""
+        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.pieces - 1)
+        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.pieces - 1)
+        held = np.array([kinds[row].at_limit for kinds in self.kinds])
+        touched = [
+            t
+            for t, touches in zip(self.times, self.touches, strict=True)
+            if any(i == row for i, _ in touches)
+        ]
+        return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
+
+    def at(self, times: tuple[float, ...]) -> PhaseStructure:
+        """Return the same order of switches at other times."""
+        return replace(self, times=times)
+
+    def without(self, piece: int) -> PhaseStructure:
+        """Return the structure after a piece has vanished; switches that cancel vanish with it."""
+        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+        inner = 0 < piece < self.pieces - 1
+        times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
+        joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
+        if not inner:  # what it touched with its free end is touched by no piece that is left
+            joined = self.touches[0] if piece == 0 else self.touches[-1]
+        touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
+        if piece == 0:
+            times = [self.times[0], *self.times[2:]]
+        elif piece == self.pieces - 1:
+            times = [*self.times[:-2], self.times[-1]]
+        return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+
+    def emptied(self, piece: int) -> PhaseStructure:
+        """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
+
+        That needs a limit of second order, or one of a path constraint at an end of the phase.
+        """
+        kinds, left = self.kinds[piece], self.without(piece)
+        inner = 0 < piece < self.pieces - 1
+        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+        time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
+        paths = range(self._n_free, self._n_free + self.n_paths)
+        for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
+            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.pieces]
+            may_touch = order > 1 if inner else order > 0 and i in paths
+            if may_touch and kind.at_limit and not any(k.at_limit for k in beside):
+                left = left.with_touch(i, time, kind)
+        return left
+
+    def swapped(self, piece: int) -> PhaseStructure | None:
+        """Return the structure in which the switches at the two ends of a piece change places.
+
+        ``None`` where there is nothing to swap: at the phase's ends, when one control switches at both ends, or where
+        nothing would be left to hold a state constraint.
+        """
+        if not 0 < piece < self.pieces - 1:
+            return None
+        rows = list(zip(*self.kinds[piece - 1 : piece + 2], strict=True))
+        if any(before is not here and here is not after for before, here, after in rows):
+            return None
+        other = tuple(after if before is here else before for before, here, after in rows)
+        held = [self.holders[i] for i in np.flatnonzero(self.orders) if other[i].at_limit]
+        if any(holders and all(other[i].at_limit for i in holders) for holders in held):
+            return None
+        touches = list(self.touches)
+        touches[piece], touches[piece + 1] = touches[piece + 1], touches[piece]
+        kinds = (*self.kinds[:piece], other, *self.kinds[piece + 1 :])
+        return replace(self, kinds=kinds, touches=tuple(touches))
+
+    def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
+        """Return the structure with a row at another place from ``start`` to ``end``; its touches there are gone."""
+        times = sorted({*self.times, start, end})
+        touches = self._touches_at(times)
+        for k, t in enumerate(times):
+            if start <= t <= end:
+                touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
+        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
+        kinds = [list(self.kinds[k]) for k in pieces]
+        for piece, middle in zip(kinds, middles, strict=True):
+            if start < middle < end:
+                piece[row] = kind
+        return self._merged(times, tuple(tuple(piece) for piece in kinds), touches)
+
+    def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
+        """Return the structure with a row at a limit for an instant."""
+        times = sorted({*self.times, time})
+        touches = self._touches_at(times)
+        touches[times.index(time)] += ((row, kind),)
+        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
+        return self._merged(times, tuple(self.kinds[k] for k in pieces), touches)
+
+    def without_touch(self, boundary: int, row: int) -> PhaseStructure:
+        """Return the structure in which a row does not touch its limit at a boundary."""
+        touches = list(self.touches)
+        touches[boundary] = tuple(touch for touch in touches[boundary] if touch[0] != row)
+        return self._merged(list(self.times), self.kinds, touches)
+
+    def _touches_at(self, times: list[float]) -> list[tuple[Touch, ...]]:
+        """What is touched at each of some times, those of the structure among them."""
+        known = dict(zip(self.times, self.touches, strict=True))
+        return [known.get(t, ()) for t in times]
+
+    def arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
+        """Return the arcs of every control, and those of active path constraints and state bounds.
+
+        A touch is an arc without length.
+
+        Parameters
+        ----------
+        labels : tuple of str
+            Of all rows.
+        """
+        found = []
+        determined = [self.determined(k) for k in range(self.pieces)]
+        for i, label in enumerate(labels):
+            row = [kinds[i] for kinds in self.kinds]
+            if i < self._n_free:
+                row = [
+                    ArcKind.CONSTRAINED if i in d and not k.at_limit else k
+                    for k, d in zip(row, determined, strict=True)
+                ]
+            starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]
+            for first, last in itertools.pairwise(starts):
+                kind = row[first]
+                if i < self._n_free or kind is not ArcKind.INTERIOR:
+                    found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
+            for time, touches in zip(self.times, self.touches, strict=True):
+                found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
+        return tuple(found)
+
+    def merged(self) -> PhaseStructure:
+        """Return the structure with equal neighbouring pieces joined."""
+        return self._merged(list(self.times), self.kinds, list(self.touches))
+
+    def _merged(self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]) -> PhaseStructure:
+        kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
+        return replace(
+            self,
+            times=(*[times[k] for k in kept], times[-1]),
+            kinds=tuple(kinds[k] for k in kept),
+            touches=(*[touches[k] for k in kept], touches[-1]),
+        )
+
+
+def signs_of(kinds: KindArray) -> Indices:
+    """Return -1 where a lower limit is held, +1 where an upper one is, 0 elsewhere; same shape."""
+    return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
+
+
+def choose(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
+    """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
+    chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
+    return np.asarray(chosen, dtype=object)

@@ -1,0 +1,418 @@
+"""What a solution asks of the structure that it was found with: arcs dropped, added or moved, finer pieces."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_refinement import ROUGH, defects, finer, open_gradient
+from gnc_opt.planning.refinement.arcs.contacts import (
+    crossed_contact,
+    overrun_bound,
+    pushed_contact,
+    wrong_touch,
+)
+from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
+from gnc_opt.planning.refinement.arcs.detection import SMALL
+from gnc_opt.planning.refinement.arcs.junctions import move_kinks
+from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose, signs_of
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.verification.singular_arcs import chatters
+from gnc_opt.tolerances import GONE
+from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
+
+KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
+SMOOTHED = "singular controls of higher degree"
+
+ROOM = 1e-3
+"""Share of the phase that a swapped piece gets to start from."""
+
+PROPPED = 3e-5
+"""Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
+at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
+
+CHATTER, ALIKE = 5, 30.0
+"""So many switches of one control where its switching function stays small are no bangs. All but one of them at least
+are between bangs that leave no more than so many times the offence."""
+
+LEFT_OPEN = 5e-6
+"""Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
+
+ENDS = 3.0
+"""Polynomials of degree n cannot follow what is shorter than this over n squared, at the ends of their piece."""
+
+SATURATED = 1e-3
+"""A singular control this close to a bound, relative to its range, has reached it."""
+
+WRONG_SIGN = 1e-7
+"""First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
+
+WRONG_SLOPE, WRONG_BEND = 1e-5, 1e-6
+"""The same on both sides of a switch of the same control; and where H bends in it: there half of what it bends is left
+on either side of a jump that should be a short interior arc, and no error of the mesh."""
+
+
+def improve(
+    solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
+) -> tuple[dict[str, Plan], str]:
+    """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
+    problem, samples = solution.need_problem("refine"), solution.samples()
+    constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
+    for name, s in samples.items():
+        structure, action = collapsed(s, plans[name], left)
+        if structure is not None:
+            return {**plans, name: plans[name].restructured(structure)}, action
+    for name, c in constraints.items():
+        structure, action = _mended_contacts(c, plans[name].structure)
+        if structure is not None:
+            return {**plans, name: plans[name].restructured(structure)}, action
+    for name, s in samples.items():
+        structure, action = _saturated(s, plans[name], left)
+        if structure is None:
+            structure, action = _overrun(s, plans[name])
+        if structure is None:
+            structure, action = unpinned(s, plans[name], left)
+        if structure is not None:
+            return {**plans, name: plans[name].restructured(structure)}, action
+    adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
+    actions = dict.fromkeys(action for _, action in adjusted.values() if action)
+    if actions:
+        return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
+    for name, s in samples.items():
+        structure, action = _complete(s, plans[name], problem)
+        if structure is None:
+            structure, action = crossed_contact(constraints[name], plans[name].structure)
+        if structure is not None:
+            left.add((name, plans[name].structure.at(())))
+            return {**plans, name: plans[name].completed(structure)}, action
+    return plans, ""
+
+
+def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
+    """Move kinks and raise resolutions where the solution asks for it."""
+    moved, raised = move_kinks(constraints, plan), finer(constraints.samples, plan, tol)
+    if moved is not None:
+        emptied = np.flatnonzero(moved.lengths < GONE * (moved.times[-1] - moved.times[0]))
+        if emptied.size:
+            left = plan.structure.emptied(int(emptied[0]))
+            return plan.restructured(left), f"piece {emptied[0] + 1} dropped"
+    if raised and not moved and not plan.loose and any(plan.structure.touches):
+        return replace(plan, loose=True), LOOSENED
+    resolutions = raised.resolutions if raised else plan.resolutions
+    smoother = any(a.smooth > b.smooth for a, b in zip(resolutions, plan.resolutions, strict=True))
+    actions = (KINKS_MOVED if moved else "", SMOOTHED if smoother else RAISED if raised else "")
+    return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
+        filter(None, actions)
+    )
+
+
+# --- arcs that vanish -----------------------------------------------------------------------------------
+
+
+def collapsed(
+    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure after a piece has vanished and what was done, or None if none has."""
+    structure, lengths = plan.structure, plan.structure.lengths
+    shortest = int(np.argmin(lengths))
+    share = lengths[shortest] / lengths.sum()
+    gone = share < GONE or (share < PROPPED and _propped(samples, plan, shortest))
+    if structure.pieces == 1 or not gone:
+        return None, ""
+    other = structure.swapped(shortest)
+    left.add((samples.leg.name, structure.at(())))
+    # Only an order that has been left before is not tried again.
+    if other is not None and (samples.leg.name, other.at(())) not in left:
+        return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
+    return structure.emptied(shortest), f"piece {shortest + 1} dropped"
+
+
+def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
+    """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
+
+    Beside a singular arc signs are as good as the polynomial of its control.
+    """
+    structure = plan.structure
+    if structure.swapped(piece) is None:
+        return False
+    if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
+        return False
+    pieces = plan.segment_pieces[samples.segments]
+    offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
+    return bool(np.max(offence[:, pieces == piece], initial=0.0) > WRONG_SIGN)
+
+
+def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
+    """Give a swapped piece some length to start from."""
+    times = np.asarray(structure.times)
+    room = ROOM * (times[-1] - times[0])
+    middle = 0.5 * (times[piece] + times[piece + 1])
+    left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
+    right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
+    times[piece], times[piece + 1] = left, right
+    return structure.at(tuple(float(t) for t in times))
+
+
+# --- arcs that are missing --------------------------------------------------------------------------------
+
+
+def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
+    pieces = plan.segment_pieces[samples.segments]
+    kinds = plan.structure.matrix()[:, pieces]
+    offence, asked = _offences(samples, plan.structure, kinds)
+    curved = _curved_rows(samples, offence.shape[0])
+    jumps = [
+        (plan.structure.jumped_to(k), np.flatnonzero(pieces == k)[0] - 1)
+        for k in range(1, plan.structure.pieces)
+    ]
+    for i in range(offence.shape[0]):
+        jumped = [int(j) for rows, j in jumps if i in rows]
+        _forgive_own_switches(offence[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE, jumped)
+    if offence.size and (found := _chatter(samples, plan.structure, offence, problem)):
+        i, start, end = found
+        label = samples.leg.controls.labels[i]
+        return plan.structure.with_arc(
+            i, start, end, ArcKind.SINGULAR
+        ), f"{label} singular from {start:.4g} s"
+    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    if structure is not None and structure.bends:
+        structure = _with_bends(samples, structure, offence, asked)
+    return structure, action
+
+
+def _chatter(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, problem: Problem
+) -> tuple[int, float, float] | None:
+    """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
+
+    There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is
+    about as large as the offence; bangs beside the arc leave a larger one. Of second order the arc would meet bangs by
+    chattering: few of them will do.
+    """
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
+        return None
+    gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
+    switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
+    small = _among(switches, samples.times, gain > SMALL, j)
+    alike = _among(switches, samples.times, gain > ALIKE * offence[i, j], j)
+    if len(small) < CHATTER or len(alike) < CHATTER - 1 or chatters(problem, samples, i):
+        return None
+    return i, alike[0], alike[-1]
+
+
+def _among(switches: Sequence[float], times: Array, large: Mask, j: int) -> list[float]:
+    """Return the switches around the j-th of all times before and after which nothing is large."""
+    here = _around(~large, j)
+    start = times[here.start - 1] if here.start else -np.inf
+    end = times[here.stop] if here.stop < times.size else np.inf
+    return [t for t in switches if start < t < end]
+
+
+def _with_worst(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that the worst offence asks for and what was done, or None."""
+    if not offence.size or offence.max() < WRONG_SIGN:
+        return None, ""
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    start, end = _wrong_interval(samples, offence[i])
+    label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
+    mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
+    return mended, f"arc of {label} added at {start:.4g} s"
+
+
+def _with_bends(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+) -> PhaseStructure:
+    """Return the structure with all short interior arcs that bangs ask for where H bends in a control.
+
+    Those of different switches know little of each other; one after the other, each would cost a solve.
+    """
+    curved = _curved_rows(samples, offence.shape[0])[:, None]
+    left = np.where(curved & (asked == ArcKind.INTERIOR), offence, 0.0)
+    while left.max(initial=0.0) >= WRONG_SIGN:
+        i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
+        start, end = _wrong_interval(samples, left[i])
+        structure = structure.with_arc(i, start, end, ArcKind.INTERIOR)
+        left[i, (samples.times >= start) & (samples.times <= end)] = 0.0
+    return structure
+
+
+def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
+    """Which of so many rows are controls that H bends in either way."""
+    curved = np.zeros(count, dtype=bool)
+    curved[: samples.leg.controls.size] = curved_channels(samples)
+    return curved
+
+
+def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
+    """How much each control and path constraint offends where it is, and the place that it asks for.
+
+    A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
+    bound, or to become interior where H is not linear in it. An interior control offends by the share of
+    its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
+    """
+    bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
+    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
+    scales = np.concatenate(
+        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), NO_MAGNITUDE)]
+    )
+    # At an upper limit both the switching function and the reversed multiplier must be negative.
+    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
+    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
+    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
+    kinds = kinds[: pull.shape[0]]
+    signs = signs_of(kinds)
+    regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    linear = linear_limits(samples).paths
+    limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
+    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
+    curved = np.append(curved_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    judged = (affine | regular | curved) & (signs != 0)
+    excess = np.maximum(above, below) / scales[:, None]
+    offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    return offence, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
+
+
+def _saturated(
+    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
+
+    A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
+    switching function of that bound's sign, which a higher degree does not take away. At the ends of the arc, where it
+    meets other arcs, touches and given states, the jump may be too short for the polynomial to follow; there what is
+    left open is enough. Structures that have been left are not tried again.
+    """
+    bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
+    singular = plan.structure.controls == ArcKind.SINGULAR
+    released = plan.structure.beside_takeovers()[: len(singular)]
+    singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
+    gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
+    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
+    left_open = zip(plan.resolutions, open_gradient(samples, plan), strict=True)
+    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
+    stuck &= ~_on_rough_contact(samples, plan)
+    unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
+    jumps = np.where(gain > 0, at_lower, at_upper) | unseen
+    reached = singular & stuck & affine_channels(samples)[:, None] & jumps
+    offence = np.zeros_like(gain)
+    for i in np.flatnonzero(np.any(reached, axis=1)):
+        j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
+        here = _around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        offence[i, here] = np.abs(gain[i, here])
+    asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    if structure is None or (samples.leg.name, structure.at(())) in left:
+        return None, ""
+    return structure, action
+
+
+def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+    if np.max(defects(samples)) > ROUGH:
+        return None, ""
+    return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
+
+
+def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
+    """Which samples are on pieces held by a state constraint whose dynamics are far off between the nodes still.
+
+    There the switching function of a control that holds the constraint is an error of the mesh.
+    """
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    rough = np.max(defects(samples), axis=0) > ROUGH
+    return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
+
+
+def _unseen(samples: PhaseSamples, plan: Plan, gain: Array) -> Mask:
+    """Where each row keeps the sign that it has at an end of its piece, if the polynomials are too stiff to follow.
+
+    What is orthogonal to polynomials of degree n changes its sign that close to the ends.
+    """
+    pieces, found = plan.segment_pieces[samples.segments], np.zeros(gain.shape, dtype=bool)
+    for piece, (r, length) in enumerate(zip(plan.resolutions, plan.structure.lengths, strict=True)):
+        here = np.flatnonzero(pieces == piece)
+        for run in (here, here[::-1]) if r.smooth else ():
+            same = np.logical_and.accumulate(gain[:, run] * gain[:, run[:1]] > 0, axis=1)
+            reach = np.sum(same, axis=1)
+            last = samples.times[run[np.maximum(reach - 1, 0)]]
+            close = np.abs(last - samples.times[run[0]]) < ENDS / r.smooth**2 * length
+            found[:, run] |= same & close[:, None]
+    return found
+
+
+def _around(holds: Mask, j: int) -> slice:
+    """The run of samples around the j-th in which something holds."""
+    fails = np.flatnonzero(~holds)
+    before, after = fails[fails < j], fails[fails > j]
+    return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
+
+
+def _forgive_own_switches(
+    offence: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
+) -> None:
+    """Zero the offences that reach up to one of the channel's own switches, but for such on both sides of it.
+
+    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
+    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch. Nor is it zero
+    where the control has ``jumped`` from holding a state constraint.
+    """
+    for j in set(np.flatnonzero(kinds[1:] != kinds[:-1])).difference(jumped):
+        sides = (
+            _run_of(offence > 0, range(int(j), -1, -1)),
+            _run_of(offence > 0, range(int(j) + 1, offence.size)),
+        )
+        if min(np.max(offence[run], initial=0.0) for run in sides) < least:
+            for run in sides:
+                offence[run] = 0.0
+
+
+def _run_of(holds: Mask, places: range) -> list[int]:
+    """The places, one after the other, up to the first at which it does not hold."""
+    return list(itertools.takewhile(lambda k: bool(holds[k]), places))
+
+
+def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
+    """Return where there is an offence around the worst one: its zeros, from the samples beside them."""
+    times, j = samples.times, int(np.argmax(offence))
+    fine = np.flatnonzero(offence <= 0)
+    before, after = fine[fine < j], fine[fine > j]
+    start = _zero(times, offence, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _zero(times, offence, after[0] - 1, after[0]) if after.size else times[-1]
+    return float(start), float(end)
+
+
+def _zero(times: Array, values: Array, left: int, right: int) -> float:
+    """Zero of a straight line between two samples whose values do not have the same sign."""
+    return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
+
+
+# --- contacts with state constraints --------------------------------------------------------------------------
+
+
+def _mended_contacts(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
+
+    A touch may pull because another is missing beside it.
+    """
+    added, action = pushed_contact(constraints, structure)
+    wrong = wrong_touch(constraints, structure)
+    if added is not None or wrong is None:
+        return added, action
+    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"

@@ -1,0 +1,322 @@
+"""How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
+
+Four errors, none of which the solver sees, each of them dimensionless:
+
+* dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
+* integrals: a finer quadrature of each integrand along the polynomials minus the collocation rule's,
+  relative to the integral of its magnitude (the dynamics alone say nothing of an integrand);
+* overshoot: how far bounds and path constraints are left between the nodes, where collocation does not look.
+  What depends on the states alone counts with its largest value, relative to the constrained quantity's
+  magnitude. What depends on the controls counts with its mean over the phase, which is what it contributes to
+  the states and the cost: the peak beside a kink can be narrow without doing harm;
+* costates: the square of the residual of their differential equation (an error of theirs affects the cost in second
+  order only), where no state constraint sets in: see `gnc_opt.planning.refinement.costate_error`.
+
+The other conditions of optimality are not judged here but by `gnc_opt.verify`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.refinement.costate_error import WORTH, adjoint_density
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.quality import defined
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+
+NEGLIGIBLE = 1e-6
+"""An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
+
+
+PEAK = 1e-3
+"""What the peak of a control beyond its bounds counts, however narrow: with errors below 1e-8 it is below 1e-5, which
+is what `verify` forgives."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPieces:
+    """Polynomial segments, sampled: those of a solution, or trial ones.
+
+    Attributes
+    ----------
+    times, weights : array (n_samples,)
+        Quadrature in s, piece after piece; weights are zero at the ends of pieces.
+    starts : int array (n_pieces,)
+        Each piece's first sample.
+    x, x_rate, u : array (n, n_samples)
+        Polynomials of states, their derivatives and controls.
+    integrals : array (n_integrals, n_pieces)
+        Each integrand's integral by the collocation points' own quadrature.
+    """
+
+    times: Array
+    weights: Array
+    starts: Indices
+    x: Array
+    x_rate: Array
+    u: Array
+    integrals: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples) -> SampledPieces:
+        """Return the segments of a solution."""
+        leg = samples.leg
+        points, count = leg.point_times, leg.mesh.segments
+        weights = np.concatenate([r.weights for r in leg.rules])
+        weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
+        values = samples.functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
+        integrals = np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1)
+        starts = np.searchsorted(samples.segments, np.arange(count))
+        return cls(
+            samples.times,
+            samples.weights,
+            starts,
+            samples.x,
+            samples.x_rate,
+            samples.u_polynomial,
+            integrals,
+        )
+
+    def total(self, values: Array) -> Array:
+        """Integrate values (n, n_samples) over each piece: (n, n_pieces)."""
+        return np.asarray(np.add.reduceat(values * self.weights, self.starts, axis=1))
+
+    def largest(self, values: Array) -> Array:
+        """Return the largest of values (n, n_samples) in each piece: (n, n_pieces)."""
+        return np.asarray(np.maximum.reduceat(values, self.starts, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What the errors of a phase are relative to.
+
+    Attributes
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+    state, control, integral, path : array
+        Magnitude of each state, control, integral and path constraint along the phase.
+    path_has_control : bool array (n_paths,)
+        Whether a path constraint depends on the controls.
+    hamiltonian : float
+        Magnitude of H's terms.
+    """
+
+    leg: PhaseSolution
+    functions: PhaseFunctions
+    state: Array
+    control: Array
+    integral: Array
+    path: Array
+    path_has_control: Mask
+    hamiltonian: float
+
+    @classmethod
+    def of(cls, samples: PhaseSamples) -> Yardstick:
+        """Measure a phase."""
+        leg, functions = samples.leg, samples.functions
+        at = samples.times, samples.x, samples.u_polynomial
+        integrands = defined(functions.integrands, *at, leg.control_bounds)
+        integral = np.sum(np.abs(integrands) * samples.weights, axis=1)
+        path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
+        if leg.path_labels:
+            limits = [
+                np.where(np.isfinite(b), np.abs(b), 0.0)
+                for b in (leg.path_bounds.lower, leg.path_bounds.upper)
+            ]
+            path = np.maximum(
+                np.max(np.abs(defined(functions.paths, *at, leg.control_bounds)), axis=1), np.maximum(*limits)
+            )
+            has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
+        return cls(
+            leg,
+            functions,
+            samples.state_scale,
+            samples.control_scale,
+            np.where(integral > NEGLIGIBLE, integral, 1.0),
+            np.where(path > NEGLIGIBLE, path, 1.0),
+            has_control,
+            samples.hamiltonian_scale,
+        )
+
+    @property
+    def pure_paths(self) -> Array:
+        """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
+        return np.where(self.path_has_control, 0.0, self.path)
+
+    def judge(self, pieces: SampledPieces, adjoint: Array) -> SegmentErrors:
+        """Return the errors of each piece.
+
+        Parameters
+        ----------
+        pieces : SampledPieces
+        adjoint : array (n_states, n_samples)
+            Residual of the costates' equation at the samples; see `gnc_opt.planning.refinement.costate_error`.
+        """
+        f, leg = self.functions, self.leg
+        at = pieces.times, pieces.x, pieces.u
+        rates = defined(f.rates, *at, leg.control_bounds)
+        dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
+        exact = pieces.total(defined(f.integrands, *at, leg.control_bounds))
+        integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
+        span = leg.duration
+        states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
+        excess = _excess(pieces.u, leg.control_bounds, self.control)
+        controls = np.maximum(pieces.total(excess) / span, PEAK * pieces.largest(excess))
+        overshoot = [states, controls]
+        if leg.path_labels:
+            values = defined(f.paths, *at, leg.control_bounds)
+            mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
+            peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
+            overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
+        costates = (WORTH * pieces.total(adjoint)) ** 2
+        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
+
+    def stationarity(self, pieces: SampledPieces, lam: Array) -> Array:
+        """Return |dH/du|, path and bound multipliers included, in shares of H, (n_controls, n_samples).
+
+        With costates ``lam`` (n_states, n_samples).
+        """
+        leg, times = self.leg, pieces.times
+        mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
+        slope = self.functions.control_gradient(times, pieces.x, pieces.u, lam, mu)
+        if np.any(leg.control_multipliers):
+            slope = slope + leg.control_multiplier(times)
+        return np.asarray(np.abs(slope) * self.control[:, None] / self.hamiltonian)
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentErrors:
+    """Errors of K segments, by kind.
+
+    Attributes
+    ----------
+    dynamics : array (n_states, K)
+    integrals : array (n_integrals, K)
+    overshoot : array (n_states + n_controls + n_paths, K)
+        Of state bounds, control bounds and path constraints.
+    costates : array (n_states, K)
+    """
+
+    dynamics: Array
+    integrals: Array
+    overshoot: Array
+    costates: Array
+
+    @property
+    def table(self) -> Array:
+        """All kinds below each other, NaN as infinity."""
+        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
+        return np.where(np.isnan(rows), np.inf, rows)
+
+    @property
+    def worst(self) -> Array:
+        """The largest error of each segment, (K,)."""
+        return np.asarray(np.max(self.table, axis=0))
+
+    def decades(self, aim: float) -> Array:
+        """Return by how many decades residuals and excesses must fall for errors of ``aim``, (K,)."""
+        table = np.log10(np.clip(self.table, 1e-99, 1e6) / aim)
+        table[-self.costates.shape[0] :] /= 2.0  # they are squares
+        return np.asarray(np.max(table, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseError:
+    """The error estimate of one phase.
+
+    Attributes
+    ----------
+    samples : PhaseSamples
+    yardstick : Yardstick
+    pieces : SampledPieces
+    errors : SegmentErrors
+    adjoint : array (n_states, n_samples)
+        Residual of the costates' equation, per second.
+    """
+
+    samples: PhaseSamples
+    yardstick: Yardstick
+    pieces: SampledPieces
+    errors: SegmentErrors
+    adjoint: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples) -> PhaseError:
+        """Estimate the error of each segment of a phase."""
+        leg = samples.leg
+        yardstick, pieces = Yardstick.of(samples), SampledPieces.of(samples)
+        adjoint = adjoint_density(samples, yardstick.pure_paths)
+        errors = yardstick.judge(pieces, adjoint)
+        inner = leg.breaks[1:-1]
+        if inner.size:
+            jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
+            errors.dynamics[:, :-1] += jumps
+        return cls(samples, yardstick, pieces, errors, adjoint)
+
+    @property
+    def worst(self) -> Array:
+        """The largest error of each segment, (K,)."""
+        return self.errors.worst
+
+    @property
+    def where(self) -> str:
+        """Place and kind of the largest error."""
+        table, leg = self.errors.table, self.samples.leg
+        row, k = np.unravel_index(int(np.argmax(table)), table.shape)
+        states, controls = leg.states.labels, leg.controls.labels
+        names = [f"dynamics of {label}" for label in states]
+        names += [f"integral {label}" for label in leg.integral_labels]
+        names += [f"bounds of {label}" for label in (*states, *controls)]
+        names += [f"path constraint {label}" for label in leg.path_labels]
+        names += [f"costate of {label}" for label in states]
+        return self.samples.segment_place(int(k), names[int(row)])
+
+
+def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
+    """Return the error estimate of every phase of a solution; needs its problem."""
+    return {name: PhaseError.of(samples) for name, samples in solution.samples().items()}
+
+
+def largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
+    """Return the largest error of all phases and its place."""
+    worst = max(errors.values(), key=lambda e: float(np.max(e.worst)))
+    return float(np.max(worst.worst)), worst.where
+
+
+def states_at_points(leg: PhaseSolution) -> Array:
+    """Return the states at the collocation points, with the limit from inside the segment: (n, N)."""
+    at_end = np.concatenate([r.points == 1.0 for r in leg.rules])
+    return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
+
+
+def _excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
+    """Return how far values leave their bounds at the samples; with times, peaks between samples count there."""
+    below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
+    if times is not None:
+        below, above = _with_peaks(below, times), _with_peaks(above, times)
+    return np.asarray(np.maximum(np.maximum(below, above), 0.0) / scale[:, None])
+
+
+def _with_peaks(values: Array, times: Array) -> Array:
+    """Raise each local maximum of the samples (n, n_samples) to the peak of the parabola through its neighbours."""
+    left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
+    known = (left > 0) & (right > 0)  # at the ends of segments, samples come in pairs
+    left, right = np.where(known, left, 1.0), np.where(known, right, 1.0)
+    middle = values[:, 1:-1]
+    with np.errstate(invalid="ignore"):  # where there is no bound
+        a, b = (middle - values[:, :-2]) / left, (values[:, 2:] - middle) / right
+        bend = (b - a) / (left + right)
+        slope = (a * right + b * left) / (left + right)
+        top = known & (a >= 0) & (b <= 0) & (bend < 0)
+    gain = np.where(top, slope**2 / np.where(top, -4.0 * bend, 1.0), 0.0)
+    raised = values.copy()
+    raised[:, 1:-1] += gain
+    return raised

@@ -1,0 +1,139 @@
+"""The passes of a refinement: how each is recorded, whether it is shown, and whether they lead anywhere."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+from gnc_opt.planning.direct.solve_mesh import SolveLimits
+from gnc_opt.planning.refinement.error import PhaseError, largest_error
+from gnc_opt.planning.solution.history import Actions, Pass, iterations_for
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+
+PATIENCE = 6
+"""So many passes tell how fast the error falls."""
+
+HORIZON = 10
+"""If it falls so slowly that more passes than this would be needed, refining stops."""
+
+
+ALIKE = 1e-6
+"""Relative difference of objectives and errors of one solution found twice."""
+
+
+PROMISING, EXTENDED = 0.3, 2.0
+"""A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
+
+
+LEFT = 0.5
+"""Share of all that is allowed that a pass may take in any case, ..."""
+
+FEWEST = 25
+"""... and iterations: a warm start near its end takes no more, on however fine a mesh."""
+
+
+@dataclass(frozen=True)
+class PassLimits:
+    """Where the passes of a refinement end, wherever it has come to.
+
+    Attributes
+    ----------
+    passes : int
+        At most so many solves.
+    points : int
+        At most so many collocation points in any phase.
+    work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work` and `allowed`.
+        One that has begun may cost half as much more at most; see `of_solve`.
+    deadline : float
+        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+    spare : int
+        So many solves more where the last one is not the best yet; if it is not then, refining has stalled. What begins
+        anew from the best one would only repeat them.
+    worst : float
+        A structure whose first pass has a larger error is not that of the problem, and is given up.
+    known : sequence of Pass
+        What has led nowhere already: where a structure comes to the same, it ends.
+    """
+
+    passes: int = 40
+    points: int = 1000
+    work: float = math.inf
+    deadline: float = math.inf
+    spare: int = 0
+    worst: float = math.inf
+    known: Sequence[Pass] = ()
+
+    def allowed(self, records: Sequence[Pass]) -> float:
+        """What all passes may cost after these: more where the last one says that few others will do."""
+        errors = [r.error for r in records[-2:]]
+        promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
+        return self.work * (EXTENDED if promising else 1.0)
+
+    def of_solve(
+        self, meshes: Iterable[Mesh], records: Sequence[Pass] = (), spent: float = 0.0
+    ) -> SolveLimits:
+        """What a solve on some meshes may take, after passes of which so much work counts."""
+        if math.isinf(self.work):
+            return SolveLimits(deadline=self.deadline)
+        left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
+        most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
+        return SolveLimits(iterations=most, deadline=self.deadline)
+
+
+def same_pass(one: Pass, other: Pass) -> bool:
+    """Whether two passes have come to the same solution, for the same number of points, and ask for the same."""
+    alike = one.points == other.points and one.solved == other.solved and one.actions == other.actions
+    return alike and all(
+        abs(ours - theirs) <= ALIKE * max(abs(ours), abs(theirs))
+        for ours, theirs in ((one.objective, other.objective), (one.error, other.error))
+    )
+
+
+def pass_record(
+    solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
+) -> Pass:
+    """Return the record of a pass that began at a time (as `time.perf_counter` counts) and ended with a solution."""
+    error, where = largest_error(errors)
+    return Pass(
+        meshes={name: leg.mesh for name, leg in solution.phases.items()},
+        times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
+        error=error,
+        where=where,
+        objective=solution.objective,
+        solved=solution.status.solved,
+        iterations=solution.statistics.iterations,
+        seconds=time.perf_counter() - begin,
+        actions=actions,
+    )
+
+
+def pass_meter(name: str, tol: float, shown: bool) -> AbstractContextManager[Callable[[Pass], None]]:
+    """Return a context whose value shows a pass, or does nothing; see `gnc_opt.progress`."""
+    if not shown:
+        return nullcontext(lambda _: None)
+    from gnc_opt.progress import refinement_meter
+
+    return refinement_meter(name, tol)
+
+
+def crawls(errors: Sequence[float], tol: float) -> bool:
+    """Whether it takes too many more passes if the error goes on to fall as fast as in the last ones.
+
+    Parameters
+    ----------
+    errors : sequence of float
+        Of all passes so far. Fewer than `PATIENCE` after the first tell nothing.
+    tol : float
+        What the error should come down to.
+    """
+    if len(errors) <= PATIENCE:
+        return False
+    before, now = min(errors[:-PATIENCE]), min(errors[-PATIENCE:])
+    if now <= tol:
+        return False
+    return now >= before or PATIENCE * math.log(now / tol) > HORIZON * math.log(before / now)

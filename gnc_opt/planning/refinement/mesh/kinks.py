@@ -1,0 +1,181 @@
+"""Where a trajectory is not smooth: switches, and ends of arcs on a bound or path constraint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.refinement.error import PhaseError, states_at_points
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+
+UNSURE = 0.05
+"""A switch is trusted to lie this close to its estimate, in shares of its segment."""
+
+SHARPENING = 2.0
+"""A kink that multipliers point at is trusted to lie closer the shorter the gap that it lies in, in shares of the gap's
+own share of the phase: the error of the estimate is of second order in its length."""
+
+SHARP = 1e-6
+"""A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
+
+CLEAR = 1e-6
+"""A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
+
+MOST = 3
+"""More kinks than this in one segment are chatter or noise."""
+
+
+@dataclass(frozen=True)
+class Kink:
+    """An interval of time in which the trajectory has a kink or a jump."""
+
+    start: float
+    end: float
+
+
+def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
+    """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise.
+
+    Parameters
+    ----------
+    error : PhaseError
+    k : int
+    active : array (rows, N)
+        The phase's `activity`, which is dear and the same for all segments.
+    """
+    found = _switches(error, k) or _junctions(error, k, active)
+    found.sort(key=lambda kink: kink.start)
+    merged: list[Kink] = []
+    for kink in found:
+        if merged and kink.start <= merged[-1].end:
+            merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
+        else:
+            merged.append(kink)
+    return merged if len(merged) <= MOST else []
+
+
+def _switches(error: PhaseError, k: int) -> list[Kink]:
+    """Zeros of dH/du with a control on its bound: there it leaves the bound, or jumps to the other one."""
+    samples = error.samples
+    leg, bounds = samples.leg, samples.leg.control_bounds
+    inside = np.flatnonzero(samples.segments == k)
+    times = samples.times[inside]
+    margin = UNSURE * (times[-1] - times[0])
+    found = []
+    for i in range(leg.controls.size):
+        unit = samples.control_scale[i] / samples.hamiltonian_scale
+        roots: list[float] = []
+        for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
+            if np.isfinite(level) and _reaches(
+                samples.u_polynomial[i, inside], level, samples.control_scale[i]
+            ):
+                roots += _crossings(_gradient_at(error, i, level, times) * unit, times)
+        found += [Kink(t - margin, t + margin) for t in roots]
+    return found
+
+
+def _reaches(values: Array, level: float, scale: float) -> bool:
+    return bool(np.min(np.abs(values - level)) < 0.1 * scale)
+
+
+def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array:
+    """Return d(H + mu.c)/du_i at times with control i at a level."""
+    leg, functions = error.samples.leg, error.samples.functions
+    u = leg.flown.clipped(times)
+    u[i] = level
+    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
+    return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
+
+
+def _crossings(values: Array, times: Array) -> list[float]:
+    """Return the zeros of a switching function, in shares of H, from a straight line between its samples.
+
+    These lie closer to each other than the collocation points, whose spacing limits what is known of a switch.
+    """
+    before = np.flatnonzero(values[:-1] * values[1:] < 0)
+    if not before.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
+        return []
+    share = values[before] / (values[before] - values[before + 1])
+    return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
+
+
+def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
+    """Kinks where bounds and path constraints set in or end, or change sides, between neighbouring points."""
+    leg = error.samples.leg
+    points, offsets = leg.point_times, leg.mesh.offsets
+    first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    kinks = []
+    for row in active[:, first : last + 1]:
+        here = points[first : last + 1]
+        for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
+            start, end = _closed_in(here, row, int(j), leg.duration)
+            kinks.append(Kink(max(start, left), min(end, right)))
+    return [kink for kink in kinks if kink.end > kink.start]
+
+
+def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+    """Return between which times the pull of a constraint sets in, ends or changes sign, after point j.
+
+    At a kink the multiplier of a constraint on controls goes to zero, and where a control jumps from one limit to
+    the other it passes through zero, at most one point being caught between the limits. Either way the multipliers
+    beside it point at the time.
+    """
+    start, end = float(times[j]), float(times[j + 1])
+    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
+    across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
+    if across:
+        a, b = across[0]
+        start, end = float(times[a]), float(times[b])
+    else:
+        a, b = (j - 1, j) if pull[j + 1] == 0 else (j + 1, j + 2)
+        if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
+            return start, end
+    zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
+    margin = min(UNSURE, SHARPENING * (end - start) / duration) * (end - start)
+    return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
+
+
+def activity(error: PhaseError) -> Array:
+    """Return how hard each active bound or path constraint pulls at each collocation point, (rows, N); else zero.
+
+    In shares of H, with the sign of the multiplier. Of slack, in shares of the quantity's magnitude, and multiplier,
+    the larger one tells whether a constraint is active.
+    """
+    leg, yardstick = error.samples.leg, error.yardstick
+    x, u = states_at_points(leg), np.hstack(leg.u.values)
+    worth = error.samples.hamiltonian_scale
+    rows = [
+        _active(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _active(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
+    ]
+    if leg.path_labels:
+        values = yardstick.functions.paths(leg.point_times, x, u)
+        rows.append(_active(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
+    return np.concatenate(rows)
+
+
+def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Array:
+    gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
+    pull = multipliers * scale[:, None] / worth
+    limits = (bounds.lower < bounds.upper)[:, None]
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CLEAR)), pull, 0.0)
+
+
+def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
+    """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
+    cuts = [left]
+    for edge in (edge for kink in kinks for edge in _edges(kink, SHARP * leg.duration)):
+        if edge - cuts[-1] > least and right - edge > least:
+            cuts.append(edge)
+    return [*cuts, right]
+
+
+def _edges(kink: Kink, sharp: float) -> tuple[float, ...]:
+    """Both ends of a kink's interval, or its middle where they are as good as one."""
+    return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

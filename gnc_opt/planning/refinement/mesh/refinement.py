@@ -1,0 +1,388 @@
+"""hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
+
+Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
+trajectory alone, see `gnc_opt.planning.refinement.error`; how the mesh changes is in `gnc_opt.planning.refinement.mesh.remesh`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.nlp.options import last_barrier
+from gnc_opt.planning.refinement.error import NEGLIGIBLE, PhaseError, estimate_errors
+from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
+from gnc_opt.planning.refinement.mesh.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
+from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+
+WARM_ITERATIONS = 150
+"""A warm start that takes longer has lost its way."""
+
+WARM_MU = 1e-6
+"""Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
+its bounds only to come back in ten iterations. Where no segment is `UNRESOLVED` any more it begins at the last barrier:
+each one before costs two iterations or more."""
+
+MOST_PASSES = 20
+"""At most so many solves, if nobody says otherwise."""
+
+STAGE = 1e-4
+"""Each pass aims at this share of the error before it, ..."""
+
+EARLY = 1e-3
+"""... at this share while some segment is hopelessly coarse, and all others still move with it; ..."""
+
+NEARLY = 30.0
+"""... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
+
+SOLVED, LAXER = 1e-9, 0.1
+"""Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
+given up at once are worth nothing."""
+
+ROOMY, WORTH_MERGING = 300, 0.1
+"""Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
+takes as long as solving. Where less than that share of the segments could, they grow by `GROWN` before it is tried
+again."""
+
+GROWN = 1.5
+"""An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
+
+WORTH_TRIMMING, TOO_FINE = 0.5, 1e-2
+"""... is solved once more if it can shrink to this share: only segments whose error is less than so many tolerances can
+give away much, and finding out how much takes as long as solving; ..."""
+
+BOLD = 0.5
+"""... expecting this share of the tolerance, ..."""
+
+DEPARTURE = 0.01
+"""... with states that move by this share of the tolerance's root (of an optimal cost, they only move the second
+order), ..."""
+
+REPAIRS = 1
+"""... and with so many passes to mend what became too coarse."""
+
+UNEXPLAINED = 10.0
+"""An objective that moves by more than this many times the error of the last mesh has not settled."""
+
+NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A solution with its error."""
+
+    solution: Solution
+    errors: dict[str, PhaseError]
+    record: Pass
+
+    @property
+    def finite_error(self) -> float:
+        """Largest error of the segments whose functions are defined."""
+        worst = np.concatenate([e.worst for e in self.errors.values()])
+        return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
+
+    def points_beyond(self, error: float) -> int:
+        """Collocation points of the segments whose error is smaller than this."""
+        small = [np.asarray(e.samples.leg.mesh.degrees)[e.worst < error] for e in self.errors.values()]
+        return int(np.sum(np.concatenate(small)))
+
+    @property
+    def total(self) -> float:
+        """Sum of the errors of all segments."""
+        return float(sum(np.sum(np.minimum(e.worst, 1e6)) for e in self.errors.values()))
+
+
+def refine_mesh(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    limits: PassLimits | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
+
+    Parameters
+    ----------
+    solution : Solution
+        With its problem; its mesh is the first.
+    tol : float
+        Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
+        dimensionless; see `gnc_opt.planning.refinement.error`.
+    limits : PassLimits, optional
+        Default: `MOST_PASSES`. Twice as much work is allowed while the error falls to a third or less each time.
+    options : SolverOptions, optional
+        For the solves.
+    progress : bool
+        Show one line per pass.
+
+    Returns
+    -------
+    Solution
+        The best one: the smallest mesh of those within the tolerance, or else the one with the least error.
+    History
+        Its ``status`` and ``message`` say how it ended.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or did not converge itself.
+    """
+    if not solution.status.solved:
+        raise GncOptError(
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
+        )
+    limits = limits or PassLimits(MOST_PASSES)
+    refinement = _Refinement(solution, tol, limits, options)
+    with pass_meter(solution.problem_name, tol, progress) as show:
+        try:
+            status = refinement.run(show)
+        except KeyboardInterrupt:
+            status = refinement.ending_without(Status.INTERRUPTED)
+    return refinement.result(status)
+
+
+class _Refinement:
+    """The loop and what it remembers."""
+
+    def __init__(
+        self,
+        solution: Solution,
+        tol: float,
+        limits: PassLimits,
+        options: SolverOptions | None,
+    ) -> None:
+        self._problem = solution.need_problem("refine")
+        self._scheme = solution.scheme
+        self._tol, self._limits = tol, limits
+        self._options = options or SolverOptions(tolerance=min(SOLVED, LAXER * tol))
+        self._asked = options is not None
+        self._records: list[Pass] = []
+        self._past: dict[str, Past] = {}
+        self._totals: list[float] = []
+        self._trimmed_once, self._repairs = False, 0
+        self._lean = 0  # points of the last mesh of which hardly anything could go
+        self._departure = DEPARTURE * math.sqrt(tol)
+        self._confirming = False
+        self._begin = time.perf_counter()
+        self._state = self._judge(solution, self._begin, Actions())
+        self._best, self._chosen = self._state, 0
+
+    def run(self, show: Callable[[Pass], None]) -> RefinementStatus:
+        """Refine until one of the endings."""
+        show(self._records[-1])
+        for k in range(self._limits.passes + self._limits.spare):
+            if time.perf_counter() > self._limits.deadline:
+                return self.ending_without(Status.INTERRUPTED)
+            if k >= self._limits.passes and self._best is self._state:
+                return self._ending(RefinementStatus.PASS_LIMIT)
+            plan = self._plan()
+            if isinstance(plan, RefinementStatus):
+                return plan
+            allowed = self._limits.allowed(self._records)
+            if self._spent > allowed:
+                return self._ending(RefinementStatus.WORK_LIMIT)
+            meshes, actions = plan
+            self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
+            status = self._solve(meshes, actions)
+            show(self._records[-1])
+            if status is Status.ITERATION_LIMIT and self._spent >= allowed:
+                return self._ending(RefinementStatus.WORK_LIMIT)
+            if not status.solved:
+                return self.ending_without(status)
+        rises = self._limits.spare and self._best is not self._state
+        return self._ending(RefinementStatus.STALLED if rises else RefinementStatus.PASS_LIMIT)
+
+    @property
+    def _spent(self) -> float:
+        """Work of all passes but the first, which was given."""
+        return sum(record.work for record in self._records[1:])
+
+    def _plan(self) -> NextMeshes | RefinementStatus:
+        """Return the next meshes with what was done to get them, or how it ends here."""
+        if self._converged(self._state.record):
+            if not self._settled():
+                return RefinementStatus.STALLED if self._confirming else self._confirm()
+            self._confirming = False
+            plan = self._trimmed()
+            if plan is None:
+                return RefinementStatus.CONVERGED
+            self._trimmed_once = True
+            return plan
+        if self._trimmed_once:  # mend a mesh that has become too small, as long as it stays smaller
+            plan = self._finer(self._tol, False)
+            self._repairs += 1
+            smaller = _size(plan[0]) < self._best.record.points
+            return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
+        return self._next()
+
+    def _next(self) -> NextMeshes | RefinementStatus:
+        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse.
+
+        The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
+        do not suffice for a stage, they go to the worst segments.
+        """
+        last = self._state.record
+        worse = (
+            last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
+        )
+        error = min(self._state.finite_error, 1.0)
+        stage = max(self._tol, (STAGE if error < UNRESOLVED else EARLY) * error)
+        stage = stage if stage > NEARLY * self._tol else self._tol
+        merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
+        plan = self._finer(stage, merging)
+        if merging:
+            gone = plan[1].merged + plan[1].lowered
+            self._lean = 0 if gone > WORTH_MERGING * last.segments else last.points
+        while self._too_many(plan[0]):
+            stage *= 10.0
+            if stage > 0.5 * last.error:
+                return RefinementStatus.POINT_LIMIT
+            plan = self._finer(stage, True)
+        return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
+
+    def _finer(self, stage: float, merging: bool) -> NextMeshes:
+        merge_tol = SAFETY * self._tol if merging else None
+        return self._remeshed(
+            lambda name, error: Remesh(
+                error, stage, self._past.get(name, {}), merge_tol, SAFETY * self._tol
+            ).mesh()
+        )
+
+    def _trimmed(self) -> NextMeshes | None:
+        """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
+        points = self._state.record.points
+        grown = points > min(ROOMY, GROWN * self._records[0].points)
+        if (
+            self._trimmed_once
+            or not grown
+            or self._state.points_beyond(TOO_FINE * self._tol) < (1.0 - WORTH_TRIMMING) * points
+        ):
+            return None
+        plan = self._remeshed(
+            lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
+        )
+        return plan if _size(plan[0]) <= WORTH_TRIMMING * points else None
+
+    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> NextMeshes:
+        meshes, total = {}, Actions()
+        for name, error in self._state.errors.items():
+            meshes[name], actions = remesh(name, error)
+            total = total + actions
+        return meshes, total
+
+    def _settled(self) -> bool:
+        """Whether the objective has moved no more than the error of the last mesh explains.
+
+        A control that chatters can be exact on every mesh and different on each.
+        """
+        if len(self._records) < 2 or self._trimmed_once:
+            return True
+        old, new = self._records[-2:]
+        worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
+        return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
+
+    def _confirm(self) -> NextMeshes:
+        """Halve all segments: a proper solution stays where it is."""
+        self._confirming = True
+        meshes = {name: _halved(mesh) for name, mesh in self._state.record.meshes.items()}
+        return meshes, Actions(split=sum(mesh.segments for mesh in self._state.record.meshes.values()))
+
+    def _too_many(self, meshes: dict[str, Mesh]) -> bool:
+        return max(mesh.size for mesh in meshes.values()) > self._limits.points
+
+    def result(self, status: RefinementStatus) -> tuple[Solution, History]:
+        """Return the best solution and the record."""
+        best = self._best.record
+        message = f"{status.value}: error {best.error:.1e} (wanted {self._tol:.1e})"
+        message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
+        seconds = time.perf_counter() - self._begin
+        history = History(status, self._tol, tuple(self._records), self._chosen, message, seconds)
+        return self._best.solution, history
+
+    def ending_without(self, status: Status) -> RefinementStatus:
+        """Return how it ends without another solution, because of what became of the last solve."""
+        interrupted = status is Status.INTERRUPTED
+        return self._ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+
+    def _ending(self, otherwise: RefinementStatus) -> RefinementStatus:
+        """Return how it ends if no pass follows: there may be an accurate solution already."""
+        return RefinementStatus.CONVERGED if self._converged(self._best.record) else otherwise
+
+    def _converged(self, record: Pass) -> bool:
+        return record.solved and record.error <= self._tol
+
+    def _stalled(self, meshes: dict[str, Mesh]) -> bool:
+        """Whether nothing is left to do, or neither the largest error nor the sum of all falls fast enough."""
+        if meshes == self._state.record.meshes:
+            return True
+        errors = [r.error for r in self._records]
+        return all(crawls(values, self._tol) for values in (errors, self._totals))
+
+    def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+        """Solve on new meshes, warm, then cold; remember the pass."""
+        begin = time.perf_counter()
+        within = self._limits.of_solve(meshes.values(), self._records, self._spent)
+        solution = solve_mesh(
+            self._problem,
+            meshes,
+            scheme=self._scheme,
+            guess=self._state.solution,
+            options=self._warm_options(),
+            limits=replace(within, warm_iterations=WARM_ITERATIONS),
+        )
+        self._state = self._judge(solution, begin, actions)
+        if self._better(self._state.record, self._best.record):
+            self._best, self._chosen = self._state, len(self._records) - 1
+        return solution.status
+
+    def _warm_options(self) -> SolverOptions:
+        """Return the options with tolerance and barrier parameter that suit how far the solution still has to move."""
+        options, left = self._options, min(self._state.finite_error, 1.0)
+        if not self._asked:
+            options = replace(options, tolerance=max(options.tolerance, LAXER * STAGE * left))
+        if options.mu_init is None:
+            last = last_barrier(options.tolerance)
+            options = replace(options, mu_init=last if left <= UNRESOLVED else max(WARM_MU * left, last))
+        return options
+
+    def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:
+        errors = estimate_errors(solution)
+        record = pass_record(solution, errors, begin, actions)
+        self._records.append(record)
+        state = _State(solution, errors, record)
+        self._totals.append(state.total)
+        return state
+
+    def _better(self, new: Pass, old: Pass) -> bool:
+        if self._converged(new) and self._converged(old):
+            return new.points < old.points
+        return new.solved and new.error < old.error
+
+
+def _size(meshes: dict[str, Mesh]) -> int:
+    return sum(mesh.size for mesh in meshes.values())
+
+
+def _halved(mesh: Mesh) -> Mesh:
+    breaks = np.asarray(mesh.breaks)
+    times = np.sort(np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
+    return Mesh.at_times(times, [n for n in mesh.degrees for _ in range(2)])
+
+
+def _cost_scale(error: PhaseError) -> float:
+    """The magnitude of the integrals' share of the cost."""
+    leg = error.samples.leg
+    return (
+        float(np.sum(np.abs(leg.integral_weights) * error.yardstick.integral)) if leg.integral_labels else 0.0
+    )

@@ -1,0 +1,208 @@
+"""The next mesh of a phase: where to raise the degree, where to split, where to merge.
+
+Smooth segments get the degree that the decay of their Legendre coefficients predicts, others are split: around
+their kinks, or where their error arises. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for
+detecting and bracketing discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and Methods
+36 (2015), for preferring degrees to segments.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.refinement.error import PhaseError
+from gnc_opt.planning.refinement.mesh.coarsen import Piece, coarsened
+from gnc_opt.planning.refinement.mesh.kinks import Kink, activity, bracketed, find_kinks
+from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_density, quantiles
+from gnc_opt.planning.solution.history import Actions
+from gnc_opt.planning.transcription.mesh import Mesh
+
+MAX_DEGREE = 20
+SAFETY = 0.25
+"""New meshes aim at this share of the tolerance."""
+
+NARROWEST = 1e-9
+"""Segments are not split below this share of the phase."""
+
+HALVING = 0.3
+"""Decades per degree by which the decay gets faster when a segment is halved."""
+
+LAYER = 0.25
+"""Share of a hopelessly coarse first or last segment that is cut off, and again of that: boundary layers are thin."""
+
+HOPELESS = 1.0
+"""Where nothing is known of the trajectory, nothing is known of its kinks either."""
+
+STIFFEST = 1e4
+"""At most so many time constants are believed to be in such a segment."""
+
+ROUGH = 0.12
+"""A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
+
+TELLING = 5
+"""Fewer coefficients than this do not tell whether a segment is smooth: its degree is raised first, ..."""
+
+UNRESOLVED = 1e-2
+"""... unless its error is so large that it is hopelessly coarse."""
+
+Past = Mapping[tuple[float, float], tuple[int, float]]
+"""What is known of the segments of earlier meshes, by their ends as fractions: degree and error."""
+
+
+@dataclass
+class Remesh:
+    """The next mesh of one phase.
+
+    Parameters
+    ----------
+    error : PhaseError
+    tol : float
+        Segments with a larger error are refined.
+    past : mapping from (start, end) to (degree, error)
+        Of the last mesh; ends are fractions of the phase.
+    merge_tol : float or None
+        Error that merged and lowered segments may have; None to leave accurate segments alone.
+    departure : float
+        How far, relatively, merging and lowering may move the states.
+    max_degree : int
+    """
+
+    error: PhaseError
+    tol: float
+    past: Past = field(default_factory=dict)
+    merge_tol: float | None = None
+    departure: float = 0.0
+    max_degree: int = MAX_DEGREE
+
+    def __post_init__(self) -> None:
+        self._leg = self.error.samples.leg
+        self._worst = self.error.worst
+        self._decades = self.error.errors.decades(SAFETY * self.tol)
+        self._density: Array | None = None
+        self._active: Array | None = None
+        self.raised = self.split = 0
+
+    def mesh(self) -> tuple[Mesh, Actions]:
+        """Return the mesh and what was done."""
+        refined: list[Piece] = []
+        accurate: list[Piece] = []
+        rates = decay_rates(self.error)
+        for k, degree in enumerate(self._leg.mesh.degrees):
+            own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
+            if self._worst[k] <= self.tol:
+                accurate.append(own)
+            else:
+                refined += self._refined(k, own, float(rates[k]))
+        slim = accurate
+        if accurate and self.merge_tol is not None:
+            slim = coarsened(self.error, accurate, self.merge_tol, self.max_degree, self.departure)
+        known = {(p.start, p.end): p.degree for p in accurate}
+        lowered = sum(p.degree < known.get((p.start, p.end), 0) for p in slim)
+        pieces = sorted([*refined, *slim], key=lambda piece: piece.start)
+        return _mesh(pieces), Actions(self.raised, self.split, len(accurate) - len(slim), lowered)
+
+    def _refined(self, k: int, own: Piece, rate: float) -> list[Piece]:
+        """Return what becomes of an inaccurate segment."""
+        narrow = (own.end - own.start) < NARROWEST * self._leg.duration
+        if narrow:
+            return [own]
+        if self._active is None:
+            self._active = activity(self.error)
+        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < HOPELESS else []
+        if kinks:
+            cuts = bracketed(self._leg, k, kinks)
+            if len(cuts) > 2:
+                self.split += 1
+                return self._around(cuts, kinks, own.degree)
+        excess = float(self._decades[k])
+        wanted = own.degree + max(1, math.ceil(excess / rate))
+        if own.degree < TELLING and self._worst[k] < UNRESOLVED:
+            wanted = min(wanted, 2 * own.degree)
+        if wanted <= self.max_degree and not self._wasted(k, own.degree):
+            self.raised += 1
+            return [Piece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
+        self.split += 1
+        return self._cut(k, own, rate, excess)
+
+    def _around(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
+        """Pieces around kinks: smooth ones as they were, those with a kink of low degree."""
+        pieces = []
+        for a, b in itertools.pairwise(cuts):
+            middle = 0.5 * (a + b)
+            inside = any(kink.start <= middle <= kink.end for kink in kinks)
+            pieces.append(Piece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
+        return pieces
+
+    def _wasted(self, k: int, degree: int) -> bool:
+        """Whether raising this segment's degree the last time brought next to nothing."""
+        key = _key(self._fraction(self._leg.breaks[k]), self._fraction(self._leg.breaks[k + 1]))
+        if key not in self.past or self.past[key][0] >= degree:
+            return False
+        old_degree, old_error = self.past[key]
+        if not np.isfinite(old_error):
+            return False
+        return bool(self._worst[k] > old_error * 10.0 ** (-ROUGH * (degree - old_degree)))
+
+    def _cut(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
+        """Split where the error arises, with the degree that the halves are expected to need."""
+        if self._density is None:
+            self._density = error_density(self.error)
+        low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
+        width = own.end - own.start
+        layers = self._layers(k)
+        if layers:
+            edges = [own.start + share * width for share in layers]
+        elif high - low < 0.3 * width:
+            edges = [low, high]
+        else:
+            edges = [float(np.clip(middle, own.start + 0.05 * width, own.end - 0.05 * width))]
+        cuts = [own.start]
+        cuts += edges if layers else [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
+        if len(cuts) == 1:
+            cuts.append(0.5 * (own.start + own.end))
+        cuts.append(own.end)
+        needed = math.ceil((excess + rate * own.degree) / (rate + HALVING))
+        degree = min(max(3, min(needed, own.degree)), 10)
+        return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
+
+    def _layers(self, k: int) -> list[float]:
+        """Return where to cut a hopelessly coarse segment at an end of the phase, where layers are thin, in shares.
+
+        The error of a segment that is many time constants long is about their number. So the smallest piece is to be
+        about one of them long, and the others grow by the same factor.
+        """
+        error = float(min(self._worst[k], STIFFEST))
+        ends = (k == 0, k == self._leg.mesh.segments - 1)
+        if error < UNRESOLVED or not any(ends):
+            return []
+        levels = max(1, math.floor(math.log(error) / -math.log(LAYER)))
+        shares = [LAYER**level for level in range(levels, 0, -1)]
+        return shares if ends[0] else [1.0 - share for share in reversed(shares)]
+
+    def _fraction(self, t: float) -> float:
+        return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))
+
+
+def known_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, float]]:
+    """Return degree and error of each segment by its ends, for the next `Remesh`."""
+    leg = error.samples.leg
+    fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
+    return {
+        _key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.worst[k]))
+        for k, degree in enumerate(leg.mesh.degrees)
+    }
+
+
+def _key(start: float, end: float) -> tuple[float, float]:
+    return round(start, 12), round(end, 12)
+
+
+def _mesh(pieces: list[Piece]) -> Mesh:
+    times = [pieces[0].start, *(p.end for p in pieces)]
+    return Mesh.at_times(times, [p.degree for p in pieces])

@@ -1,0 +1,86 @@
+"""How smooth a segment is: decay of Legendre coefficients, and where its errors sit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.refinement.error import PhaseError, states_at_points
+from gnc_opt.planning.solution.phase_solution import piecewise
+from gnc_opt.tolerances import TINY
+
+ROUNDED = 1e-14
+"""Legendre coefficients below this, relative to the largest, are rounding."""
+
+SLOWEST, FASTEST = 0.02, 2.0
+"""Decay rates are clipped to this range, in decades per degree."""
+
+
+def decay_rates(error: PhaseError) -> Array:
+    """Return how fast the Legendre coefficients of rates, integrands and controls fall, (K,).
+
+    In decades per degree. The coefficients of an analytic function fall geometrically, and so does the error
+    of its interpolant, at the same rate (Liu, Hager & Rao, "Adaptive mesh refinement method for optimal control
+    using decay rates of Legendre polynomial coefficients", IEEE Transactions on Control Systems Technology 26,
+    2018). Odd and even coefficients may differ wildly; the rate is that of their envelope.
+    """
+    leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
+    points, u = leg.point_times, np.hstack(leg.u.values)
+    x = states_at_points(leg)
+    signals = np.concatenate(
+        [
+            functions.rates(points, x, u) / yardstick.state[:, None],
+            functions.integrands(points, x, u) / yardstick.integral[:, None],
+            u / yardstick.control[:, None] / leg.duration,
+        ]
+    )
+    offsets = leg.mesh.offsets
+    rates = [_decay(signals[:, offsets[k] : offsets[k + 1]], rule.points) for k, rule in enumerate(leg.rules)]
+    return np.array(rates)
+
+
+def _decay(values: Array, tau: Array) -> float:
+    n = tau.size
+    if n < 3 or not np.all(np.isfinite(values)):
+        return SLOWEST
+    coefficients = np.abs(np.linalg.solve(legendre.legvander(tau, n - 1), values.T))
+    sizes = np.max(coefficients, axis=1)
+    envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
+    floor = ROUNDED * max(float(np.max(sizes)), TINY)
+    kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
+    slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
+    return float(np.clip(-slope, SLOWEST, FASTEST))
+
+
+def error_density(error: PhaseError) -> Array:
+    """Return where in its segment the error arises, (n_samples,) per second: residuals of rates and integrands.
+
+    Where the costates' error is the largest, their residuals.
+    """
+    pieces, yardstick, functions = error.pieces, error.yardstick, error.samples.functions
+    at = pieces.times, pieces.x, pieces.u
+    residual = np.abs(pieces.x_rate - functions.rates(*at)) / yardstick.state[:, None]
+    density = np.max(residual, axis=0)
+    leg, points = error.samples.leg, error.samples.leg.point_times
+    if leg.integral_labels:
+        known = functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
+        interpolant = error.samples.sample(piecewise(leg.breaks, leg.rules, known))
+        gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
+        density = density + np.max(gap, axis=0)
+    costates = np.max(error.errors.costates, axis=0) >= error.worst
+    density = np.where(costates[error.samples.segments], np.max(error.adjoint, axis=0), density)
+    return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
+
+
+def quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
+    """Return the times in segment k up to which the given shares of its error arise."""
+    inside = error.samples.segments == k
+    times, weights = error.samples.times[inside], error.samples.weights[inside]
+    mass = np.cumsum(density[inside] * weights)
+    if not mass[-1] > 0:
+        return np.asarray(times[0] + shares * (times[-1] - times[0]))
+    # The mass of a sample lies around it: half of it has come when the sample is reached.
+    middle = (mass - 0.5 * density[inside] * weights) / mass[-1]
+    middle[0], middle[-1] = 0.0, 1.0
+    return np.asarray(np.interp(shares, middle, times))

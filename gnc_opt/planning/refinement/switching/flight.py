@@ -1,0 +1,193 @@
+"""The flight that switch times lead to: states, costates and switching functions along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.switching.step import SwitchStep, chord_step
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+
+PARTS = 3
+"""Into which every step of the grid is divided: values and rates at four times make a polynomial of degree 7."""
+
+WRONG_SIGN = 1e-6
+"""Switching function of the wrong sign, in shares of the largest, that asks for another arc."""
+
+INSET = 0.25
+"""Share of an interval of the wrong sign that a new arc leaves at each side, to keep away from other switches."""
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchFlight:
+    """A phase flown with some switches on a grid `PARTS` times as fine as that of a step.
+
+    Attributes
+    ----------
+    s : PhaseSamples
+        Of the phase that the switches come from.
+    switches : Switches
+    step : SwitchStep
+        That is left at these switches on the finer grid; its multipliers make the costates.
+    """
+
+    s: PhaseSamples
+    switches: Switches
+    step: SwitchStep
+
+    @classmethod
+    def of(
+        cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
+    ) -> SwitchFlight | None:
+        """Fly a phase; None where that is no number.
+
+        Parameters
+        ----------
+        problem : Problem
+        s : PhaseSamples
+        switches : Switches
+            At rest, or nearly, on the coarser grid.
+        known : SwitchStep
+            Its matrices and its grid.
+        """
+        step = chord_step(problem, s, switches, known, known.steps, PARTS)
+        return None if step is None else cls(s, switches, step)
+
+    @property
+    def flow(self) -> BangBangFlow:
+        """On the finer grid."""
+        return self.step.flow
+
+    @property
+    def error(self) -> float:
+        """What the coarser grid, and switches that are not quite at rest, have changed of the cost, relatively."""
+        return self.step.gain
+
+    @property
+    def times(self) -> Array:
+        """Of the grid (n_steps + 1,)."""
+        leg = self.s.leg
+        return np.asarray(self.flow.states[leg.states.size + leg.integrals.size])
+
+    @property
+    def x(self) -> Array:
+        """States (n_states, n_steps + 1)."""
+        return self.flow.states[: self.s.leg.states.size]
+
+    @cached_property
+    def lam(self) -> Array:
+        """Costates (n_states, n_steps + 1)."""
+        return self.flow.adjoints(self.step.adjoint)[: self.s.leg.states.size]
+
+    def solution(self, known: Solution) -> Solution:
+        """Return the flight as a solution, with costates and multipliers; its objective is the known one's."""
+        s, leg, n = self.s, self.s.leg, self.s.leg.states.size
+        first = PARTS * np.flatnonzero(np.diff(self.times[::PARTS]) > 0)
+        at = first[:, None] + np.arange(PARTS + 1)
+        breaks, controls = np.append(self.times[first], self.times[-1]), self.flow.controls[:, first]
+        held, flat = np.repeat(controls, PARTS + 1, axis=1), at.ravel()
+        x, lam, nothing = self.x[:, flat], self.lam[:, flat], np.zeros((len(leg.path_labels), flat.size))
+        rates = s.functions.rates(self.times[flat], x, held)
+        forces = -s.functions.state_gradient(self.times[flat], x, held, lam, nothing)
+        of_x, of_lam = (_interpolated(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
+        middles = 0.5 * (breaks[1:] + breaks[:-1])
+        grown = replace(
+            leg,
+            mesh=Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * first.size),
+            initial_time=float(breaks[0]),
+            final_time=float(breaks[-1]),
+            x=of_x,
+            u=PiecewisePolynomial(breaks, (np.zeros(1),) * first.size, tuple(controls.T[:, :, None])),
+            lam=of_lam,
+            lam_start=self.lam[:, at[:, 0]],
+            lam_end=self.lam[:, at[:, -1]],
+            point_costates=of_lam(middles),
+            path_multipliers=np.zeros((len(leg.path_labels), first.size)),
+            state_multipliers=np.zeros((n, first.size)),
+            control_multipliers=np.zeros(controls.shape),
+            state_impulses=np.zeros((n, first.size + 1)),
+            integrals=self.flow.final[n : n + leg.integrals.size],
+        )
+        nu = self.step.multipliers[int(np.sum(leg.final_bounds.fixed)) :]
+        return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
+
+    @cached_property
+    def missing_arc(self) -> tuple[int, float, float] | None:
+        """The control, and from when to when it should be at its other bound; None if all signs agree.
+
+        It is where a switching function of the wrong sign is the largest.
+        """
+        s, times = self.s, self.times
+        controls = np.column_stack([self.flow.controls, self.flow.controls[:, -1]])
+        values = s.functions.switching(times, self.x, controls, self.lam)
+        wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
+        wrong /= np.max(np.abs(values), axis=1, keepdims=True)
+        for i in range(wrong.shape[0]):
+            forgive(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
+        i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
+        return None if wrong[i, j] < WRONG_SIGN else (i, *wrong_interval(times, wrong[i], j))
+
+
+def _nodes() -> tuple[Array, Array]:
+    """Nodes on [-1, 1], and the values there of the polynomials that are 1 in one of the values and rates given.
+
+    Given are values at -1, -1/3, 1/3, 1, then rates there.
+    """
+    n = 2 * (PARTS + 1)
+    nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, PARTS + 1)
+    chebyshev = np.polynomial.chebyshev
+    rates = np.stack([chebyshev.chebval(given, chebyshev.chebder(row)) for row in np.eye(n)], axis=1)
+    values = chebyshev.chebvander(given, n - 1)
+    basis = chebyshev.chebvander(nodes, n - 1) @ np.linalg.inv(np.vstack([values, rates]))
+    return nodes, np.asarray(basis)
+
+
+_NODES, _BASIS = _nodes()
+
+
+def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
+    """Polynomials through values and rates, (n, K * 4), at both ends and at the thirds of every segment."""
+    halves, rows = 0.5 * np.diff(breaks), values.shape[0]
+    here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
+    found = np.concatenate(here, axis=2) @ _BASIS.T
+    return PiecewisePolynomial(breaks, (_NODES,) * halves.size, tuple(found.transpose(1, 0, 2)))
+
+
+def forgive(wrong: Array, switches: Indices) -> None:
+    """Zero the offences of switches that are not quite at rest, a little too late or early.
+
+    The sign is wrong from such a switch to the zero that it belongs to, and nowhere more so than at the switch. Where
+    the offence grows instead, the switching function has another zero, or the wrong slope at this one: a time of the
+    switch for which the cost is the largest, not the least.
+    """
+    for k in switches:
+        most, wrong[k] = abs(wrong[k]) + WRONG_SIGN, 0.0
+        for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):
+            for j in side:
+                if not 0 < wrong[j] <= most:
+                    break
+                wrong[j] = 0.0
+
+
+def wrong_interval(times: Array, wrong: Array, j: int) -> tuple[float, float]:
+    """Where the sign is wrong around a sample, by straight lines between the samples."""
+    fine = np.flatnonzero(wrong <= 0)
+    before, after = fine[fine < j], fine[fine > j]
+    start, end = times[0], times[-1]
+    if before.size:
+        k = before[-1]
+        start = times[k] - wrong[k] * (times[k + 1] - times[k]) / (wrong[k + 1] - wrong[k])
+    if after.size:
+        k = after[0]
+        end = times[k] - wrong[k] * (times[k] - times[k - 1]) / (wrong[k] - wrong[k - 1])
+    inset = INSET * (end - start)
+    return float(start + inset * (before.size > 0)), float(end - inset * (after.size > 0))

@@ -1,0 +1,316 @@
+r"""Newton's method on switch times.
+
+With every control on a bound, the problem has finitely many unknowns: the switch times, the ends of the phase and the
+multipliers of the end conditions. Flow, Jacobian and Hessian come from explicit integration (`bang_bang_flow`), so one
+iteration costs as much as a few propagations, where a solve of the collocated problem takes a factorisation of all
+its points. The result is a structure to start from: pieces that vanish are dropped, arcs that the switching functions
+ask for are added, and the collocated problem, whose solution is what counts, is then solved near its optimum.
+
+Far from the optimum every step has derivatives of its own; near it the matrices of the last one serve on, as long as
+steps shrink fast enough (module `switch_step`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.bang_bang_flow import STEPS
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.detection import with_bangs
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
+from gnc_opt.planning.refinement.switching.flight import SwitchFlight
+from gnc_opt.planning.refinement.switching.step import SwitchStep, chord_step, newton_step
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, TINY
+
+MOST_STEPS = 40
+"""Newton steps of all structures together."""
+
+NEAR = 1e-4
+"""Step, in shares of the phase, from which on its matrices serve the following ones, too."""
+
+WORTH = 3
+"""So many steps with the matrices of another one cost as much as one with its own."""
+
+MOST_CHORDS = 12
+"""Steps until switch times are at rest, once they are near."""
+
+SPENT = 1e-2
+"""Share of the accuracy that the last step may be worth."""
+
+BENT = 100.0
+"""What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
+
+LANDED = 0.1
+"""Share of the accuracy that the finer grid may still ask for where a flight is taken for what it promised to be."""
+
+OF_A_GUESS = 1e-8
+"""Accuracy of a flight that a collocated problem starts from."""
+
+FINEST = 8 * STEPS
+"""Steps of the grid that is tried last."""
+
+SHRUNK = 0.8
+"""Share of its length that an arc may lose in one step."""
+
+LONGEST = 0.04
+"""Share of the phase that a switch may move in one step."""
+
+LEAST_SHARE = 0.2
+"""Of a step that must be left after `SHRUNK`; if less is, the arc that stands in the way has vanished."""
+
+
+def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchFlight] | None:
+    """Find optimal switch times; drop and add arcs as needed.
+
+    The flight is that of a grid whose error is known; the structure is where the step that this leaves leads to.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of one phase.
+    structure : PhaseStructure
+        To start from.
+
+    Returns
+    -------
+    (PhaseStructure, SwitchFlight) or None
+        None where the method does not fit, or does not settle.
+    """
+    problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
+    structure = with_bangs(problem, s, structure)
+    if not _fits(problem, s, structure):
+        return None
+    switches, steps = _switches(s, structure), STEPS
+    flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS)
+    while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
+        steps *= 2
+        flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
+    if flight is None or _allowed(flight.switches, flight.step)[0] < 1:
+        return None
+    return _structure(structure, s, _moved(flight.switches, flight.step.change)), flight
+
+
+def settle_flow(
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
+) -> tuple[PhaseStructure, SwitchFlight] | None:
+    """Find the least cost to some accuracy, without any collocated problem.
+
+    The grid is made finer until what it changes of the cost, told from a flight on a grid `PARTS` times as fine, is
+    below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
+    root of it.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of one phase.
+    structure : PhaseStructure
+        To start from.
+    accuracy : float
+        Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
+    known : SwitchStep, optional
+        At the optimum of a neighbouring problem with this structure: its matrices and its grid are tried first.
+
+    Returns
+    -------
+    (PhaseStructure, SwitchFlight) or None
+        Limits between the ends are not looked at. None where the method does not fit, or does not settle.
+    """
+    problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
+    if not _fits(problem, s, structure):
+        return None
+    switches, steps = _switches(s, structure), STEPS if known is None else known.steps
+    flight = None if known is None else _near(problem, s, switches, known, accuracy, steps)
+    if flight is None or flight.missing_arc is not None:
+        flight = _optimum(problem, s, switches, accuracy, steps)
+    while flight is not None and flight.error >= accuracy and steps < FINEST:
+        steps *= 2
+        flight = _near(problem, s, flight.switches, flight.step, accuracy, steps)
+    if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
+        return None
+    return _structure(structure, s, flight.switches), flight
+
+
+def _optimum(
+    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = STEPS
+) -> SwitchFlight | None:
+    """Return the flight whose switches have come to rest with signs that agree.
+
+    If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
+    """
+    rested: SwitchFlight | None = None
+    for _ in range(MOST_STEPS):
+        step = newton_step(problem, s, switches, steps)
+        if step is None:
+            break
+        share, emptied = _allowed(switches, step)
+        if emptied and share < LEAST_SHARE:
+            switches = _without(switches, emptied)
+        elif share < 1 or step.share(switches) > NEAR:
+            switches = _moved(switches, share * step.change)
+        else:
+            flight = _at_rest(problem, s, switches, step, accuracy)
+            if flight is None or (rested is not None and _alike(flight.switches, rested.switches)):
+                break
+            if flight.missing_arc is None:
+                return flight
+            rested, switches = flight, _with_arc(flight.switches, *flight.missing_arc)
+    return rested
+
+
+def _near(
+    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
+) -> SwitchFlight | None:
+    """Return the flight of switches near the given ones that the matrices of another step lead to."""
+    return _at_rest(problem, s, switches, chord_step(problem, s, switches, known, steps), accuracy)
+
+
+def _at_rest(
+    problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
+) -> SwitchFlight | None:
+    """Return the flight of switches near the given ones that a step and those after it lead to.
+
+    Steps take the matrices of the one before as long as they can be told to shrink fast enough.
+    """
+    before = math.inf  # length of the step before, if that had these matrices
+    for _ in range(MOST_CHORDS):
+        if step is None or _allowed(switches, step)[0] < 1:
+            return None
+        length, away = step.share(switches), _away(step, switches, accuracy)
+        if away < SPENT:
+            return SwitchFlight.of(problem, s, switches, step)
+        switches = _moved(switches, step.change)
+        shrinks = min(length / before if before < math.inf else BENT * length, 1.0)
+        if away * shrinks < SPENT:
+            flight = SwitchFlight.of(problem, s, switches, step)
+            if flight is None or _away(flight.step, switches, accuracy) < LANDED:
+                return flight
+        if away * shrinks ** (1 + WORTH) > SPENT:
+            step, before = newton_step(problem, s, switches, step.steps), math.inf
+        else:
+            step, before = chord_step(problem, s, switches, step, step.steps), length
+    return None
+
+
+def _away(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+    """How far from rest switches are, in shares of what an accuracy of the cost permits."""
+    return max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
+
+
+def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
+    """Whether everything is decided by switch times and end times, and all conditions are equalities."""
+    leg = s.leg
+    times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
+    loose = ~leg.final_bounds.fixed & (
+        np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
+    )
+    at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
+    boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+    sided = [np.logical_or(*at_end) & loose]
+    sided += [
+        np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.fixed for b, t in zip(boxes, times, strict=True)
+    ]
+    return (
+        len(problem.phases) == 1
+        and s.functions.q.size == 0
+        and all(kind.at_limit for row in structure.controls for kind in row)
+        and not any(kind.at_limit for row in (*structure.paths, *structure.states) for kind in row)
+        and not any(structure.touches)
+        and bool(np.all(leg.initial_bounds.fixed))
+        and bool(np.all(problem.constraint_interval().fixed))
+        and not any(np.any(side) for side in sided)
+    )
+
+
+# --- switches -------------------------------------------------------------------------------------------
+
+
+def _switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
+    """One switch for every control that changes between two pieces."""
+    bounds = s.leg.control_bounds
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.changes(k)]
+    first = np.where(structure.controls[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
+    times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
+    ends = np.array([structure.times[0], structure.times[-1]])
+    return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
+
+
+def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
+    """The switches as pieces."""
+    pieces = switches.pieces(switches.order)
+    at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
+    kinds = choose(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
+    columns = np.vstack([kinds, others]).T
+    times, kept = [], []
+    for t, column, length in zip(pieces.times, columns, np.diff(pieces.times), strict=False):
+        if length > 0:
+            times.append(float(t))
+            kept.append(tuple(column))
+    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merged()
+
+
+def _arcs(switches: Switches) -> list[tuple[int, int]]:
+    """Unknowns (0 start, 1 to n switches, n + 1 end) at both ends of every arc of every control."""
+    found: list[tuple[int, int]] = []
+    for i in range(switches.first.size):
+        own = np.flatnonzero(switches.channels == i)
+        own = own[np.argsort(switches.times[own], kind="stable")]
+        places = [0, *(int(k) + 1 for k in own), switches.times.size + 1]
+        found += itertools.pairwise(places)
+    return found
+
+
+def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+    """The share of a step that leaves every arc some length, and the arc that limits it."""
+    times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
+    longest = LONGEST * (switches.ends[1] - switches.ends[0])
+    share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
+    for begin, end in _arcs(switches):
+        shrinks = step.change[begin] - step.change[end]
+        room = SHRUNK * (times[end] - times[begin])
+        if shrinks > 0 and room < share * shrinks:
+            share, limiting = room / shrinks, (begin, end)
+    return share, limiting
+
+
+def _moved(switches: Switches, change: Array) -> Switches:
+    times = switches.times + change[1:-1]
+    return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
+
+
+def _alike(switches: Switches, others: Switches) -> bool:
+    """Whether the same controls switch at the same times, nearly."""
+    if not np.array_equal(switches.channels, others.channels):
+        return False
+    apart = np.max(np.abs(switches.times - others.times), initial=0.0)
+    return bool(apart < NEAR * (switches.ends[1] - switches.ends[0]))
+
+
+def _without(switches: Switches, arc: tuple[int, int]) -> Switches:
+    """Drop the switches at the ends of an arc that has vanished."""
+    begin, end = arc
+    first = switches.first.copy()
+    gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
+    if begin == 0 and gone:
+        i = switches.channels[gone[0]]
+        first[i] = switches.toggled[i] - first[i]
+    times, channels = np.delete(switches.times, gone), np.delete(switches.channels, gone)
+    return replace(switches, times=times, channels=channels, first=first)
+
+
+def _with_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
+    first, added = switches.first.copy(), [t for t in (start, end) if switches.ends[0] < t < switches.ends[1]]
+    if start <= switches.ends[0]:
+        first[i] = switches.toggled[i] - first[i]
+    times = np.concatenate([switches.times, added])
+    channels = np.concatenate([switches.channels, np.full(len(added), i)])
+    return replace(switches, times=times, channels=channels, first=first)

@@ -1,0 +1,110 @@
+"""Variation: the optimum of a problem by its switch times, from those of a neighbouring problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.bang_bang_flow import STEPS
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.switching.collocated_flight import completed, keeps_limits
+from gnc_opt.planning.refinement.switching.newton import settle_flow
+from gnc_opt.planning.refinement.switching.step import SwitchStep
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.tail import rest_of
+from gnc_opt.planning.verification.recomputed import from_problem
+
+ACCURACY = 1e-9
+"""Of the cost, relative to its size."""
+
+SPARE = 0.1
+"""Share of the accuracy that the grid of a known flight is worth: its neighbours may need a little more."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFlight:
+    """What of a known solution serves all variations of its problem.
+
+    Attributes
+    ----------
+    solution : Solution
+        Of one phase.
+    structure : PhaseStructure
+    state_scale : array (n_states,)
+        How far its states move: what those of its neighbours are measured against.
+    step : SwitchStep or None
+        At its optimum: its matrices are nearly those of its neighbours.
+    """
+
+    solution: Solution
+    structure: PhaseStructure
+    state_scale: Array
+    step: SwitchStep | None = None
+
+    @classmethod
+    def of(cls, solution: Solution) -> KnownFlight | None:
+        """Return what is known of a refined solution; None where no structure is."""
+        if not solution.structure or len(solution.phases) != 1:
+            return None
+        (s,) = solution.samples().values()
+        return cls(replace(solution, structure=()), detect(s), s.state_scale)
+
+    def differentiated(self) -> KnownFlight | None:
+        """Return the same with its step, for many variations; None where switch times do not decide everything.
+
+        It is on half the usual grid, if that is accurate with something to spare.
+        """
+        found = settle_flow(self.solution, self.structure, ACCURACY)
+        if found is None:
+            return None
+        half = replace(found[1].step, steps=STEPS // 2)  # of the structure that was settled on
+        structure, flight = settle_flow(self.solution, found[0], SPARE * ACCURACY, half) or found
+        return replace(self, structure=structure, step=flight.step)
+
+    def vary(self, problem: Problem) -> Solution | None:
+        """Fly a variation with its own switch times; None where that fails.
+
+        Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded; see `keeps_limits`.
+        """
+        start = on_the_way(self.solution, problem)
+        (leg,) = start.phases.values()
+        left = self.structure.after(leg.initial_time)
+        step = self.step if left.pieces == self.structure.pieces else None
+        begun = _begun(from_problem(replace(start, problem=problem.frozen())))
+        found = None if begun is None else settle_flow(begun, left, ACCURACY, step)
+        if begun is None or found is None:
+            return None
+        structure, flight = found
+        flown = flight.solution(begun)
+        (leg,) = flown.phases.values()
+        if not keeps_limits(flown, self.state_scale):
+            return None
+        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
+        return replace(completed(flown), structure=structure.arcs(leg.name, labels))
+
+
+def on_the_way(known: Solution, problem: Problem) -> Solution:
+    """Return what of a known solution is left when a variation of its problem begins."""
+    if len(known.phases) != 1:
+        return known
+    ((name, leg),) = known.phases.items()
+    begins = problem.phases[name].numbers.initial_time
+    if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+        return known
+    return rest_of(known, float(begins.lower[0]))
+
+
+def _begun(known: Solution) -> Solution | None:
+    """The trajectory moved to where its problem says that it starts; None if it has other times there."""
+    (leg,) = known.phases.values()
+    for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
+        if bounds.fixed[0] and bounds.lower[0] != t:
+            return None
+    moved = np.where(leg.initial_bounds.fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
+    x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
+    return replace(known, phases={leg.name: replace(leg, x=x)})

@@ -1,0 +1,423 @@
+r"""Covector mapping: from the multipliers of the program to costates, densities and impulses.
+
+The Lagrangian of the program is, up to terms that do not depend on the dynamics,
+
+.. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
+
+with :math:`m = W^T \Lambda` the multipliers that the constraint rows lay on the point values. A quadrature of
+:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form,
+hence in every scheme
+
+.. math:: \lambda(t_j) = m_j / \omega_j .
+
+For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the
+derivative of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start,
+- at its end, just as :math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. They
+converge twice as fast as the values at the points (for LG all do).
+
+**Between the points** the costate is what its differential equation makes of them: from the segment's start,
+:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, with the polynomial through the values of the
+integrand at the points. It meets the segment's end. For LG it also meets the point values; for LGR and LGL
+it is better than those by an order.
+
+**Where a state is held** by its bound, or by a path constraint without controls, the multiplier of a point
+that is a segment boundary is the sum of a density and of an impulse, a jump of the costate. Beside a segment
+that is not held it is taken for an impulse. Along a held segment the one-sided costates come from the points
+instead, and what the bound's multiplier then has to supply in the stationarity of the boundary state is its
+density there. LG knows no such point, but there a bound that holds a state at all nodes of a segment makes
+the row of its end state redundant: any multiplier of that row solves the program, with bound multipliers
+that oscillate from point to point by :math:`e_j` (the coefficients of the row). The costate without that
+oscillation continues the points.
+
+Costates along arcs on which a path constraint without controls is held.
+
+At the end of such an arc the measure of the constraint may have an atom. A programme of Gauss collocation holds the
+constraint at the points, and has no row at the end that could bear the atom, since it would say once more what those
+of the points say. There the atom is spread over the points' multipliers, which oscillate, while the costates at the
+points, which come from the rows of the dynamics, are those of the continuous problem. So they are what is kept:
+
+* the one-sided costates at both ends of the segment continue the points, as far as the gradient of the constraint
+  can explain the difference, which is then part of the jump there;
+* the density of the multiplier is what the adjoint equation leaves for it, along that gradient.
+
+For bounds of states `gnc_opt.planning.solution.costates` does the same from the rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.problem.arcs import Held
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.quadrature import interpolation_matrix
+from gnc_opt.planning.transcription.scheme import GAUSS
+
+SIDES: tuple[Side, Side] = ("right", "left")
+"""From which side the start and the end of a segment belong to it."""
+
+
+def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFunctions) -> PhaseSolution:
+    """Return the solution of a phase with the costates and multipliers of what is held along its segments."""
+    if held is None or not held.paths or leg.scheme != GAUSS:
+        return leg
+    at_limit = (
+        np.array([[kind.at_limit for kind in row] for row in held.paths]) & ~functions.mixed_paths[:, None]
+    )
+    if not np.any(at_limit):
+        return leg
+    start, end, values = leg.lam_start.copy(), leg.lam_end.copy(), [v.copy() for v in leg.lam.values]
+    for k in np.flatnonzero(np.any(at_limit, axis=0)):
+        rows, here = np.flatnonzero(at_limit[:, k]), slice(leg.mesh.offsets[k], leg.mesh.offsets[k + 1])
+        continued = leg.point_costates[:, here] @ interpolation_matrix(leg.rules[k].points, [-1.0, 1.0]).T
+        for ends, column in ((start, 0), (end, 1)):
+            time, side = leg.breaks[k + column], SIDES[column]
+            gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
+            ends[:, k] += gradients @ _fit(gradients, continued[:, column] - ends[:, k])
+        values[k][:, -1] = end[:, k]
+    lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
+    multipliers = _with_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
+    return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
+
+
+def _with_densities(
+    leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
+) -> Array:
+    """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them.
+
+    ``at_limit`` and the result (n_paths, N).
+    """
+    mu = leg.path_multipliers.copy()
+    here = np.flatnonzero(np.any(at_limit, axis=0))
+    times, others = leg.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
+    x, u = leg.x(times), leg.u(times)
+    left = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), others)
+    gradients = functions.path_state_jacobian(times, x, u)
+    for j, point in enumerate(here):
+        rows = np.flatnonzero(at_limit[:, point])
+        mu[rows, point] = _fit(gradients[rows, :, j].T, left[:, j])
+    return mu
+
+
+def _fit(directions: Array, vector: Array) -> Array:
+    """Least-squares coefficients of a vector (n,) by directions (n, n_rows)."""
+    return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
+
+
+_PUSH = 1e-6
+"""A push on a costate counts if it would move it by this share of its size over the segment."""
+
+_TURNED = 1e-3
+"""Pushes of both signs, the smaller one beyond this share of a change of costates, speak against the change."""
+
+_HELD = 1e-7
+"""A state that varies over a segment by less than this, relative to its size in the phase, is held."""
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """The solver's vectors in physical units; multipliers belong to the minimised functional.
+
+    Attributes
+    ----------
+    x : array (n_variables,)
+    lam_x : array (n_variables,)
+        Multipliers of the variables' bounds.
+    lam_g : array (n_constraints,)
+        Multipliers of the rows.
+    """
+
+    x: Array
+    lam_x: Array
+    lam_g: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Costates:
+    """What the covector mapping yields for one phase.
+
+    Attributes
+    ----------
+    polynomial : PiecewisePolynomial
+    start, end : array (n_states, K)
+        One-sided limits at each segment's start and end.
+    points : array (n_states, N)
+        At the collocation points, m_j / omega_j.
+    densities : array (n_states, N)
+        State bound multipliers at the points, per second.
+    impulses : array (n_states, K + 1)
+        State bound multipliers (and those of fixed end values) at the segment boundaries.
+    """
+
+    polynomial: PiecewisePolynomial
+    start: Array
+    end: Array
+    points: Array
+    densities: Array
+    impulses: Array
+
+
+def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
+    """Costates at the collocation points (n_states, N): m_j / omega_j."""
+    pieces = []
+    for k, rule in enumerate(collocation.rules):
+        # The factor w_k / 2 of both the multipliers and the quadrature weights cancels.
+        pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
+    return np.hstack(pieces)
+
+
+def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
+    """Invert the covector mapping: multipliers of each segment's rows for given costates.
+
+    Parameters
+    ----------
+    costates : array (n_states, N)
+        At the collocation points.
+    end_costates : array (n_states, K)
+        At the segment ends (used by LG only).
+    """
+    pieces: list[Array] = []
+    for k, rule in enumerate(collocation.rules):
+        wanted = -costates[:, _points(collocation, k)] * rule.weights
+        if collocation.family.has_end_row:
+            pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
+        else:
+            matrix = collocation.dynamics_matrix(k)
+            pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
+    return pieces
+
+
+def map_costates(
+    collocation: PhaseCollocation,
+    breaks: Array,
+    iterate: Iterate,
+    weights: Array,
+    gradient: Array,
+    path_push: Array,
+) -> Costates:
+    """Return costates and state bound multipliers of a phase.
+
+    Parameters
+    ----------
+    breaks : array (K + 1,)
+        Times of the segment boundaries, s.
+    iterate : Iterate
+    weights : array (N,)
+        Quadrature weights of the points, s.
+    gradient : array (n_states, N)
+        d(H + mu.c)/dx at the points.
+    path_push : array (n_states, N)
+        The part of it that comes from path constraints without controls.
+    """
+    pieces = _CostatePieces.of(collocation, iterate, weights, gradient, path_push)
+    if collocation.family.has_end_row:
+        pieces.settle_redundant_rows()
+    else:
+        pieces.split_boundary_multipliers()
+    return Costates(
+        pieces.polynomial(breaks), pieces.start, pieces.end, pieces.lam, pieces.densities, pieces.impulses
+    )
+
+
+def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
+    """Share out the multipliers of path constraints that LGL states twice.
+
+    At a boundary between segments a constraint without controls has two equal rows, and only the sum of
+    their multipliers is determined. A side along which it is active takes all of it; two such sides have one
+    density.
+
+    Parameters
+    ----------
+    paths : array (n_paths, N)
+        Densities.
+    weights : array (N,)
+        Quadrature weights of the points, s.
+    mixed : bool array (n_paths,)
+        Which constraints depend on controls.
+    """
+    if not collocation.family.ends_at_point or not paths.size:
+        return paths
+    settled = paths.copy()
+    lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+    pushed = np.abs(paths) * lengths > _PUSH * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
+    shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
+    shared |= np.append(shared[1:], False)
+    held = _held_segments(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
+    for k, right in enumerate(collocation.mesh.offsets[1:-1]):
+        share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
+        total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
+        rows = ~mixed & np.any(share > 0, axis=1)
+        density = total[rows] / np.sum(share[rows], axis=1)
+        settled[rows, right - 1], settled[rows, right] = density * held[rows, k], density * held[rows, k + 1]
+    return settled
+
+
+@dataclass(eq=False)
+class _CostatePieces:
+    """Costates under construction; the arrays change as the ambiguities of held segments are settled.
+
+    Attributes
+    ----------
+    pull : array (n_states, N)
+        -d(lambda)/dt at the points, without what is taken for an impulse.
+    held : bool array (n_states, K)
+        Segments along which a bound or path constraint pushes the costate.
+    still : bool array (n_states, K)
+        Segments at all nodes of which the state has the same value.
+    pushed : bool array (n_states, N)
+        Points at which a bound or path constraint pushes, boundaries between segments included.
+    bounded : bool array (n_states, N)
+        Points at which a bound does.
+    """
+
+    collocation: PhaseCollocation
+    weights: Array
+    lam: Array
+    start: Array
+    end: Array
+    densities: Array
+    impulses: Array
+    pull: Array
+    held: Mask
+    still: Mask
+    pushed: Mask
+    bounded: Mask
+
+    @classmethod
+    def of(
+        cls,
+        collocation: PhaseCollocation,
+        iterate: Iterate,
+        weights: Array,
+        gradient: Array,
+        path_push: Array,
+    ) -> _CostatePieces:
+        x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
+        lam = point_costates(collocation, lam_g)
+        shared = np.isin(collocation.point_states, collocation.boundary_states)
+        multipliers = lam_x[collocation.point_states] / weights
+        densities = np.where(shared, 0.0, multipliers)
+        # At a phase's end a path constraint pushes with its density; within, see the module's text.
+        at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
+        pull = gradient - np.where(at_break, path_push, 0.0) + densities
+        start, end = _boundary_costates(collocation, lam_g, weights * pull)
+        size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
+        lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+        bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _PUSH * size
+        pushed = bounded | (np.abs(path_push) * lengths > _PUSH * size)
+        held, still = _held_segments(collocation, pushed, shared), _still_segments(collocation, x)
+        return cls(
+            collocation, weights, lam, start, end, densities,
+            lam_x[collocation.boundary_states].copy(), pull, held, still, pushed, bounded,
+        )  # fmt: skip
+
+    def split_boundary_multipliers(self) -> None:
+        """LGR, LGL: end held segments with the costates of their points; take densities out of impulses."""
+        collocation = self.collocation
+        for k in range(collocation.mesh.segments):
+            here = _points(collocation, k)
+            self._split(k, k, here.start, self.start, 1.0)
+            if collocation.family.ends_at_point:
+                self._split(k, k + 1, here.stop - 1, self.end, -1.0)
+
+    def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+        bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
+        if boundary in (0, self.collocation.mesh.segments):
+            # A given end value pushes too; the bound does if it holds the state all along to the phase's end.
+            bounded = self.still[:, k] & np.any(self.bounded[:, _points(self.collocation, k)], axis=1)
+            rows = bounded
+        gap = sign * (self.lam[:, point] - side[:, k])
+        side[rows, k] = self.lam[rows, point]
+        rows = rows & bounded
+        self.densities[rows, point] = gap[rows] / self.weights[point]
+        self.impulses[rows, boundary] -= gap[rows]
+
+    def settle_redundant_rows(self) -> None:
+        """LG: where a bound holds a state at all nodes of a segment, continue the costate of the points."""
+        for k, rule in enumerate(self.collocation.rules):
+            here = _points(self.collocation, k)
+            rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
+            change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
+            change = np.where(rows, change, 0.0)
+            densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
+            # A segment that a bound only touches is nearly still too; there the change would turn pushes around.
+            pushes = densities * self.weights[here]
+            turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > _TURNED * np.abs(change)
+            change = np.where(turned, 0.0, change)
+            self.end[:, k] += change
+            self.start[:, k] += change * rule.end_values[0]
+            self.densities[:, here] -= np.outer(change, rule.end_values[1:]) / self.weights[here]
+            self.impulses[:, k + 1] += change
+            self.impulses[:, k] -= change * rule.end_values[0]
+
+    def polynomial(self, breaks: Array) -> PiecewisePolynomial:
+        """Costates between the points."""
+        collocation = self.collocation
+        nodes, values = [], []
+        for k, rule in enumerate(collocation.rules):
+            here = _points(collocation, k)
+            if collocation.family.has_end_row:
+                nodes.append(np.append(rule.points, 1.0))
+                values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
+                continue
+            half = 0.5 * (breaks[k + 1] - breaks[k])
+            path = rule.integrate_to(rule.state_nodes)
+            integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
+            through = self.lam[:, here] @ interpolation_matrix(rule.points, rule.state_nodes).T
+            if not collocation.family.ends_at_point:
+                through[:, -1] = self.end[:, k]
+            nodes.append(rule.state_nodes)
+            values.append(np.where(self.held[:, [k]], through, integrated))
+        return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
+
+
+def _points(collocation: PhaseCollocation, k: int) -> slice:
+    return slice(collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1])
+
+
+def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
+    """Durations of the segments, (K,): the sums of their quadrature weights."""
+    return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
+
+
+def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
+    """Segments pushed at a point within, or (the trapezoidal rule has none) at all points; (n_states, K)."""
+    columns = []
+    for k in range(collocation.mesh.segments):
+        inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]
+        columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
+    return np.stack(columns, axis=1)
+
+
+def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
+    """Segments at all nodes of which a state has the same value, (n_states, K)."""
+    size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
+    spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
+    return np.asarray(np.stack(spreads, axis=1) <= _HELD * size[:, None])
+
+
+def _boundary_costates(
+    collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
+) -> tuple[Array, Array]:
+    """Costates at each segment's start and end, (n_states, K) each.
+
+    ``point_gradients`` (n_states, N) is the derivative of the point terms of the Lagrangian with respect to
+    the states at the points; it counts where a collocation point is a segment boundary.
+    """
+    starts, ends = [], []
+    for k in range(collocation.mesh.segments):
+        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
+        first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
+        start, end = derivative[:, 0], derivative[:, -1]
+        if collocation.family.starts_at_point:
+            start = start + point_gradients[:, first]
+        if collocation.family.ends_at_point:
+            end = end + point_gradients[:, last]
+        starts.append(start)
+        ends.append(-end)
+    return np.stack(starts, axis=1), np.stack(ends, axis=1)

@@ -1,0 +1,109 @@
+"""What is wrong with an iterate that is not a solution, by name and worst first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.nlp import NlpResult, Status
+from gnc_opt.planning.problem.check_functions import first_not_finite
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.transcription.scaling import Scaling
+from gnc_opt.planning.transcription.transcription import Transcription
+
+_MOST = 10
+_NEGLIGIBLE = 1e-9
+_RUNNING_OFF = 1e6
+"""Scaled variables beyond this are named when a problem is unbounded."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A constraint or bound that the iterate breaks.
+
+    Attributes
+    ----------
+    name : str
+        E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
+    amount : float
+        By how much, relative to the scale of the row or variable.
+
+    Examples
+    --------
+    >>> failed = go.solve(problem.with_bounds(a=(-0.01, 0.01)), mesh="4x3", tol=None, throw=False)
+    >>> print(failed.status.value, failed.violations[0].amount > 0.0)
+    infeasible True
+    """
+
+    name: str
+    amount: float
+
+
+def find_violations(
+    transcription: Transcription,
+    problem: Problem,
+    result: NlpResult,
+    scaling: Scaling,
+    phases: dict[str, PhaseSolution],
+    parameters: Array,
+) -> tuple[Violation, ...]:
+    """Return what the iterate breaks, worst first, amounts relative to the scales of rows and variables.
+
+    Before the constraints and bounds come the variables that run off to infinity, if the problem is
+    unbounded, and the functions that are not finite, if that stopped the solver.
+    """
+    if result.status.solved:
+        return ()
+    special: list[Violation] = []
+    if result.status is Status.UNBOUNDED:
+        special = _running_off(transcription, result.x)
+    if result.status is Status.NOT_A_NUMBER:
+        special = _not_finite(problem, phases, parameters)
+    return (*special, *_broken(transcription, problem, result, scaling))[:_MOST]
+
+
+def _broken(
+    transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
+) -> list[Violation]:
+    """Rows and bounds that do not hold; NaN counts as worst."""
+    rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
+    scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
+    scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
+    amounts = np.concatenate([_excess(result.g, scaled_rows), _excess(result.x, scaled_box)])
+    labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
+    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_MOST]
+    return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= _NEGLIGIBLE]
+
+
+def _excess(values: Array, interval: Interval) -> Array:
+    return np.maximum(np.maximum(interval.lower - values, values - interval.upper), 0.0)
+
+
+def _running_off(transcription: Transcription, scaled: Array) -> list[Violation]:
+    """The variables that have grown beyond all measure, each where it is largest."""
+    largest: dict[str, Violation] = {}
+    for i in np.argsort(-np.abs(scaled), kind="stable"):
+        if not abs(scaled[i]) > _RUNNING_OFF:
+            break
+        label = transcription.variable_labels[i]
+        largest.setdefault(
+            label.split(",")[0], Violation(f"{label} runs off to infinity", float(abs(scaled[i])))
+        )
+    return list(largest.values())
+
+
+def _not_finite(problem: Problem, phases: dict[str, PhaseSolution], parameters: Array) -> list[Violation]:
+    """The functions and derivatives that are NaN or infinite at the collocation points."""
+    found = []
+    for name, phase in phases.items():
+        times = phase.point_times
+        bad = first_not_finite(
+            problem, problem.phases[name], times, phase.x(times), phase.u(times), parameters
+        )
+        if bad:
+            found.append(Violation(f"{bad.what}, phase {name}, t = {bad.time:.4g} s", np.nan))
+    return found

@@ -1,0 +1,50 @@
+"""What a phase has along time, for tables of other packages and files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.model.tabular import Records
+from gnc_opt.model.variables import Variable
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+
+PER_SEGMENT = 10
+"""Intervals per segment where no times are given."""
+
+
+def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
+    """Return states, flown controls and costates by time.
+
+    Parameters
+    ----------
+    leg : PhaseSolution
+    times : array (n_times,), optional
+        s; default `PER_SEGMENT` intervals of every segment. Where a control jumps, the value after the jump is given.
+    """
+    t = _times(leg, times)
+    return Records(Variable("time", unit="s"), t, tuple(_quantities(leg, t)), {"phase": leg.name})
+
+
+def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
+    """Yield everything that has a time history with its values (size, n_times)."""
+    x, lam = leg.x(t), leg.lam(t)
+    for state in leg.states.variables:
+        yield state, x[leg.states.slice(state.name)]
+    for control in leg.controls.variables:
+        yield control, np.atleast_2d(leg.flown_control(control.name)(t))
+    for composed in leg.composed_controls:
+        yield composed.variable, np.atleast_2d(leg.flown_control(composed.name)(t))
+    for state in leg.states.variables:
+        signal = leg.costate(state.name)
+        yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]
+
+
+def _times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
+    if times is None:
+        return leg.sample_times(PER_SEGMENT)
+    return np.atleast_1d(read_numbers(times, "the times"))

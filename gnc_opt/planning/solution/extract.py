@@ -1,0 +1,210 @@
+"""From the solver's vectors to a solution: points in time, integrals, and the covector mapping by phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.functions import EndGradients, end_gradients, phase_functions
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.costates import (
+    Iterate,
+    map_costates,
+    point_costates,
+    settle_doubled_paths,
+    settle_held_paths,
+)
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.unwrap import unwound
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import ROUNDING, SHORTEST
+
+
+def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
+    """Return a phase's model parameters (n,), optimised ones replaced by their values in q."""
+    p = leg.model.parameter_values
+    for name in problem.parameters.names:
+        if name in leg.model.parameters:
+            p[leg.model.parameters.slice(name)] = q[problem.parameters.slice(name)]
+    return p
+
+
+def extract_phases(
+    transcription: Transcription, problem: Problem, iterate: Iterate
+) -> tuple[dict[str, PhaseSolution], EndGradients]:
+    """Return the solution of every phase, and the end-point gradients at the solution."""
+    q = iterate.x[transcription.parameter_places]
+    nu = iterate.lam_g[transcription.constraint_rows]
+    extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
+    integrals = {name: _integrals(transcription, problem, name, extended, q) for name in transcription.parts}
+    ends: dict[str, list[Any]] = {}
+    for name, part in transcription.parts.items():
+        states = iterate.x[part.collocation.boundary_states]
+        times = extended[part.times[[0, -1]]]
+        p = model_parameters(problem, problem.phases[name], q)
+        ends[name] = [states[:, 0], states[:, -1], times[0], times[1], integrals[name], p]
+    gradients = end_gradients(problem, ends, q, nu)
+    phases = {
+        name: _extract_phase(transcription, problem, part, iterate, integrals[name], gradients)
+        for name, part in transcription.parts.items()
+    }
+    return phases, gradients
+
+
+def unwound_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
+    """Return the variables with angles among the controls unwound; see `gnc_opt.planning.solution.unwrap`."""
+    q = variables[transcription.parameter_places]
+    extended = np.concatenate([variables, transcription.fixed_times(problem)])
+    found = variables.copy()
+    for name, part in transcription.parts.items():
+        leg, collocation = problem.phases[name], part.collocation
+        none = np.zeros(len(leg.integrands))
+        functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
+        times, _ = _point_times(collocation, extended[part.times])
+        x, u = extended[collocation.point_states], extended[collocation.point_controls]
+        turned = unwound(functions, leg.numbers.controls, times, x, u)
+        if turned is not u:
+            found[collocation.point_controls] = turned
+    return found
+
+
+def _integrals(transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array) -> Array:
+    leg, part = problem.phases[name], transcription.parts[name]
+    if not leg.integrands:
+        return np.zeros(0)
+    collocation = part.collocation
+    times, spans = _point_times(collocation, extended[part.times])
+    p = model_parameters(problem, leg, q)
+    functions = phase_functions(problem, name, p, q, np.zeros(len(leg.integrands)))
+    values = functions.integrands(
+        times,
+        extended[collocation.point_states],
+        extended[collocation.point_controls],
+    )
+    return np.asarray(values @ (collocation.quadrature * spans))
+
+
+def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
+    """Times of the collocation points and the durations of their arcs, (N,) each."""
+    spans = np.diff(anchors)[collocation.point_arcs]
+    return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
+
+
+def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+    """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
+    # Far from t = 0 the shortest span must still be seen by the segments' boundaries.
+    shortest = SHORTEST + ROUNDING * mesh.segments * float(np.max(np.abs(anchors)))
+    spans = np.maximum(np.diff(anchors), shortest)
+    starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
+    breaks = np.append(starts[mesh.segment_arcs] + mesh.arc_starts * spans[mesh.segment_arcs], starts[-1])
+    if not mesh.movable:
+        return mesh, breaks
+    fractions = (breaks - breaks[0]) / (breaks[-1] - breaks[0])
+    return Mesh(tuple(fractions), mesh.degrees, mesh.movable), breaks
+
+
+def _extract_phase(
+    transcription: Transcription,
+    problem: Problem,
+    part: PhasePart,
+    iterate: Iterate,
+    integrals: Array,
+    gradients: EndGradients,
+) -> PhaseSolution:
+    leg, collocation = problem.phases[part.name], part.collocation
+    q = iterate.x[transcription.parameter_places]
+    anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
+    times, spans = _point_times(collocation, anchors)
+    functions = phase_functions(
+        problem, part.name, model_parameters(problem, leg, q), q, gradients.integrals[part.name]
+    )
+    x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
+    lam = point_costates(collocation, iterate.lam_g)
+    weights = collocation.quadrature * np.maximum(spans, SHORTEST)
+    paths = iterate.lam_g[collocation.path_rows] / weights
+    mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
+    paths = settle_doubled_paths(collocation, paths, weights, mixed)
+    rates = functions.rates(times, x, u)
+    gradient = functions.state_gradient(times, x, u, lam, paths)
+    mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
+    costates = map_costates(
+        collocation,
+        breaks,
+        iterate,
+        weights,
+        gradient,
+        gradient - functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0)),
+    )
+    numbers = leg.numbers
+    initial_time, final_time = leg.times()
+    found = PhaseSolution(
+        name=part.name,
+        scheme=collocation.scheme,
+        mesh=mesh,
+        initial_time=float(anchors[0]),
+        final_time=float(anchors[-1]),
+        states=leg.model.states,
+        controls=leg.model.controls,
+        model_parameters=leg.model.parameters,
+        path_labels=leg.path_labels,
+        integral_labels=tuple(leg.integrands),
+        x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
+        u=piecewise(breaks, collocation.rules, u),
+        lam=costates.polynomial,
+        lam_start=costates.start,
+        lam_end=costates.end,
+        point_costates=costates.points,
+        path_multipliers=paths,
+        state_multipliers=costates.densities,
+        control_multipliers=iterate.lam_x[collocation.point_controls] / weights,
+        state_impulses=costates.impulses,
+        time_multipliers=_time_multipliers(part, iterate.lam_x),
+        duration_multiplier=transcription.duration_multiplier(part.name, iterate.lam_g),
+        integrals=integrals,
+        integral_weights=gradients.integrals[part.name],
+        parameters=functions.p,
+        state_bounds=numbers.states,
+        control_bounds=numbers.controls,
+        path_bounds=leg.path_interval(),
+        initial_bounds=numbers.initial,
+        final_bounds=numbers.final,
+        initial_time_bounds=initial_time,
+        final_time_bounds=final_time,
+        duration_bounds=numbers.duration,
+        composed_controls=tuple(leg.model.composed_controls.values()),
+        turns=numbers.turns,
+    )
+    return settle_held_paths(found, numbers.arcs, functions)
+
+
+def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:
+    return np.asarray([lam_x[place] if place < lam_x.size else 0.0 for place in part.times[[0, -1]]])
+
+
+def state_polynomial(
+    collocation: PhaseCollocation, breaks: Array, variables: Array, scaled_rates: Array
+) -> PiecewisePolynomial:
+    """The scheme's state polynomial; ``scaled_rates`` (n_states, N) are dx/dt times the arc's duration."""
+    nodes, values = [], []
+    for k, rule in enumerate(collocation.rules):
+        states = variables[collocation.segment_nodes(k)]
+        if collocation.family.has_end_row:
+            states = states[:, :-1]
+        if collocation.family.ends_at_point:
+            here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
+            extra = ~np.isin(rule.state_nodes, rule.points)
+            path = rule.integrate_to(rule.state_nodes[extra])
+            middle = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * here @ path.T
+            full = np.empty((states.shape[0], rule.n + 1))
+            full[:, ~extra], full[:, extra] = states, middle
+            states = full
+        nodes.append(rule.state_nodes)
+        values.append(states)
+    return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))

@@ -1,0 +1,284 @@
+"""The record of a mesh refinement.
+
+What a solve cost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from gnc_opt.planning.transcription.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the solve cost.
+
+    Attributes
+    ----------
+    iterations : int
+        0 for a flight that is a solution as it is, of a bang-bang problem whose switches are found.
+    build_s, solve_s : float
+        Wall time of transcription and of the solver.
+    function_s, linear_solver_s : float
+        Shares of ``solve_s``: evaluating functions and derivatives; the rest.
+    build_reused : bool
+        Whether an earlier transcription served again.
+
+    Examples
+    --------
+    >>> print(solution.statistics.iterations)
+    0
+    """
+
+    iterations: int
+    build_s: float
+    solve_s: float
+    function_s: float
+    linear_solver_s: float
+    build_reused: bool = False
+
+    @property
+    def text(self) -> str:
+        """In words, ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
+        if self.iterations == 0 and self.solve_s == 0.0:
+            return "by Newton's method on switch times, no program solved on it"
+        build = "build re-used" if self.build_reused else f"build {self.build_s:.3f} s"
+        return (
+            f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
+        )
+
+    def after(self, earlier: Statistics) -> Statistics:
+        """Return these together with what an earlier try of the same solve cost."""
+        return replace(
+            self,
+            iterations=self.iterations + earlier.iterations,
+            build_s=self.build_s + earlier.build_s,
+            solve_s=self.solve_s + earlier.solve_s,
+            function_s=self.function_s + earlier.function_s,
+            linear_solver_s=self.linear_solver_s + earlier.linear_solver_s,
+        )
+
+
+class RefinementStatus(Enum):
+    """How a refinement ended; `remedy` says what it means and what to do.
+
+    Examples
+    --------
+    >>> print(go.RefinementStatus.PASS_LIMIT.remedy)
+    The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again.
+    """
+
+    CONVERGED = "converged"
+    VERDICT_FAILS = "verdict_fails"
+    POINT_LIMIT = "point_limit"
+    PASS_LIMIT = "pass_limit"
+    WORK_LIMIT = "work_limit"
+    STALLED = "stalled"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def remedy(self) -> str:
+        """What this ending means and what the user should do about it."""
+        return _REMEDIES[self]
+
+
+_REMEDIES = {
+    RefinementStatus.CONVERGED: (
+        "The estimated error is below the tolerance, and no condition of the verdict fails. Nothing needs to be done."
+    ),
+    RefinementStatus.VERDICT_FAILS: (
+        "The estimated error is below the tolerance, but a condition of the verdict fails: the trajectory is that of "
+        "its mesh, and no optimum yet. The meaning of the condition says what that can be; a tighter `tol`, another "
+        "first mesh or another guess may help."
+    ),
+    RefinementStatus.POINT_LIMIT: (
+        "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
+        'jumps between its bounds, structure="bang-bang" needs far fewer points.'
+    ),
+    RefinementStatus.PASS_LIMIT: (
+        "The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again."
+    ),
+    RefinementStatus.WORK_LIMIT: (
+        "What refining may cost was spent before the error had fallen far enough; the best solution so far is "
+        "returned. Raise `max_work`, or refine the solution again; where this goes on, look at the place of the error."
+    ),
+    RefinementStatus.STALLED: (
+        "Finer meshes did not reduce the error any more, or so slowly that many more would be needed. A control that "
+        "chatters (no optimum exists, or a singular arc) never settles on any mesh: add a small penalty on the "
+        "control, or use its structure; if it does not chatter, the tolerance is beyond what rounding and the solver "
+        "permit."
+    ),
+    RefinementStatus.FAILED: (
+        "The solver found no solution on the next mesh, neither from the last solution nor from its trajectory "
+        "alone; the best solution so far is returned. Improve the scaling, or loosen `tol`."
+    ),
+    RefinementStatus.INTERRUPTED: (
+        "The refinement was stopped by Ctrl-C or by its time limit; the best solution so far is returned, without a "
+        "verdict. Refine it again to carry on."
+    ),
+}
+
+
+SETTING_UP = 15
+"""What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
+
+
+def work_of(points: int, iterations: int) -> float:
+    """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
+    return points * float(iterations + SETTING_UP)
+
+
+def iterations_for(work: float, points: int) -> int:
+    """Return how many iterations so much work is, setting up paid: the inverse of `work_of`, rounded up."""
+    return math.ceil(work / points) - SETTING_UP
+
+
+@dataclass(frozen=True)
+class Actions:
+    """How many segments were treated in which way to get a mesh from the one before.
+
+    Attributes
+    ----------
+    raised : int
+        Segments whose degree went up.
+    split : int
+        Segments cut into pieces.
+    merged : int
+        Segments that vanished into a neighbour.
+    lowered : int
+        Segments whose degree went down.
+    """
+
+    raised: int = 0
+    split: int = 0
+    merged: int = 0
+    lowered: int = 0
+
+    def __add__(self, other: Actions) -> Actions:
+        return Actions(
+            self.raised + other.raised,
+            self.split + other.split,
+            self.merged + other.merged,
+            self.lowered + other.lowered,
+        )
+
+    def __str__(self) -> str:
+        parts = [f"{n} {word}" for word, n in vars(self).items() if n]
+        return ", ".join(parts) or "-"
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One mesh and the solution on it.
+
+    Attributes
+    ----------
+    meshes : dict of Mesh
+        By phase.
+    times : dict of tuple of float
+        Segment boundaries by phase, s.
+    error : float
+        Largest estimated error; see `gnc_opt.planning.refinement.error`.
+    where : str
+        Its place and kind.
+    objective : float
+    solved : bool
+    iterations : int
+        Of the solver, failed attempts included.
+    seconds : float
+        Solving and estimating.
+    actions : Actions or str
+        What was done to the mesh before; for a structure loop, what its solution asked for.
+    """
+
+    meshes: dict[str, Mesh]
+    times: dict[str, tuple[float, ...]]
+    error: float
+    where: str
+    objective: float
+    solved: bool
+    iterations: int
+    seconds: float
+    actions: Actions | str
+
+    @property
+    def points(self) -> int:
+        """Collocation points of all phases."""
+        return sum(mesh.size for mesh in self.meshes.values())
+
+    @property
+    def segments(self) -> int:
+        """Segments of all phases."""
+        return sum(mesh.segments for mesh in self.meshes.values())
+
+    @property
+    def work(self) -> float:
+        """What it cost, in iterations at one collocation point."""
+        return work_of(self.points, self.iterations)
+
+
+@dataclass(frozen=True)
+class History:
+    """What a refinement did.
+
+    Attributes
+    ----------
+    status : RefinementStatus
+    tolerance : float
+        What was asked for.
+    passes : tuple of Pass
+        The first of an hp refinement is the solution that was given. Attempts that were given up are among them.
+    chosen : int
+        Index of the pass whose solution was returned.
+    message : str
+        How it ended, in one or two sentences.
+    seconds : float
+        Wall time of all of it: passes, structures sought, verdicts.
+
+    Examples
+    --------
+    >>> print(solution.history.status.value, solution.history.final.error < 1e-6)
+    converged True
+    """
+
+    status: RefinementStatus
+    tolerance: float
+    passes: tuple[Pass, ...]
+    chosen: int
+    message: str
+    seconds: float = 0.0
+
+    @property
+    def converged(self) -> bool:
+        """Whether the returned solution is within the tolerance and, after `refine`, passes the verdict."""
+        return self.status is RefinementStatus.CONVERGED
+
+    @property
+    def final(self) -> Pass:
+        """The pass whose solution was returned."""
+        return self.passes[self.chosen]
+
+    def after(self, earlier: History) -> History:
+        """Return this record with the passes of an earlier attempt before its own."""
+        return replace(
+            self,
+            passes=earlier.passes + self.passes,
+            chosen=len(earlier.passes) + self.chosen,
+            seconds=earlier.seconds + self.seconds,
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'pass':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'it.':>4} {'s':>6}  actions"
+        ]
+        for i, p in enumerate(self.passes):
+            mark = "*" if i == self.chosen else " "
+            lines.append(
+                f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
+                f"{p.iterations:>4} {p.seconds:>6.2f}  {p.actions}"
+            )
+        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s in all)"])

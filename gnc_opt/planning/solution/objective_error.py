@@ -1,0 +1,202 @@
+r"""Estimated error of the objective: by how much a collocated answer may miss the optimum of its own valley.
+
+With the costates :math:`\lambda = \partial J / \partial x` of the minimised functional, and along the polynomials
+:math:`x_h, u_h` of the mesh, every segment contributes three terms:
+
+.. math::
+
+    d &= \int \lambda^T (f(x_h, u_h) - \dot x_h) \, dt
+         + \sum_i w_i \Big( \int L_i \, dt - Q_i \Big), \\
+    o &= \sum_j \int \mu_j^+ (c_j - c_{j,\max})^+ \, dt, \\
+    g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
+
+d is the value of the defects between the points and of the difference between the integrals and the program's own
+quadrature Q; o that of limits on states and paths which are exceeded between the points; g what H, path constraints
+included, gains by other controls: exact where H is affine in a control, one projected Newton step elsewhere. The
+estimate is :math:`A = \sum (|d| + o + |g|)`: absolute values are taken after integrating over a segment, as errors
+within one cancel. Free times, parameters and free breakpoints need no term: the objective is stationary in them.
+
+To first order it is the dual-weighted residual of the optimality system (Becker and Rannacher, "An optimal control
+approach to a posteriori error estimation", Acta Numerica 10, 2001). It is an estimate and no bound, and it does not
+compare an answer with other minima.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.quality import defined
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+OBJECTIVE_MIN_SHARE = 1e-6
+"""Objectives below this share of the largest |costate| x (range of the state) are measured in that share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseObjectiveError:
+    """Error of the objective by the K segments of one phase, each in units of the objective.
+
+    Attributes
+    ----------
+    defects : array (K,)
+        d: value of the defects, signed: positive where the objective of the exact trajectory is larger (minimised).
+    exceeded : array (K,)
+        o >= 0: value of limits that are exceeded between the points.
+    suboptimal : array (K,)
+        g: gain of H by other controls; negative where a control beyond its bounds would have to come back.
+    """
+
+    defects: Array
+    exceeded: Array
+    suboptimal: Array
+
+    @property
+    def segments(self) -> Array:
+        """|d| + o + |g| of each segment (K,)."""
+        return np.abs(self.defects) + self.exceeded + np.abs(self.suboptimal)
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectiveError:
+    """Estimated error of the objective of a solution; see the module for the formulas.
+
+    Attributes
+    ----------
+    phases : mapping of PhaseObjectiveError
+    scale : float
+        Magnitude of the objective.
+    """
+
+    phases: Mapping[str, PhaseObjectiveError]
+    scale: float
+
+    @property
+    def value(self) -> float:
+        """A, in units of the objective; infinite where the functions of the problem have no value."""
+        return _finite(float(sum(np.sum(phase.segments) for phase in self.phases.values())))
+
+    @property
+    def relative(self) -> float:
+        """A in shares of the objective."""
+        return self.value / self.scale
+
+    @property
+    def suboptimal(self) -> float:
+        """Sum of |g|: the part of A that controls contribute."""
+        return _finite(float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values())))
+
+    def with_loss(self, loss: float) -> tuple[float, float]:
+        """Return the smaller and the larger estimate if the controls' part may be a loss of the minimum principle.
+
+        Parameters
+        ----------
+        loss : float
+            Integral of H less its least value over all admissible controls, path limits respected
+            (`gnc_opt.planning.verification.control_conditions.minimum`). Where controls are coupled by a path limit it is far smaller than
+            sum |g|; at a false extremal, whose other minimum of H no Newton step reaches, it is far larger.
+        """
+        others = self.value - self.suboptimal if np.isfinite(self.value) else np.inf
+        return others + min(self.suboptimal, loss), others + max(self.suboptimal, loss)
+
+
+def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
+    """Estimate the error of an objective from a trajectory and its multipliers.
+
+    Parameters
+    ----------
+    samples : mapping of PhaseSamples
+        Of all phases.
+    objective : float
+    """
+    scale = max([abs(objective), *(OBJECTIVE_MIN_SHARE * s.cost_scale for s in samples.values())])
+    return ObjectiveError({name: _of_phase(s) for name, s in samples.items()}, scale)
+
+
+def _of_phase(s: PhaseSamples) -> PhaseObjectiveError:
+    with np.errstate(all="ignore"):  # what has no value makes the estimate infinite
+        return PhaseObjectiveError(_defects(s), _exceeded(s), _suboptimal(s))
+
+
+def _finite(value: float) -> float:
+    return value if np.isfinite(value) else np.inf
+
+
+def _totals(s: PhaseSamples, values: Array) -> Array:
+    """Integrate values (n_samples,) over each segment (K,)."""
+    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
+    return np.asarray(np.add.reduceat(np.where(s.weights > 0, values, 0.0) * s.weights, starts))
+
+
+def _defects(s: PhaseSamples) -> Array:
+    """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
+    leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
+    rates = defined(s.functions.rates, *at, leg.control_bounds)
+    total = _totals(s, np.sum(s.lam_polynomial * (rates - s.x_rate), axis=0))
+    if weights.size:
+        exact = _totals(s, weights @ defined(s.functions.integrands, *at, leg.control_bounds))
+        total = total + exact - _quadrature(leg, s)
+    inner = leg.breaks[1:-1]
+    if inner.size:
+        jumps = leg.x(inner, "left") - leg.x(inner, "right")
+        total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
+    return total
+
+
+def _quadrature(leg: PhaseSolution, s: PhaseSamples) -> Array:
+    """Return the weighted integrals of each segment by the collocation points' own quadrature (K,)."""
+    weights = np.concatenate([rule.weights for rule in leg.rules])
+    weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
+    at_end = np.concatenate([rule.points == 1.0 for rule in leg.rules])
+    times = leg.point_times
+    x = np.where(at_end, leg.x(times, "left"), leg.x(times, "right"))
+    values = s.functions.weights @ s.functions.integrands(times, x, np.hstack(leg.u.values))
+    return np.asarray(np.add.reduceat(values * weights, leg.mesh.offsets[:-1]))
+
+
+def _exceeded(s: PhaseSamples) -> Array:
+    """o of each segment (K,)."""
+    leg = s.leg
+    total = _totals(s, _priced(s.x, leg.state_bounds, s.state_multiplier))
+    if leg.path_labels:
+        paths = defined(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
+        total = total + _totals(s, _priced(paths, leg.path_bounds, s.mu))
+    return total
+
+
+def _priced(values: Array, bounds: Interval, multipliers: Array) -> Array:
+    """Return how far limits are exceeded times their multipliers, where these have the right sign (n_samples,)."""
+    above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
+    below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
+    return np.asarray(np.sum(np.abs(multipliers) * (above + below), axis=0))
+
+
+def _suboptimal(s: PhaseSamples) -> Array:
+    """g of each segment (K,)."""
+    if not s.leg.controls.size:
+        return np.zeros(s.leg.mesh.segments)
+    at = s.times_within, s.x, s.u_polynomial, s.lam_polynomial, s.mu
+    slope = np.nan_to_num(s.functions.control_gradient(*at), posinf=0.0, neginf=0.0)
+    curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
+    curvature = np.nan_to_num(curvature, posinf=0.0, neginf=0.0)
+    bounds = s.leg.control_bounds
+    reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
+    lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
+    upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
+    return _totals(s, np.sum(_largest_gain(slope, curvature, lower, upper), axis=0))
+
+
+def _largest_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+    """Return the largest -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
+
+    def gain(step: Array) -> Array:
+        return np.asarray(-(slope + 0.5 * curvature * step) * step)
+
+    newton = np.divide(-slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
+    inside = np.where(curvature > 0, gain(np.clip(newton, lower, upper)), -np.inf)
+    return np.asarray(np.maximum(inside, np.maximum(gain(lower), gain(upper))))

@@ -1,0 +1,257 @@
+"""The solution of one phase: numbers only, evaluable at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import unknown_name
+from gnc_opt.model.composed_controls import ComposedControl
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.saturated_control import FlownControl
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.planning.transcription.scheme import Scheme
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named quantity over time.
+
+    ``signal(t)`` returns a float for a scalar quantity at one time, else an array: (n,) at one time,
+    (n_times,) for a scalar quantity at many times, (n, n_times) otherwise. ``side`` picks the left or right
+    limit exactly at a segment boundary.
+
+    Examples
+    --------
+    >>> speed = solution.state("v")
+    >>> print(f"{speed(1.0):.6f} {speed.unit}")
+    -1.000000 m/s
+    """
+
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    source: PiecewisePolynomial | FlownControl | ComposedSignal | TurnedSignal
+    rows: slice
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
+        """Evaluate at time t (s)."""
+        values = self.source(t, side)[self.rows]
+        if len(self.labels) > 1:
+            return values
+        return float(values[0]) if np.ndim(t) == 0 else values[0]
+
+
+@dataclass(frozen=True)
+class ComposedSignal:
+    """A control over time that is made of others."""
+
+    control: ComposedControl
+    layout: Layout
+    source: PiecewisePolynomial | FlownControl
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        values = self.source(t, side)
+        return np.asarray(self.control.compose(*(values[self.layout.slice(p)] for p in self.control.parts)))
+
+
+@dataclass(frozen=True)
+class TurnedSignal:
+    """Controls over time of which some are angles, moved by whole turns to be within one."""
+
+    source: PiecewisePolynomial | FlownControl
+    turns: Turns
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        return self.turns.within(self.source(t, side))
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSolution:
+    """States, controls, costates and multipliers of one phase.
+
+    Multipliers follow L = J + multiplier * (constraint): >= 0 at an upper, <= 0 at a lower limit. Path and
+    bound multipliers at collocation points are densities in time (multiplier per second).
+
+    Attributes
+    ----------
+    name : str
+    scheme : {"LG", "LGR", "LGL"}
+    mesh : Mesh
+    initial_time, final_time : float
+        s.
+    states, controls, model_parameters : Layout
+    path_labels, integral_labels : tuple of str
+    x, u, lam : PiecewisePolynomial
+        States, controls and costates by the scheme's own polynomials.
+    lam_start, lam_end : array (n_states, K)
+        Costates at each segment's start and end: the one-sided limits of ``lam``, from the rows themselves
+        (along held segments of LGR and LGL from the points; see `gnc_opt.planning.solution.costates`).
+    point_costates : array (n_states, N)
+        Costates at the collocation points for which the controls there minimise H: for LG those of ``lam``, for
+        LGR and LGL of lower order.
+    path_multipliers : array (n_paths, N)
+    state_multipliers : array (n_states, N)
+    control_multipliers : array (n_controls, N)
+    state_impulses : array (n_states, K + 1)
+        Multipliers of bounds (and fixed end values) on the states at segment boundaries: jumps of the costate.
+    time_multipliers : array (2,)
+        Multipliers of the bounds on initial and final time (0 where the time is not a variable).
+    duration_multiplier : float
+    integrals, integral_weights : array (n_integrals,)
+        Values, and dJ/dI: the weights of the integrands in the Hamiltonian.
+    parameters : array (n_model_parameters,)
+        Values of the model's parameters, optimised ones included.
+    state_bounds, control_bounds, path_bounds, initial_bounds, final_bounds : Interval
+    initial_time_bounds, final_time_bounds, duration_bounds : Interval
+    composed_controls : tuple of ComposedControl
+        Controls as they were declared that are made of two of ``controls``.
+    turns : Turns or None
+        Where controls that are angles are told by name; ``u`` runs on.
+
+    Examples
+    --------
+    >>> leg = solution.phase("leg")
+    >>> print(f"{leg.initial_time:.1f} to {leg.final_time:.6f} s, {leg.state('v')(1.0):.6f} m/s at 1 s")
+    0.0 to 2.000000 s, -1.000000 m/s at 1 s
+    """
+
+    name: str
+    scheme: Scheme
+    mesh: Mesh
+    initial_time: float
+    final_time: float
+    states: Layout
+    controls: Layout
+    model_parameters: Layout
+    path_labels: tuple[str, ...]
+    integral_labels: tuple[str, ...]
+    x: PiecewisePolynomial
+    u: PiecewisePolynomial
+    lam: PiecewisePolynomial
+    lam_start: Array
+    lam_end: Array
+    point_costates: Array
+    path_multipliers: Array
+    state_multipliers: Array
+    control_multipliers: Array
+    state_impulses: Array
+    time_multipliers: Array
+    duration_multiplier: float
+    integrals: Array
+    integral_weights: Array
+    parameters: Array
+    state_bounds: Interval
+    control_bounds: Interval
+    path_bounds: Interval
+    initial_bounds: Interval
+    final_bounds: Interval
+    initial_time_bounds: Interval
+    final_time_bounds: Interval
+    duration_bounds: Interval
+    composed_controls: tuple[ComposedControl, ...] = ()
+    turns: Turns | None = None
+
+    @cached_property
+    def rules(self) -> tuple[CollocationRule, ...]:
+        """The collocation rule of each segment."""
+        return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
+
+    @property
+    def duration(self) -> float:
+        """final_time - initial_time, s."""
+        return self.final_time - self.initial_time
+
+    @property
+    def breaks(self) -> Array:
+        """Times of the segment boundaries, shape (K + 1,)."""
+        return self.x.breaks
+
+    @cached_property
+    def point_times(self) -> Array:
+        """Times of the collocation points, shape (N,)."""
+        left, width = self.breaks[:-1], np.diff(self.breaks)
+        pieces = [left[k] + 0.5 * width[k] * (1 + r.points) for k, r in enumerate(self.rules)]
+        return np.concatenate(pieces)
+
+    @cached_property
+    def flown(self) -> FlownControl:
+        """The controls as a bounded signal that can be flown."""
+        return FlownControl(self.u, self.control_bounds, self.rules)
+
+    @cached_property
+    def path_multiplier(self) -> PiecewisePolynomial:
+        """Densities of the path multipliers as piecewise polynomials."""
+        return self._through_points(self.path_multipliers)
+
+    @cached_property
+    def state_multiplier(self) -> PiecewisePolynomial:
+        """Densities of the state bound multipliers as piecewise polynomials."""
+        return self._through_points(self.state_multipliers)
+
+    @cached_property
+    def control_multiplier(self) -> PiecewisePolynomial:
+        """Densities of the control bound multipliers as piecewise polynomials."""
+        return self._through_points(self.control_multipliers)
+
+    def state(self, name: str) -> Signal:
+        """Return a state over time."""
+        return self._signal(name, self.states, self.x)
+
+    def costate(self, name: str) -> Signal:
+        """Return the costate of a state over time: dJ*/dx, per unit of the state."""
+        signal = self._signal(name, self.states, self.lam)
+        return Signal(
+            f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
+        )
+
+    def control(self, name: str) -> Signal:
+        """Return a control over time by its collocation polynomial (it may leave its bounds between nodes)."""
+        return self._control(name, self.u)
+
+    def flown_control(self, name: str) -> Signal:
+        """Return a control over time as the bounded signal that can be flown."""
+        return self._control(name, self.flown)
+
+    def integral(self, name: str) -> float:
+        """Return the value of a named integral."""
+        if not isinstance(name, str) or name not in self.integral_labels:
+            raise unknown_name("integral", name, f"phase '{self.name}'", self.integral_labels)
+        return float(self.integrals[self.integral_labels.index(name)])
+
+    def sample_times(self, per_segment: int = 10) -> Array:
+        """Return dense times, segment boundaries included."""
+        return self.x.sample_times(per_segment)
+
+    def _control(self, name: str, source: PiecewisePolynomial | FlownControl) -> Signal:
+        for composed in self.composed_controls:
+            if composed.name == name:
+                own, variable = ComposedSignal(composed, self.controls, source), composed.variable
+                return Signal(name, variable.unit, variable.labels, own, slice(None))
+        signal = self._signal(name, self.controls, source)
+        return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
+
+    def _signal(self, name: str, layout: Layout, source: PiecewisePolynomial | FlownControl) -> Signal:
+        rows = layout.slice(name)
+        return Signal(name, layout[name].unit, layout[name].labels, source, rows)
+
+    def _through_points(self, values: Array) -> PiecewisePolynomial:
+        return piecewise(self.breaks, self.rules, values)
+
+
+def piecewise(breaks: Array, rules: Sequence[CollocationRule], values: Array) -> PiecewisePolynomial:
+    """Return the polynomials through values (n, N) at the collocation points."""
+    offsets = np.concatenate([[0], np.cumsum([r.n for r in rules])])
+    pieces = tuple(values[:, offsets[k] : offsets[k + 1]] for k in range(len(rules)))
+    return PiecewisePolynomial(breaks, tuple(r.points for r in rules), pieces)

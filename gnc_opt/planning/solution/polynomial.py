@@ -1,0 +1,274 @@
+"""Piecewise polynomials in time: what a collocation solution is between its points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.planning.transcription.quadrature import (
+    MAX_POINTS,
+    barycentric_basis,
+    barycentric_weights,
+    differentiation_matrix,
+    gauss_rule,
+    interpolation_matrix,
+)
+from gnc_opt.tolerances import ROUNDING
+
+Side: TypeAlias = Literal["left", "right"]
+
+END_TOLERANCE = ROUNDING
+MAX_NODES = 2 * MAX_POINTS
+
+KEPT, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
+"""What is remembered of bases: so many sets of at most so many times, of so many grids; some 10 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewisePolynomial:
+    """A vector of functions of time, one polynomial per segment; it may jump at the breaks.
+
+    Parameters
+    ----------
+    breaks : Array, shape (K + 1,)
+        Ends of the K segments, strictly increasing, s.
+    nodes : tuple of K arrays, shape (m_k,)
+        Interpolation nodes of each segment on [-1, 1], distinct, at most 128.
+    values : tuple of K arrays, shape (n, m_k)
+        Values at the nodes. The arrays are copied and made read-only.
+
+    Raises
+    ------
+    ArgumentError
+        Breaks that do not increase, or shapes that do not fit together.
+    """
+
+    breaks: Array
+    nodes: tuple[Array, ...]
+    values: tuple[Array, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "breaks", _frozen(self.breaks))
+        frozen = {id(x): _frozen(x) for x in self.nodes}  # most segments share theirs
+        object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
+        object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
+        _check_breaks(self.breaks)
+        _check_segments(self.breaks.size - 1, self.nodes, self.values)
+        object.__setattr__(self, "values", self._shared())
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times ``t`` [s].
+
+        Parameters
+        ----------
+        t : scalar or array, shape (m,)
+            Times within the span; up to 1e-12 (relative) outside is rounding and is clamped.
+        side : {"right", "left"}
+            Which segment answers exactly at an interior break: the one that starts, or ends, there.
+
+        Returns
+        -------
+        Array, shape (n,) for a scalar, (n, m) for an array
+
+        Raises
+        ------
+        ArgumentError
+            A time outside the span or not a number, or an unknown side.
+        """
+        if not isinstance(side, str) or side not in ("left", "right"):
+            raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
+        times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
+        result = np.empty((self.values[0].shape[0], times.size))
+        bases = self._grid.kept if times.size <= KEPT_TIMES else self._grid.bases
+        for found in bases(times.tobytes(), side):
+            values = self._alike[found.group].values[:, :, found.places]
+            result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
+        return result if np.ndim(t) else result[:, 0]
+
+    def within(self, tau: ArrayLike) -> Array:
+        """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
+        at = np.atleast_1d(read_numbers(tau, "the place"))
+        result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
+        for alike in self._alike:
+            basis = barycentric_basis(alike.nodes, alike.weights, at)
+            result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
+        return result
+
+    def derivative(self) -> "PiecewisePolynomial":
+        """The time derivative, on the same nodes; per second."""
+        rates = 2.0 / np.diff(self.breaks)
+        matrices = {id(x): differentiation_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()}
+        pieces = zip(self.nodes, self.values, rates, strict=True)
+        values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
+        return PiecewisePolynomial(self.breaks, self.nodes, values)
+
+    def integral(self) -> Array:
+        """Integral over the whole span, exact for the polynomials, shape (n,); times seconds."""
+        halves = np.diff(self.breaks) / 2.0
+        pieces = zip(self.nodes, self.values, halves, strict=True)
+        return np.asarray(sum(half * v @ _node_integrals(x) for x, v, half in pieces))
+
+    def sample_times(self, per_segment: int) -> Array:
+        """Times cutting each segment in ``per_segment`` equal parts, breaks once: (K·per_segment + 1,)."""
+        parts = read_integer(per_segment, "per_segment", 1)
+        times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
+        return np.append(times.ravel(), self.breaks[-1])
+
+    def rows(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "PiecewisePolynomial":
+        """Only some of the components; an integer selects one and keeps the vector shape, (1,)."""
+        chosen = [index] if isinstance(index, (int, np.integer)) else index
+        return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
+
+    def _clamped(self, times: Array) -> Array:
+        if times.ndim != 1:
+            raise ArgumentError(f"the time has the shape {times.shape}: give a scalar or a vector.")
+        first, last = self.breaks[0], self.breaks[-1]
+        slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
+        outside = ~((times >= first - slack) & (times <= last + slack))  # true for NaN as well
+        if outside.any():
+            raise ArgumentError(
+                f"time {times[outside][0]} s is outside the span [{first}, {last}] s of the phase: choose "
+                "one within."
+            )
+        return np.clip(times, first, last)
+
+    @cached_property
+    def _grid(self) -> "_Grid":
+        return _grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
+
+    @cached_property
+    def _alike(self) -> tuple["_Alike", ...]:
+        """Segments with the same nodes, which share one interpolation matrix."""
+        return tuple(_Alike.of(self, places) for places in self._grid.places)
+
+    def _shared(self) -> tuple[Array, ...]:
+        """Return the values as views of what `_alike` keeps, lest a number that is changed in place go unseen."""
+        values = list(self.values)
+        for alike in self._alike:
+            for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
+                values[k] = alike.values[:, :, j].T
+                values[k].setflags(write=False)
+        return tuple(values)
+
+
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """Some segments with the same nodes.
+
+    Attributes
+    ----------
+    nodes, weights : array (m,)
+        The latter barycentric.
+    values : array (m, n, n_alike)
+    places : int array (K,)
+        Where each segment is among them, -1 for others.
+    """
+
+    nodes: Array
+    weights: Array
+    values: Array
+    places: Indices
+
+    @classmethod
+    def of(cls, signal: PiecewisePolynomial, places: Indices) -> "_Alike":
+        segments = np.flatnonzero(places >= 0)
+        values = np.stack([signal.values[k].T for k in segments], axis=2)
+        nodes = signal.nodes[segments[0]]
+        return cls(nodes, barycentric_weights(nodes), values, places)
+
+
+class _Basis(NamedTuple):
+    """The times that fall into one group of segments: which, the place of each one's segment in it, its basis there."""
+
+    group: int
+    here: Indices
+    places: Indices
+    basis: Array
+
+
+class _Grid:
+    """Breaks and nodes, which the signals of a solution share: the bases at some times are computed once for all.
+
+    Attributes
+    ----------
+    breaks : array (K + 1,)
+    nodes, weights, places : list of arrays, by groups of segments with the same nodes
+        Nodes and their barycentric weights (m,), and the place of each segment (K,) in its group, -1 for those of
+        others.
+    kept : function
+        `bases`, which remembers those of the last `KEPT` sets of times.
+    """
+
+    def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
+        groups: dict[bytes, list[int]] = {}
+        for k, x in enumerate(nodes):
+            groups.setdefault(x, []).append(k)
+        self.breaks, self._given = breaks, (breaks.tobytes(), tuple(nodes))
+        self.nodes = [np.frombuffer(x) for x in groups]
+        self.weights = [barycentric_weights(x) for x in self.nodes]
+        self.places = [np.full(len(nodes), -1) for _ in groups]
+        for places, segments in zip(self.places, groups.values(), strict=True):
+            places[segments] = np.arange(len(segments))
+        self.kept = lru_cache(maxsize=KEPT)(self.bases)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _grid, self._given
+
+    def bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
+        """Return the bases at times within the span, by groups."""
+        times, found = np.frombuffer(at), []
+        segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
+        initial, final = self.breaks[segment], self.breaks[segment + 1]
+        tau = ((times - initial) - (final - times)) / (final - initial)
+        for group, (nodes, weights) in enumerate(zip(self.nodes, self.weights, strict=True)):
+            places = self.places[group][segment]
+            here = np.flatnonzero(places >= 0)
+            if here.size:
+                basis = barycentric_basis(nodes, weights, tau[here])
+                found.append(_Basis(group, here, places[here], basis))
+        return tuple(found)
+
+
+@lru_cache(maxsize=KEPT_GRIDS)
+def _grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
+    return _Grid(np.frombuffer(breaks), nodes)
+
+
+def _node_integrals(nodes: Array) -> Array:
+    """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
+    gauss = gauss_rule((nodes.size + 1) // 2)
+    return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
+
+
+def _check_breaks(breaks: Array) -> None:
+    vector = breaks.ndim == 1 and breaks.size > 1
+    if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
+        raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
+
+
+def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
+    if not count == len(nodes) == len(values):
+        raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
+    good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have the nodes of others
+    for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
+        key = (x.shape, x.tobytes())
+        vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES
+        if key not in good and not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
+            raise ArgumentError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
+        good.add(key)
+        if v.ndim != 2 or v.shape != (len(values[0]), x.size):
+            raise ArgumentError(
+                f"segment {k}: values have shape {v.shape}, need (components, {x.size}) throughout"
+            )
+
+
+def _frozen(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,156 @@
+"""Independent integration of the dynamics under a solution's control."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, carried, integrate
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import magnitude
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """States that follow from the initial state and the control alone.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+    states : array (n_states, n_times)
+        NaN after the propagation ended.
+    error : array (n_states,)
+        Final state minus the solution's final state, or the largest such difference of the parts; infinite if the
+        propagation ended early.
+    ended : str
+        Why and where it ended early, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
+    """
+
+    times: Array
+    states: Array
+    error: Array
+    ended: str = ""
+
+
+def propagate(
+    leg: PhaseSolution,
+    functions: PhaseFunctions,
+    *,
+    control: Literal["flown", "polynomial"] = "flown",
+    rtol: float = 1e-11,
+    anew: Sequence[float] = (),
+) -> Propagation:
+    """Integrate the dynamics over a phase by DOP853, restarting at every discontinuity of the control.
+
+    Parameters
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+        Of the same phase.
+    control : {"flown", "polynomial"}
+        The bounded signal that can be flown, or the collocation polynomial as it is.
+    rtol : float
+        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
+    anew : sequence of float, s
+        Times at which the propagation starts anew from the solution's states.
+    """
+    edges = leg.flown.jumps if control == "flown" else leg.breaks
+    edges = np.union1d(edges, anew)
+    error = np.zeros(leg.states.size)
+    signal = leg.flown if control == "flown" else leg.u
+    tolerance = Tolerance(rtol, state_magnitudes(leg))
+    states = [leg.x(leg.breaks[0])]
+    flight, ended = _Flight(functions, tolerance, Budget(leg.states.labels)), ""
+    for left, right in itertools.pairwise(edges):
+        controls = _controls(signal, left, right, _degree(leg, left, right))
+        try:
+            states.append(flight.end(controls, states[-1], (left, right)))
+        except EndedError as why:
+            ended = str(why)
+            break
+        if right in anew:
+            gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
+            error = _larger(error, gap)
+    columns = np.full((states[0].size, edges.size), np.nan)
+    columns[:, : len(states)] = np.stack(states, axis=1)
+    gap = columns[:, -1] - leg.x(leg.breaks[-1], "left")
+    error = _larger(error, gap)
+    return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
+
+
+def _larger(first: Array, second: Array) -> Array:
+    """Return the larger of two errors; what is no number counts as larger."""
+    return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))
+
+
+def state_magnitudes(leg: PhaseSolution) -> Array:
+    """Return the largest magnitude of each state along the phase (n,), shared by the components of a vector."""
+    largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
+    for variable in leg.states.variables:
+        rows = leg.states.slice(variable.name)
+        largest[rows] = np.max(largest[rows])
+    return magnitude(largest)
+
+
+def _degree(leg: PhaseSolution, left: float, right: float) -> int:
+    """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
+    inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
+    return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
+
+
+class _Flight:
+    """The dynamics, integrated from one discontinuity of the control to the next."""
+
+    def __init__(self, functions: PhaseFunctions, tolerance: Tolerance, budget: Budget) -> None:
+        self._rates, self._steps = functions.fast_rates(), functions.fast_steps()
+        self._tolerance, self._budget = tolerance, budget
+
+    def end(self, controls: Controls, x: Array, span: tuple[float, float]) -> Array:
+        """Return the state (n,) at the end of a span; raise `EndedError` where there is none."""
+
+        def rate(t: float, x: Array) -> Array:
+            return self._rates(t, x, controls(np.array([t]))[:, 0])
+
+        spent = self._budget.count
+        found = carried(self._steps, rate, controls, x, span, self._tolerance, self._budget)
+        if found is not None:
+            return found
+        self._budget.count = spent
+        run = integrate(
+            rate, x, span, tolerance=self._tolerance, budget=self._budget
+        )  # says what is the matter
+        return run.states[:, -1]
+
+
+def _controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
+    """Return the controls on an interval where they are polynomials of at most the given degree."""
+    tau, to_coefficients = _fit(degree)
+    half, middle = 0.5 * (right - left), 0.5 * (right + left)
+    values = signal(middle + half * tau)
+    if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
+        return lambda times: np.broadcast_to(values[:, :1], (values.shape[0], times.size))
+    coefficients = values @ to_coefficients
+    orders = np.arange(degree + 1.0)[:, None]
+
+    def controls(times: Array) -> Array:
+        # Chebyshev's polynomials in one call; Runge-Kutta stages may round beyond the ends.
+        angles = np.arccos(np.minimum(np.maximum((times - middle) / half, -1.0), 1.0))
+        return np.asarray(coefficients @ np.cos(orders * angles))
+
+    return controls
+
+
+@cache
+def _fit(degree: int) -> tuple[Array, Array]:
+    """Chebyshev's points on [-1, 1], and what makes coefficients of the values there: exact up to a degree."""
+    tau = chebyshev.chebpts1(degree + 1)
+    sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)
+    return tau, chebyshev.chebvander(tau, degree) * sizes

@@ -1,0 +1,496 @@
+r"""How good a trajectory is between its nodes: three numbers that do not come from the solver.
+
+How far a trajectory is beyond what a constraint allows: a distance, not a value.
+
+The value of a constraint says nothing by itself: :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1` are one
+limit. What counts is the set of states and controls that it allows. So the depth of a point beyond it is the
+distance to that set along the constraint's own gradient, states and controls scaled by their sizes. It is judged in
+shares of the flight's size, or of the width of what is allowed or forbidden there where that is far less: a sphere of
+10 m on a flight of 10 km.
+
+Where a trajectory is beyond its limits: at the samples and between them.
+
+What a phase's functions are along controls that leave their bounds between nodes.
+
+A polynomial through controls on their bounds swings past them, a lift below zero, say, of which the dynamics take the
+root. What has no value there has one on the bound. (How far the control is beyond it is an error of its own.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.propagation import propagate
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import ROUNDING, TINY
+
+WIDTHS = 100.0
+"""Yardstick of a small feature, in widths of it: solvers keep a limit to shares of the flight's size, and cannot keep
+it to the same share of what is far smaller."""
+
+FINEST = 1e-3
+"""Least yardstick, in shares of the flight's size: below, rounding of the solver's own scale would fail."""
+
+PINNED = 1e-5
+"""A range narrower than this share of the flight's size fixes a value; it is no feature with a width of its own."""
+
+REACH = 64.0
+"""How far off the allowed set is looked for, in sizes of the flight."""
+
+_STEPS = REACH * 4.0 ** np.arange(-22.0, 1.0)
+"""Places on a line where it is looked at first; what lies between two is then cut in `_PARTS`, `_ROUNDS` times."""
+
+_PARTS, _ROUNDS = 16, 6
+
+
+def bound_offences(found: Violations, bounds: Interval, scale: Array) -> Array:
+    """Return how far states or controls of given sizes (n,) are beyond their bounds, as shares (m,)."""
+    rows = found.limits.rows
+    here = Interval(bounds.lower[rows], bounds.upper[rows])
+    return shares(found.excess / scale[rows], here, scale[rows])
+
+
+def shares(depth: Array, bounds: Interval, scale: Array) -> Array:
+    """Return depths (n,) beyond limits on quantities of given sizes in shares of these, or of the limits' width."""
+    width = (bounds.upper - bounds.lower) / scale
+    return _shares(depth, np.where(width > PINNED, width, np.inf))
+
+
+def path_offences(found: Violations, samples: PhaseSamples) -> Array:
+    """Return how far points are beyond what their path constraints allow, as shares (m,).
+
+    Where there is no gradient (the centre of a sphere), or no allowed point along it, the line leads to the nearest
+    sample that the constraint allows. Where there is none either, as states and controls cannot restore the
+    constraint, its excess counts in shares of its values. What is not finite is infinitely far off.
+    """
+    start = np.zeros(found.times.size)
+    line = _Line(found, samples, _gradient(found, samples))
+    depth = line.first(found.limits, start, 1.0, allowed=True)
+    lost = ~np.isfinite(depth)
+    if np.any(lost):
+        line = _Line(found, samples, np.where(lost, _to_nearest_allowed(found, samples), line.direction))
+        depth = line.first(found.limits, start, 1.0, allowed=True)
+    met = np.isfinite(depth)
+    depth = np.where(met, depth, 0.0)
+    shares = np.where(
+        met, _shares(depth, _width(line, depth)), found.excess / samples.path_scale[found.limits.rows]
+    )
+    return np.where(np.isfinite(found.excess), shares, np.inf)
+
+
+def _width(line: _Line, depth: Array) -> Array:
+    """Return the lesser width of what is forbidden and allowed along lines that become allowed at a depth, (m,)."""
+    limits = line.found.limits
+    forbidden = depth - line.first(limits, np.zeros(depth.size), -1.0, allowed=True)
+    allowed = line.first(limits, depth, 1.0, allowed=False) - depth
+    bounds, upper = line.samples.leg.path_bounds, limits.sides > 0
+    others = np.where(upper, bounds.lower[limits.rows], bounds.upper[limits.rows])
+    other = Limits(limits.quantities, limits.rows, -limits.sides, others)
+    span = line.first(other, depth, 1.0, allowed=False) - depth
+    return np.minimum(np.minimum(forbidden, allowed), np.where(span > PINNED, span, np.inf))
+
+
+def _shares(depth: Array, width: Array) -> Array:
+    """Return depths in shares of the flight's size, or of `WIDTHS` widths where these are less."""
+    return np.asarray(depth / np.clip(WIDTHS * width, FINEST, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A line through each point, in scaled states and controls (n_states + n_controls, m)."""
+
+    found: Violations
+    samples: PhaseSamples
+    direction: Array
+
+    def first(self, limits: Limits, start: Array, sense: float, *, allowed: bool) -> Array:
+        """Return the first place beyond ``start`` where limits hold, or do not; infinite if there is none."""
+        inside, outside, found = self._bracket(limits, start, start + sense * _STEPS[:, None], allowed)
+        for _ in range(_ROUNDS):
+            cuts = inside + (outside - inside) * (np.arange(1, _PARTS + 1) / _PARTS)[:, None]
+            inside, outside, _ = self._bracket(limits, inside, cuts, allowed)
+        return np.where(found, outside, sense * np.inf)
+
+    def _bracket(
+        self, limits: Limits, start: Array, places: Array, allowed: bool
+    ) -> tuple[Array, Array, Mask]:
+        """Return the first of places (n, m) that is as wanted, the place before it, and whether there is one."""
+        columns = np.arange(start.size)
+        holds = self._holds(limits, places.ravel(), np.tile(columns, places.shape[0]))
+        hits = holds.reshape(places.shape) == allowed
+        found, hit = np.any(hits, axis=0), np.argmax(hits, axis=0)
+        hit = np.where(found, hit, places.shape[0] - 1)
+        before = np.where(hit > 0, places[hit - 1, columns], start)
+        return before, places[hit, columns], found
+
+    def _holds(self, limits: Limits, places: Array, which: Indices) -> Mask:
+        found, n = self.found, self.found.x.shape[0]
+        moved = np.concatenate([found.x, found.u])[:, which]
+        moved = moved + places * _scale(self.samples)[:, None] * self.direction[:, which]
+        here = limits.some(which)
+        excess = here.excess_pairwise(found.times[which], moved[:n], moved[n:])
+        return np.asarray(excess <= ROUNDING * np.where(np.isfinite(here.values), np.abs(here.values), 0.0))
+
+
+def _scale(samples: PhaseSamples) -> Array:
+    return np.concatenate([samples.state_scale, samples.control_scale])
+
+
+def _unit(vectors: Array) -> Array:
+    """Return columns of length 1; zero where there is no direction."""
+    vectors = np.where(np.all(np.isfinite(vectors), axis=0), vectors, 0.0)
+    largest = np.max(np.abs(vectors), axis=0, initial=0.0)
+    vectors = vectors / np.maximum(largest, TINY)
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), TINY))
+
+
+def _gradient(found: Violations, samples: PhaseSamples) -> Array:
+    """Return the direction in which the excess falls fastest, of length 1 (n_states + n_controls, m)."""
+    at = (found.times, found.x, found.u)
+    columns = np.arange(found.times.size)
+    by_state = samples.functions.path_state_jacobian(*at)[found.limits.rows, :, columns]
+    by_control = samples.functions.path_control_jacobian(*at)[found.limits.rows, :, columns]
+    gradient = np.concatenate([by_state, by_control], axis=1).T * _scale(samples)[:, None]
+    return _unit(-found.limits.sides * gradient)
+
+
+def _to_nearest_allowed(found: Violations, samples: PhaseSamples) -> Array:
+    """Return the direction to the nearest sample that satisfies each point's limit, zero if there is none."""
+    scale = _scale(samples)[:, None]
+    flight = np.concatenate([samples.x, samples.u_polynomial]) / scale
+    allowed = found.limits.excess(samples.times, samples.x, samples.u_polynomial) <= 0
+    directions = np.zeros((flight.shape[0], found.times.size))
+    for i, point in enumerate((np.concatenate([found.x, found.u]) / scale).T):
+        away = flight - point[:, None]
+        distance = np.where(allowed[i], np.linalg.norm(away, axis=0), np.inf)
+        nearest = int(np.argmin(distance))
+        if np.isfinite(distance[nearest]):
+            directions[:, i] = away[:, nearest]
+    return _unit(directions)
+
+
+SWINGS = 10.0
+"""A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
+to the neighbouring samples."""
+
+FLAT = 1e-9
+"""Changes between samples below this share of the usual distance to the limit are noise, not a peak."""
+
+_TRIED = np.linspace(-7 / 8, 7 / 8, 15)
+"""Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, eight times less."""
+
+_LIMITS_ROUNDS = 6
+
+MOST = 5
+"""So many peaks per limit are looked for, the most promising ones, and so many violations per limit are returned."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """The finite limits of an interval on quantities of (t, x, u), one side each.
+
+    Attributes
+    ----------
+    quantities : function of t (m,), x (n_states, m) and u (n_controls, m)
+        The quantities (n_rows, m).
+    rows : int array (n,)
+        Whose limit it is.
+    sides : array (n,)
+        1 for an upper limit, -1 for a lower one.
+    values : array (n,)
+    """
+
+    quantities: Callable[[Array, Array, Array], Array]
+    rows: Indices
+    sides: Array
+    values: Array
+
+    @classmethod
+    def of(cls, quantities: Callable[[Array, Array, Array], Array], bounds: Interval) -> Limits:
+        """Return the finite limits of an interval."""
+        both = np.concatenate([bounds.lower, bounds.upper])
+        finite, n = np.flatnonzero(np.isfinite(both)), bounds.lower.size
+        return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
+
+    def some(self, chosen: Indices) -> Limits:
+        """Return some of the limits, in the order given; any may come several times."""
+        return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
+
+    def excess(self, t: Array, x: Array, u: Array) -> Array:
+        """Return how far each quantity is beyond its limit (n, m); infinite if it is not a number."""
+        values = self.quantities(t, x, u)[self.rows]
+        excess = self.sides[:, None] * (values - self.values[:, None])
+        return np.where(np.isnan(excess), np.inf, excess)
+
+    def excess_pairwise(self, t: Array, x: Array, u: Array) -> Array:
+        """Return how far the i-th quantity is beyond its limit at the i-th time (n,)."""
+        values = self.quantities(t, x, u)[self.rows, np.arange(t.size)]
+        excess = self.sides * (values - self.values)
+        return np.where(np.isnan(excess), np.inf, excess)
+
+
+@dataclass(frozen=True, eq=False)
+class Violations:
+    """Points of a phase beyond a limit, farthest among their neighbours.
+
+    Attributes
+    ----------
+    limits : Limits
+        The limit of each point, m in all.
+    times, excess : array (m,)
+    x, u : array (n_states, m), (n_controls, m)
+        Controls by their polynomial.
+    """
+
+    limits: Limits
+    times: Array
+    excess: Array
+    x: Array
+    u: Array
+
+    def value(self, i: int) -> str:
+        """Return what the quantity is and may be: "81 (at least 100)"."""
+        limit, side = self.limits.values[i], self.limits.sides[i]
+        return f"{limit + side * self.excess[i]:.6g} (at {'most' if side > 0 else 'least'} {limit:.6g})"
+
+
+def violations(samples: PhaseSamples, limits: Limits) -> Violations:
+    """Return where the polynomials of a phase leave limits.
+
+    A sample that no neighbour surpasses has a peak beside it. Unless that would have to rise far more above the sample
+    than the samples change, it is found by narrowing the bracket between the neighbours.
+    """
+    if not limits.rows.size:
+        leg, nothing = samples.leg, np.zeros(0)
+        x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
+        return Violations(limits, nothing, nothing, x, u)
+    tops = _Tops.of(samples, limits)
+    k, j, excess = tops.limits, tops.samples, tops.excess
+    times, x, u = samples.times[j], samples.x[:, j], samples.u_polynomial[:, j]
+    promise = excess + SWINGS * tops.swing
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > FLAT * tops.room))
+    hidden = hidden[_highest(k[hidden], promise[hidden])]
+    if hidden.size:
+        peaks, heights = _narrowed(samples, limits.some(k[hidden]), tops.left[hidden], tops.right[hidden])
+        higher = heights > excess[hidden]
+        places = hidden[higher]
+        times[places], excess[places] = peaks[higher], heights[higher]
+        x[:, places], u[:, places] = samples.leg.x(times[places]), samples.leg.u(times[places])
+    beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
+    beyond = beyond[_highest(k[beyond], excess[beyond])]
+    return Violations(limits.some(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
+
+
+def _highest(groups: Indices, values: Array) -> Indices:
+    """Return where the `MOST` highest values of each group are."""
+    order = np.lexsort((-values, groups))
+    starts = np.searchsorted(groups[order], groups[order])
+    return np.asarray(order[np.arange(order.size) - starts < MOST])
+
+
+@dataclass(frozen=True, eq=False)
+class _Tops:
+    """Samples whose excess no neighbour in the segment surpasses.
+
+    Attributes
+    ----------
+    limits, samples : int array (m,)
+        Which.
+    excess, swing : array (m,)
+        Excess there, and by how much more it is than at the lower neighbour.
+    left, right : array (m,)
+        Times of the neighbours.
+    room : array (m,)
+        The limit's usual distance along the phase.
+    """
+
+    limits: Indices
+    samples: Indices
+    excess: Array
+    swing: Array
+    left: Array
+    right: Array
+    room: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples, limits: Limits) -> _Tops:
+        times, last = samples.times, samples.at_end
+        first = np.append(True, last[:-1])
+        excess = limits.excess(times, samples.x, samples.u_polynomial)
+        before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
+        after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
+        k, j = np.nonzero((excess > before) & (excess >= after))
+        lower = np.minimum(np.where(first, np.inf, before)[k, j], np.where(last, np.inf, after)[k, j])
+        top = excess[k, j]
+        swing = np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
+        left = np.where(first, times, np.roll(times, 1))[j]
+        right = np.where(last, times, np.roll(times, -1))[j]
+        return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
+
+
+def _narrowed(samples: PhaseSamples, limits: Limits, left: Array, right: Array) -> tuple[Array, Array]:
+    """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""
+    leg, columns = samples.leg, np.arange(left.size)
+    times, best = left, np.full(left.size, -np.inf)
+    all_limits = limits.some(np.tile(columns, _TRIED.size))
+    for _ in range(_LIMITS_ROUNDS):
+        middle, half = 0.5 * (left + right), 0.5 * (right - left)
+        tried = (middle + half * _TRIED[:, None]).ravel()
+        excess = all_limits.excess_pairwise(tried, leg.x(tried), leg.u(tried)).reshape(_TRIED.size, -1)
+        top = np.argmax(excess, axis=0)
+        heights, places = excess[top, columns], tried.reshape(_TRIED.size, -1)[top, columns]
+        times, best = np.where(heights > best, places, times), np.maximum(heights, best)
+        step = half * (_TRIED[1] - _TRIED[0])
+        left, right = np.maximum(left, places - step), np.minimum(right, places + step)
+    return times, best
+
+
+def defined(
+    function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
+) -> Array:
+    """Return a function's values (n, n_times), of controls within their bounds where others have none."""
+    values = function(times, x, u)
+    lost = np.any(np.isnan(values), axis=0)
+    if np.any(lost):
+        inside = np.clip(u[:, lost], bounds.lower[:, None], bounds.upper[:, None])
+        values = values.copy()
+        values[:, lost] = function(times[lost], x[:, lost], inside)
+    return values
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Independent figures of a trajectory.
+
+    Attributes
+    ----------
+    max_defect : float
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, in shares of what
+        the state moves.
+    max_bound_violation : float
+        Farthest that states and controls are beyond a bound or path constraint, at nodes and between, as a share of
+        the flight's size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
+    terminal_error : float
+        Largest miss at the end of a phase when the flown control is integrated from its initial state, in shares of
+        what the controls move the state.
+    defect_where, bound_where, terminal_where : str
+        Places of the three.
+
+    Examples
+    --------
+    >>> print(solution.quality.max_defect < 1e-9, solution.quality.terminal_error < 1e-9)
+    True True
+    """
+
+    max_defect: float
+    defect_where: str
+    max_bound_violation: float
+    bound_where: str
+    terminal_error: float
+    terminal_where: str
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A number and where it occurs."""
+
+    value: float
+    where: str
+
+    def or_worse(self, other: Worst) -> Worst:
+        """Return the larger one; NaN counts as larger."""
+        return self if np.isnan(self.value) or other.value <= self.value else other
+
+
+NOTHING = Worst(0.0, "nowhere")
+
+
+def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
+    """Measure all phases of a solution."""
+    defect = bound = terminal = NOTHING
+    for s in samples:
+        defect = defect.or_worse(worst_defect(s))
+        bound = bound.or_worse(worst_bound_violation(s)).or_worse(worst_path_violation(s))
+        terminal = terminal.or_worse(worst_terminal_error(s))
+    return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
+
+
+def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
+    """Return the worst defect between nodes, along the control polynomial, or jump between segments.
+
+    It is looked for at ``samples``, or ``at`` others of the same phase.
+    """
+    at = samples if at is None else at
+    rates = defined(at.functions.rates, at.times, at.x, at.u_polynomial, at.leg.control_bounds)
+    errors = at.per_segment(at.x_rate - rates) / samples.state_scale[:, None]
+    leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    if inner.size:
+        errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
+    i, k = worst_index(errors)
+    return Worst(float(errors[i, k]), samples.segment_place(k, leg.states.labels[i]))
+
+
+def worst_bound_violation(samples: PhaseSamples) -> Worst:
+    """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
+    leg, worst = samples.leg, NOTHING
+    for signals, bounds, labels in (
+        (_states, leg.state_bounds, leg.states.labels),
+        (_controls, leg.control_bounds, leg.controls.labels),
+    ):
+        found = violations(samples, Limits.of(signals, bounds))
+        if found.times.size:
+            scale = samples.state_scale if signals is _states else samples.control_scale
+            offences = bound_offences(found, bounds, scale)
+            i = int(np.argmax(offences))
+            place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
+            worst = worst.or_worse(Worst(float(offences[i]), place))
+    return worst
+
+
+def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
+    """Return the worst violation of a path constraint along the control polynomial, between samples too.
+
+    It is looked for from ``samples``, or from others of the same phase (``at``).
+    """
+    leg = samples.leg
+    if not leg.path_labels:
+        return NOTHING
+    found = violations(samples if at is None else at, Limits.of(samples.functions.paths, leg.path_bounds))
+    if not found.times.size:
+        return NOTHING
+    offences = path_offences(found, samples)
+    i = int(np.argmax(offences))
+    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
+    return Worst(float(offences[i]), samples.place_at(found.times[i], what))
+
+
+def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:
+    """Return the worst final miss of the flown control, or of the parts between times at which it starts anew."""
+    leg = samples.leg
+    run = propagate(leg, samples.functions, anew=anew)
+    misses = np.abs(run.error) / samples.end_scale
+    i = int(np.argmax(misses))
+    unit = leg.states.units[i]
+    miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
+    where = f"phase {leg.name}, {run.ended or miss}"
+    return Worst(float(misses[i]), where)
+
+
+def worst_index(values: Array) -> tuple[int, int]:
+    """Return row and column of the largest entry; NaN counts as largest."""
+    flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
+    row, column = np.unravel_index(flat, values.shape)
+    return int(row), int(column)
+
+
+def _states(_: Array, x: Array, __: Array) -> Array:
+    return x
+
+
+def _controls(_: Array, __: Array, u: Array) -> Array:
+    return u

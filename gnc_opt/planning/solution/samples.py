@@ -1,0 +1,479 @@
+"""A phase sampled densely in time, between and at the nodes, from model and trajectory alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.scales import (
+    RESOLUTION,
+    STILL,
+    Bending,
+    control_spans,
+    end_spans,
+    shared,
+    state_spans,
+    steering,
+    without_effect,
+)
+from gnc_opt.planning.solution.unwrap import periods
+from gnc_opt.planning.transcription.quadrature import MAX_POINTS, CollocationRule, gauss_rule, points, weights
+from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
+
+EXTRA = 9
+"""Samples per segment beyond the number of collocation points; segment ends come on top."""
+
+FINER = 32
+"""Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
+
+EDGE = 1e-7
+"""Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
+
+NEGLIGIBLE = 1e-4
+"""Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
+
+MINOR = 1e-2
+"""Controls that are worth less than this share of what all are worth together are measured by that share."""
+
+_BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
+"""What is kept of samples and depends on the cost magnitude."""
+
+
+@dataclass(frozen=True)
+class EdgeSegment:
+    """A segment where a state constraint is reached or left, its costate integrated anew (module `pushes`).
+
+    Attributes
+    ----------
+    segment : int
+    costates : array (n_states, n_samples of the segment)
+    offence : array (n_states,)
+        What no legitimate push explains, in shares of the cost.
+    """
+
+    segment: int
+    costates: Array
+    offence: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSamples:
+    """Everything the conditions need, at the times of a fine quadrature in every segment and at its ends.
+
+    Attributes
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+    times : array (n_samples,)
+        Sorted; segment boundaries appear twice, as the end of one and the start of the next segment.
+    segments : int array (n_samples,)
+    weights : array (n_samples,)
+        Quadrature weights in s; zero at segment ends.
+    cost_magnitude : float
+        What the cost amounts to (module `magnitude`); 0 if unknown.
+    edges : tuple of EdgeSegment
+        Segments with other costates than the polynomials'.
+    """
+
+    leg: PhaseSolution
+    functions: PhaseFunctions
+    times: Array
+    segments: Indices
+    weights: Array
+    cost_magnitude: float = 0.0
+    edges: tuple[EdgeSegment, ...] = ()
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
+        """Sample a phase."""
+        places = [sampled_places(degree) for degree in leg.mesh.degrees]
+        segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
+        tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
+        halves = 0.5 * np.diff(leg.breaks)[segments]
+        times = leg.breaks[segments] + halves * (1 + tau)
+        ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
+        times[ends] = leg.breaks[1:]  # without rounding
+        return cls(leg, functions, times, segments, halves * weights)
+
+    def with_cost_magnitude(self, amount: float) -> PhaseSamples:
+        """Return the same samples with another cost magnitude, and what is known already that does not depend on it."""
+        other = replace(self, cost_magnitude=amount)
+        cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
+        vars(other).update(cached)
+        return other
+
+    def finer(self, count: int) -> PhaseSamples:
+        """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends."""
+        widths = np.diff(self.leg.breaks)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), FINER).astype(int)
+        pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
+        shares = [np.concatenate([[0.0], ((np.arange(n)[:, None] + pair) / n).ravel(), [1.0]]) for n in steps]
+        weights = [np.concatenate([[0.0], np.full(2 * n, 0.5 / n), [0.0]]) for n in steps]
+        segments = np.repeat(np.arange(steps.size), [share.size for share in shares])
+        times = self.leg.breaks[segments] + np.concatenate(shares) * widths[segments]
+        times[np.flatnonzero(np.diff(segments, append=steps.size))] = self.leg.breaks[1:]  # without rounding
+        return replace(
+            self, times=times, segments=segments, weights=np.concatenate(weights) * widths[segments]
+        )
+
+    @cached_property
+    def at_end(self) -> Mask:
+        """Which samples are the end of their segment."""
+        return np.append(self.segments[1:] > self.segments[:-1], True)
+
+    @cached_property
+    def times_within(self) -> Array:
+        """The times (n_samples,); where the dynamics jump, those of segment ends by `EDGE` inside of the segment.
+
+        A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
+        """
+        if not self.functions.jumping_rates:
+            return self.times
+        starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
+        return np.clip(self.times, starts + EDGE * (ends - starts), ends - EDGE * (ends - starts))
+
+    def sample(self, signal: Callable[..., Array]) -> Array:
+        """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
+        values = signal(self.times_within, "right")
+        values[:, self.at_end] = signal(self.times_within[self.at_end], "left")
+        return values
+
+    @cached_property
+    def x(self) -> Array:
+        """States (n, n_samples)."""
+        return self.sample(self.leg.x)
+
+    @cached_property
+    def x_rate(self) -> Array:
+        """Time derivatives of the state polynomials."""
+        return self.sample(self.leg.x.derivative())
+
+    @cached_property
+    def u_polynomial(self) -> Array:
+        """Controls by their collocation polynomials (m, n_samples)."""
+        return self.sample(self.leg.u)
+
+    @cached_property
+    def u(self) -> Array:
+        """Controls as flown, within bounds."""
+        return self.sample(self.leg.flown)
+
+    @cached_property
+    def idle(self) -> Mask:
+        """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
+        layout, bounds = self.leg.controls, self.leg.control_bounds
+        idle = without_effect(self.functions, bounds, self.times, self.x, self.u, self.control_scale)
+        for vector in self.leg.composed_controls:
+            if isinstance(vector, VectorControl):
+                magnitude = self.u[layout.slice(vector.magnitude)]
+                idle[layout.slice(vector.direction)] = (
+                    magnitude <= AT_LIMIT * self.control_scale[layout.slice(vector.magnitude), None]
+                )
+        return idle
+
+    @cached_property
+    def lam_polynomial(self) -> Array:
+        """Costates by their polynomials (n, n_samples)."""
+        return self.sample(self.leg.lam)
+
+    @cached_property
+    def lam(self) -> Array:
+        """Costates (n, n_samples), integrated anew in the edges."""
+        values = self.lam_polynomial.copy()
+        for edge in self.edges:
+            values[:, self.segments == edge.segment] = edge.costates
+        return values
+
+    @cached_property
+    def lam_rate(self) -> Array:
+        """Time derivatives of the costate polynomials."""
+        return self.sample(self.leg.lam.derivative())
+
+    @cached_property
+    def mu(self) -> Array:
+        """Path multiplier densities (n_paths, n_samples)."""
+        return self.sample(self.leg.path_multiplier)
+
+    @cached_property
+    def state_multiplier(self) -> Array:
+        """State bound multiplier densities (n, n_samples)."""
+        return self.sample(self.leg.state_multiplier)
+
+    @cached_property
+    def hamiltonian(self) -> Array:
+        """H along the flown control (n_samples,)."""
+        return self.functions.hamiltonian(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def control_gradient(self) -> Array:
+        """d(H + mu.c)/du along the flown control (m, n_samples)."""
+        return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
+    def control_hessian(self) -> Array:
+        """d2(H + mu.c)/du2 along the flown control (m, m, n_samples)."""
+        return self.functions.control_hessian(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
+    def state_scale(self) -> Array:
+        """How far each state moves along the phase (n,); see module `spans`."""
+        return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_length)
+
+    @cached_property
+    def end_scale(self) -> Array:
+        """What misses of the final state are measured against (n,): what controls move, at most the span."""
+        return end_spans(self.leg, self.functions, self.state_scale, self.control_scale)
+
+    @cached_property
+    def control_span(self) -> Array:
+        """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
+        terms = np.abs(self.switching - self.cost_slope)
+        most = float(np.nanmax(self._terms, initial=0.0))
+        asked = steering(self.leg, self.functions)
+        curvature = self._bending.curvature
+        spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
+        rounding = self._bending.rounding(spans)
+        if not rounding.size:
+            return spans
+        # Their part of the problem is not pressed.
+        pressed = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
+        return control_spans(self.leg, self.u, terms, pressed, most, asked)
+
+    @cached_property
+    def _bending(self) -> Bending:
+        curvature = np.einsum("iij->ij", self.control_hessian)
+        return Bending(self.functions, self.times, self.x, self.u, self.lam, curvature)
+
+    @cached_property
+    def turns(self) -> Array:
+        """Periods of all that controls act on (m,); 0 for those that are no angles, or have bounds."""
+        bounds = self.leg.control_bounds
+        unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
+        return periods(
+            self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
+        )
+
+    @cached_property
+    def switching(self) -> Array:
+        """dH/du without path multipliers along the flown control (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def cost_slope(self) -> Array:
+        """The part of dH/du that the integrands contribute, (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
+
+    @cached_property
+    def _single_worths(self) -> Array:
+        amplitude = 0.5 * self.control_span[:, None]
+        slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
+        by_slope = _largest_finite(slopes * amplitude)
+        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
+        for i in np.flatnonzero(np.any(bends > by_slope[:, None], axis=1)):
+            steep = np.flatnonzero(bends[i] > by_slope[i])
+            bends[i, steep] *= self._bending.lasting(int(i), steep, self.control_span[i])
+        flown = np.fmax(by_slope, _largest_finite(bends))
+        return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
+
+    @cached_property
+    def _balanced_slopes(self) -> Array:
+        """Slopes of H in the controls (m,) by costates that vanish all along because the terms of their rates cancel.
+
+        Along a totally singular phase that is what there is to compare with: the costates themselves are rounding.
+        """
+        leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
+        at = middles, leg.x(middles), leg.flown(middles)
+        none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
+        by_cost = np.abs(self.functions.state_gradient(*at, *none))
+        by_state = np.abs(self.functions.state_jacobian(*at))
+        # Costates add up what their rates are for no longer than the quickest of them takes to answer.
+        steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
+        lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
+        flown = np.max(np.abs(self.lam_polynomial), axis=1)
+        before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
+        for _ in range(flown.size):  # costates along a chain may all vanish
+            if np.array_equal(before, balanced):
+                break
+            costates, before = np.maximum(size, balanced[:, None]), balanced
+            terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
+            balanced = np.where(np.isfinite(terms) & (flown <= NEGLIGIBLE * terms), terms, 0.0)
+        slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
+        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
+
+    @property
+    def joint_worth(self) -> float:
+        """What half the spans of all controls are worth in H at most along the phase, cost per second.
+
+        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature; where
+        costates vanish, by the terms that cancel in their rates. What is constant, or drifts without the controls, does
+        not count.
+        """
+        return max(float(np.sum(self._single_worths)), self.least_worth)
+
+    @property
+    def control_worth(self) -> Array:
+        """The same of each control, shared by the components of a vector; no less than `MINOR` of the sum (m,)."""
+        return np.maximum(shared(self._single_worths, self.leg.controls), MINOR * self.joint_worth)
+
+    @property
+    def least_worth(self) -> float:
+        """Cost per second below which differences of H are rounding."""
+        return NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+
+    @cached_property
+    def control_scale(self) -> Array:
+        """Range of each control's bounds, or its magnitude along the phase where unbounded (m,)."""
+        bounds = self.leg.control_bounds
+        span = bounds.upper - bounds.lower
+        reach = np.max(np.abs(self.u), axis=1, initial=0.0)
+        return np.where(np.isfinite(span) & (span > 0), span, magnitude(reach))
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """Largest |lambda_i| x_i along the phase: what the states are worth in units of the cost."""
+        worth = float(np.max(np.abs(self.lam_polynomial) * self.state_scale[:, None], initial=0.0))
+        worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
+        return worth if worth > 0 else 1.0
+
+    @cached_property
+    def _terms(self) -> Array:
+        """Sum of the magnitudes of what costates contribute to H (n_samples,)."""
+        rates = self.functions.rates(self.times, self.x, self.u)
+        return np.asarray(np.sum(np.abs(self.lam_polynomial * rates), axis=0))
+
+    @cached_property
+    def hamiltonian_scale(self) -> float:
+        """Largest sum of the magnitudes of H's terms along the phase (cost per second).
+
+        Where the duration is given, integrands count by what they are above their least value: a constant means
+        nothing.
+        """
+        terms = self._terms
+        integrands = self.functions.integrands(self.times, self.x, self.u)
+        if self.lasts_as_told and integrands.size:
+            integrands = integrands - np.min(integrands, axis=1, keepdims=True)
+        terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        return max(float(np.max(terms, initial=0.0)), self.joint_worth, self.least_worth)
+
+    @property
+    def lasts_as_told(self) -> bool:
+        """Whether the phase's initial and final time, or its duration, are given."""
+        leg = self.leg
+        ends = leg.initial_time_bounds.fixed[0] and leg.final_time_bounds.fixed[0]
+        return bool(ends or leg.duration_bounds.fixed[0])
+
+    @property
+    def span(self) -> float:
+        """Duration between the first and last sample, s; positive even for a phase without length."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def has_length(self) -> bool:
+        """Whether the phase lasts: its duration does not sit on a lower bound of zero."""
+        leg = self.leg
+        least = max(
+            leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
+        )
+        most = min(
+            leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
+        )
+        near = AT_LIMIT * most if np.isfinite(most) else 0.0
+        return bool(least > 0 or leg.duration > max(near, SHORTEST))
+
+    @cached_property
+    def pure_paths(self) -> Indices:
+        """Path constraints that do not depend on controls."""
+        jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
+        return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
+
+    @cached_property
+    def flown_box(self) -> tuple[Array, Array]:
+        """Least and largest states within their spans, so wide that they hold the flight (n,) each."""
+        least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
+        return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
+
+    @cached_property
+    def path_reach(self) -> Array:
+        """How far the spans of states and controls could move each path constraint (n_paths,)."""
+        at = self.times, self.x, self.u
+        by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
+        by_control = np.einsum(
+            "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
+        )
+        return np.asarray(np.max(by_state + by_control, axis=1, initial=0.0))
+
+    @cached_property
+    def path_scale(self) -> Array:
+        """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
+        values = self.functions.paths(self.times, self.x, self.u)
+        scale = np.fmax(np.ptp(values, axis=1), STILL * self.path_reach)
+        size = np.max(np.abs(values), axis=1, initial=0.0)
+        scale = np.fmax(scale, RESOLUTION * size)
+        return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
+
+    @cached_property
+    def adjoint_residual(self) -> Array:
+        """Integral of |d(lambda)/dt + dH/dx + z| over each segment, in shares of the cost (n_states, K)."""
+        gradient = self.functions.state_gradient(self.times, self.x, self.u, self.lam_polynomial, self.mu)
+        residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
+        residual = residual * self.state_scale[:, None] / self.cost_scale
+        for edge in self.edges:
+            residual[:, edge.segment] = edge.offence
+        return np.asarray(residual)
+
+    def place(self, column: int, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
+        return self.place_at(float(self.times[column]), what)
+
+    def place_at(self, time: float, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for any time."""
+        return f"phase {self.leg.name}, t = {time:.6g} s{f', {what}' if what else ''}"
+
+    def segment_place(self, segment: int, what: str) -> str:
+        """Return the place of a whole segment."""
+        left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
+        return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
+
+    def integral_from_start(self, values: Array) -> Array:
+        """Integrate values (n_samples,) over time from the phase's start to every sample."""
+        result, total = np.empty(self.times.size), 0.0
+        for k, degree in enumerate(self.leg.mesh.degrees):
+            rule, here = sampling_rule(degree), np.flatnonzero(self.segments == k)
+            half = 0.5 * (self.leg.breaks[k + 1] - self.leg.breaks[k])
+            inside = values[here[1:-1]]
+            result[here[0]] = total
+            result[here[1:-1]] = total + half * rule.integration @ inside
+            total += half * float(rule.weights @ inside)
+            result[here[-1]] = total
+        return result
+
+    def per_segment(self, values: Array) -> Array:
+        """Integrate |values| (n, n_samples) over each segment: (n, K)."""
+        weighted = np.abs(values) * self.weights
+        starts = np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
+        return np.add.reduceat(weighted, starts, axis=1)
+
+
+@cache
+def sampled_places(degree: int) -> tuple[Array, Array]:
+    """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
+    n = min(degree + EXTRA, MAX_POINTS)  # a rule's other tables take as long, and nobody needs them here
+    return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
+
+
+def sampling_rule(degree: int) -> CollocationRule:
+    """Return the quadrature whose points are the samples within a segment of a given degree."""
+    return gauss_rule(min(degree + EXTRA, MAX_POINTS))
+
+
+def _largest_finite(values: Array) -> Array:
+    """Largest number of each row, 0 if there is none."""
+    return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

@@ -1,0 +1,96 @@
+"""The control that can be flown: between nodes it respects its bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.transcription.quadrature import CollocationRule
+from gnc_opt.tolerances import magnitude
+
+_SAMPLES = 33
+
+
+@dataclass(frozen=True, eq=False)
+class FlownControl:
+    """A control signal that never leaves its bounds.
+
+    Where a channel's collocation polynomial stays within its bounds over a segment, it is flown as it is.
+    Where it overshoots (it does through bang-bang nodes), each node's value is held over a cell as long as
+    the node's quadrature weight: within bounds, and with the same impulse as the polynomial.
+
+    Attributes
+    ----------
+    polynomial : PiecewisePolynomial
+    bounds : Interval
+    rules : tuple of CollocationRule
+        One per segment; their points are the polynomial's nodes.
+    tolerance : float
+        Overshoot, relative to the range of the bounds (to the value of a fixed control), that still counts as rounding
+        and is clipped.
+    """
+
+    polynomial: PiecewisePolynomial
+    bounds: Interval
+    rules: tuple[CollocationRule, ...]
+    tolerance: float = 1e-6
+
+    @cached_property
+    def held(self) -> Mask:
+        """Which channel is held piecewise constant in which segment, shape (m, K)."""
+        values = self.polynomial.within(np.linspace(-1.0, 1.0, _SAMPLES))
+        slack = self.tolerance * _width(self.bounds)
+        over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
+        under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
+        return np.asarray(over | under)
+
+    @cached_property
+    def _cells(self) -> tuple[Array, ...]:
+        """Cell edges of each segment (n_k + 1,), in time."""
+        edges = []
+        for k, rule in enumerate(self.rules):
+            left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
+            shares = np.concatenate([[0.0], np.cumsum(rule.weights)]) / 2.0
+            edges.append(left + (right - left) * shares)
+        return tuple(edges)
+
+    @cached_property
+    def jumps(self) -> Array:
+        """Times at which the signal may be discontinuous, ends included; increasing."""
+        pieces = [self.polynomial.breaks]
+        pieces += [self._cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
+        return np.unique(np.concatenate(pieces))
+
+    def clipped(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate the polynomial, clipped to the bounds: for guesses, not for flying."""
+        values = self.polynomial(t, side)
+        lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
+        return np.clip(values, lower, upper)
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
+        times = np.atleast_1d(read_numbers(t, "the time"))
+        values = self.clipped(times, side)
+        breaks = self.polynomial.breaks
+        segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
+        for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
+            channels, here = np.flatnonzero(self.held[:, k]), np.flatnonzero(segment == k)
+            cell = np.searchsorted(self._cells[k], times[here], side) - 1
+            cell = np.clip(cell, 0, self.rules[k].n - 1)
+            nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
+            values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
+        return values if np.ndim(t) else values[:, 0]
+
+
+def _width(bounds: Interval) -> Array:
+    """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
+    span = bounds.upper - bounds.lower
+    fixed = magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
+    return np.where(np.isfinite(span) & ~bounds.fixed, span, fixed)

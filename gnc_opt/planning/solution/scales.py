@@ -1,0 +1,315 @@
+r"""How far states and controls move on a flight: what their deviations are measured against.
+
+A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
+not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
+the components of a vector. A state that hardly moves has what the controls could move it,
+:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k` with the mean deviation :math:`\Delta u_k` of each control
+from its mean (a constant one: its span), or the same through another state. What nothing can move has the width of its
+limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
+
+How much of its curvature in a control H keeps over a span: rounded kinks do not keep it, and rounding is none.
+
+A kink that is rounded, as :math:`\sqrt{u^2 + e^2}` for :math:`|u|`, curves as :math:`1 / e` and is worth no more than
+the kink. Where costates are rounding, H does not change over a span as its curvature foretells.
+
+Controls that do nothing: the steering angle of an engine that is off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING, magnitude
+
+_KEPT = 10.0
+"""Times what H bends by over half of a control's span its curvature there may amount to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bending:
+    """H along a phase, with other controls.
+
+    Attributes
+    ----------
+    functions : PhaseFunctions
+    times, x, u, lam : array (n_samples,), (n_states, n_samples), (n_controls, n_samples), (n_states, n_samples)
+    curvature : array (n_controls, n_samples)
+        d2H/du2 of each control by itself.
+    """
+
+    functions: PhaseFunctions
+    times: Array
+    x: Array
+    u: Array
+    lam: Array
+    curvature: Array
+
+    def lasting(self, i: int, at: Indices, span: float) -> Array:
+        """Share of its curvature in a control that H may keep over half of a span to either side, at some samples."""
+        kept = self._kept(i, at, span)
+        return np.asarray(np.where(np.isfinite(kept), np.minimum(_KEPT * kept, 1.0), 1.0))
+
+    def rounding(self, spans: Array) -> Indices:
+        """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
+        beyond = np.flatnonzero(spans * IDLE >= np.ptp(self.u, axis=1))
+        return beyond[[not self._bends(int(i), spans[i]) for i in beyond]]
+
+    def _bends(self, i: int, span: float) -> bool:
+        """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
+        at = np.array([np.argmax(np.abs(np.nan_to_num(self.curvature[i])))])
+        kept = self._kept(i, at, span)[0]
+        return bool(not np.isfinite(kept) or kept >= FORETOLD)
+
+    def _kept(self, i: int, at: Indices, span: float) -> Array:
+        """Share of its curvature in a control that H has over half of a span to either side, at some samples."""
+        step = np.zeros((self.u.shape[0], 1))
+        step[i] = 0.5 * span
+        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
+        before, here, after = (self.functions.hamiltonian(t, x, v, lam) for v in (u - step, u, u + step))
+        foretold = np.abs(self.curvature[i, at]) * step[i, 0] ** 2
+        bend = np.abs(after - 2.0 * here + before)
+        return np.asarray(np.divide(bend, foretold, out=np.ones_like(foretold), where=foretold > 0))
+
+
+SHARES = 0.37, -0.61
+"""Steps of a control, in shares of its scale: one that changes nothing at either is idle, and no angle has both as
+turns."""
+
+
+def without_effect(
+    functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array, scale: Array
+) -> Mask:
+    """Return where a control changes neither rates nor paths nor integrands while others are on their bounds.
+
+    Whatever those do that are between theirs; relative to what it changes elsewhere along the phase.
+
+    Parameters
+    ----------
+    functions : PhaseFunctions
+    bounds : Interval
+        Of the controls (m,).
+    t, x, u : array (N,), (n, N), (m, N)
+    scale : array (m,)
+        Of the controls.
+
+    Returns
+    -------
+    bool array (m, N)
+    """
+    idle = np.zeros(u.shape, dtype=bool)
+    coupled = np.flatnonzero(~functions.separable_controls)
+    lower, upper = bounds.near(u, AT_LIMIT * scale)
+    bound = lower | upper
+    if coupled.size < 2 or not np.any(bound[coupled]):
+        return idle
+    bases = u, np.where(bound, u, u + SHARES[0] * scale[:, None])
+    effects = [functions.effects(t, x, base) for base in bases]
+    for i in coupled:
+        changes = [
+            np.abs(functions.effects(t, x, _moved(base, int(i), share * scale[i])) - before)
+            for base, before in zip(bases, effects, strict=True)
+            for share in SHARES
+        ]
+        largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
+        idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
+    return idle
+
+
+def _moved(u: Array, i: int, by: float) -> Array:
+    other = u.copy()
+    other[i] += by
+    return other
+
+
+STILL = 1e-4
+"""A state that moves by less than this share of what the controls could move it is still: that is its span."""
+
+NOTHING_MOVES = 1e-9
+"""Where no state moves by more than this, as at an equilibrium, sizes have to do."""
+
+IDLE = 1e-6
+"""A control that moves by less than this share of its range is idle: its range is its span."""
+
+STEERED = 1e-2
+"""Least share of a span that misses of an end are measured against."""
+
+FORETOLD = 1e-6
+"""Share of what derivatives foretell that a step of a control must change, unless these derivatives are rounding."""
+
+RESOLUTION = 1e-7
+"""Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
+
+
+def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool) -> Array:
+    """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last.
+
+    Parameters
+    ----------
+    used : array (n_controls,)
+        Spans of the controls.
+    """
+    values = leg.x(leg.sample_times())
+    size = np.max(np.abs(values), axis=1, initial=0.0)
+    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    if not lasting or np.max(moved) <= NOTHING_MOVES:
+        return magnitude(shared(size, leg.states))
+    movable = shared(_movable(leg, functions, used), leg.states)
+    spans = np.where(moved > STILL * movable, moved, movable)
+    spans = np.maximum(spans, RESOLUTION * size)
+    boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
+    return _otherwise(_otherwise(spans, *(_width(box) for box in boxes)), size, np.ones(size.size))
+
+
+def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
+    r"""Return what misses of the final state are measured against (n_states,): what controls move, at most the span.
+
+    An orbit takes a satellite round the Earth by itself; a thruster moves the end by
+    :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`. Ends that controls do not reach count by the
+    span, and no less than the share `STEERED` of it: solvers keep end conditions to 1e-8 of their size.
+
+    Parameters
+    ----------
+    moved, used : array (n_states,), (n_controls,)
+        Spans of the states and of the controls.
+    """
+    middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
+    x, u = leg.x(middles), leg.flown(middles)
+    by_state, by_control = (f(middles, x, u) for f in (functions.state_jacobian, functions.input_jacobian))
+    if not (np.all(np.isfinite(by_state)) and np.all(np.isfinite(by_control))):
+        return moved
+    by_state = by_state * moved[None, :, None] / moved[:, None, None] * widths
+    by_control = by_control * used[None, :, None] / moved[:, None, None] * widths
+    onwards, reach = np.eye(moved.size), np.zeros(moved.size)
+    for k in reversed(range(widths.size)):
+        half = scipy.linalg.expm(np.clip(0.5 * by_state[:, :, k], -25.0, 25.0))
+        reach += np.sum(np.abs(onwards @ half @ by_control[:, :, k]), axis=1)
+        onwards = onwards @ half @ half
+        if not np.all(reach < 1.0 / STEERED) or np.all(reach >= 1.0):
+            break
+    reach = shared(reach, leg.states)
+    return np.asarray(moved * np.where(reach > STILL, np.clip(reach, STEERED, 1.0), 1.0))
+
+
+def control_spans(
+    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
+) -> Array:
+    """Return how far each control moves along a phase (n_controls,), at most its range; positive.
+
+    Parameters
+    ----------
+    flown, pull, curvature : array (n_controls, n_samples)
+        The control; what the costates' terms contribute to dH/du; d2H/du2. A constant control is moved by
+        pull / curvature from where the integrands alone would have it. One that is idle and has no range has the span
+        that is worth in H what the others are.
+    terms : float
+        What the products of costates and rates in H amount to, which counts where all controls are idle, as the heading
+        along a straight line; if all that is rounding, a control has its size, or 1.
+    asked : array (n_controls,)
+        What the controls would have to be to do what the flight does (`steering`). A control without a range that
+        nothing moves spans that, or its own size if that is less; one that is rounding beside it has no size.
+    """
+    extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
+    moved = np.ptp(flown, axis=1) if flown.size else size
+    steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
+    pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
+    spans = np.maximum(_within_range(np.fmax(moved, pulled), extent), RESOLUTION * size)
+    spans = shared(spans, leg.controls)
+    worth = np.fmax(steepest * spans, most * spans**2)
+    largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
+    largest = largest if largest > IDLE**2 * terms else terms
+    alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
+    spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
+    itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE * itself)
+    unmoved &= spans <= np.fmax(IDLE * itself, RESOLUTION * size)
+    spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
+
+
+def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+    """Return what each control would have to be to do what the flight does (n_controls,), by the least moved state.
+
+    Zero where a control moves a state that stays, or none directly, and where so much of it would not do so, as no
+    azimuth of a thrust along the pole.
+    """
+    middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
+    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    x, u = leg.x(middles), leg.flown(middles)
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
+    least = np.min(asked, axis=0, initial=np.inf)
+    least = np.where(np.isfinite(least), least, 0.0)
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1, initial=0.0) <= EQUAL * least):
+        by = least[i] * (np.arange(least.size) == i)[:, None]
+        changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
+        if np.all(changed <= FORETOLD * by_control[:, i] * least[i]):
+            least[i] = 0.0
+    for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
+        place = leg.controls.slice(
+            vector.direction
+        )  # of length 1: where it coasts, nothing could ask for more
+        least[place] = np.minimum(least[place], 1.0)
+    return np.asarray(least)
+
+
+def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+    """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
+    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    x, u = leg.x(middles), leg.flown(middles)
+    # A median, as one violent instant says nothing about the phase.
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
+    np.fill_diagonal(by_state, 0.0)
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    at_once = lasts * by_control @ _pushes(leg, used)
+    movable = np.maximum(at_once, lasts * by_state @ at_once)
+    for _ in range(movable.size):  # what is further down a chain
+        movable = np.where(movable > 0, movable, lasts * by_state @ movable)
+    return np.asarray(movable)
+
+
+def _pushes(leg: PhaseSolution, used: Array) -> Array:
+    """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span.
+
+    A control that acts for seconds of hours moves no state as far as its span would in hours.
+    """
+    times = leg.sample_times()
+    lasts, u = times[-1] - times[0], leg.flown(times)
+    mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
+    pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
+    return np.asarray(np.where(pushes > IDLE * used, pushes, used))
+
+
+def _within_range(spans: Array, extent: Array) -> Array:
+    return np.where(extent > 0, np.where(spans > IDLE * extent, np.minimum(spans, extent), extent), spans)
+
+
+def shared(values: Array, layout: Layout) -> Array:
+    """Return the largest value among the components of each variable."""
+    values = np.where(np.isfinite(values), values, 0.0)  # a copy
+    for variable in layout.variables:
+        rows = layout.slice(variable.name)
+        values[rows] = np.max(values[rows], initial=0.0)
+    return values
+
+
+def _width(box: Interval) -> Array:
+    """Return the finite widths of an interval; 0 where there is none."""
+    width = box.upper - box.lower
+    return np.where(np.isfinite(width), width, 0.0)
+
+
+def _otherwise(values: Array, *others: Array) -> Array:
+    for other in others:
+        values = np.where(values > 0, values, other)
+    return values

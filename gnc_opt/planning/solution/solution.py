@@ -1,0 +1,464 @@
+"""Solution: what `solve` returns; numbers that can be evaluated, judged, saved and used as a guess."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.archive import FileFormat, Packing
+from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError, ProblemError, unknown_name
+from gnc_opt.model.composed_controls import AssembledControl, SplitControl, SwitchedControl, VectorControl
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.problem.angles import Turns
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.expressions import OutsideTable, outside_tables, table_uses
+from gnc_opt.planning.problem.functions import PhaseFunctions, evaluator, phase_functions
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.solution.diagnosis import Violation
+from gnc_opt.planning.solution.export import records
+from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus, Statistics
+from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.propagation import Propagation, propagate
+from gnc_opt.planning.solution.quality import Quality, measure_quality
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import LowerBound
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scheme import Scheme
+from gnc_opt.text import preformatted
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution:
+    """A trajectory with its costates and multipliers.
+
+    With a single phase, the phase argument of every method may be left out.
+
+    Attributes
+    ----------
+    problem_name : str
+    status : Status
+    objective : float
+        As stated (not negated when maximised).
+    maximised : bool
+    phases : dict of PhaseSolution
+    free_parameters : Layout
+        Names of the optimised parameters.
+    parameter_values, parameter_multipliers : array (n_parameters,)
+        Values, and multipliers of their bounds.
+    constraint_labels : tuple of str
+    constraint_values, constraint_multipliers : array (n_constraints,)
+        Boundary constraints and their multipliers nu.
+    violations : tuple of Violation
+        Worst first; empty when solved.
+    statistics : Statistics
+    structure : tuple of Arc
+        Which control sits on which bound when, from a refinement that optimised switch times; else empty.
+    history : History or None
+        What a refinement did.
+    provenance : dict of str
+        Versions, options, scheme, mesh and the problem's fingerprint.
+    problem : Problem or None
+        What was solved, a copy that cannot be changed; None after loading without it.
+    bound : LowerBound or None
+        What no trajectory of the problem can pass, from `bound_below`; files do not keep it.
+
+    Examples
+    --------
+    >>> print(f"{solution.objective:.6f} s, from {solution.state('q')(0.0):.1f} m")
+    2.000000 s, from 1.0 m
+    """
+
+    problem_name: str
+    status: Status
+    objective: float
+    maximised: bool
+    phases: dict[str, PhaseSolution]
+    free_parameters: Layout
+    parameter_values: Array
+    parameter_multipliers: Array
+    constraint_labels: tuple[str, ...]
+    constraint_values: Array
+    constraint_multipliers: Array
+    violations: tuple[Violation, ...]
+    statistics: Statistics
+    provenance: Mapping[str, str]
+    structure: tuple[Arc, ...] = ()
+    history: History | None = None
+    problem: Problem | None = None
+    bound: LowerBound | None = None
+
+    @property
+    def scheme(self) -> Scheme:
+        """Of the collocation: LG, LGR or LGL."""
+        return next(iter(self.phases.values())).scheme
+
+    @property
+    def converged(self) -> bool:
+        """Whether a refinement reached its tolerance and the verdict."""
+        return self.history is not None and self.history.converged
+
+    @property
+    def gap(self) -> float | None:
+        """Distance of the objective from its bound, relative to the objective; None where no bound is known.
+
+        Up to the tolerances of both solves, which may make it negative; see ``bound.certified`` for what it is worth.
+        """
+        if self.bound is None:
+            return None
+        distance = (self.objective - self.bound.value) * (-1.0 if self.maximised else 1.0)
+        return distance / abs(self.objective) if distance else 0.0
+
+    # --- evaluation -------------------------------------------------------------------------------
+
+    def phase(self, name: str | None = None) -> PhaseSolution:
+        """Return the solution of a phase; the name may be left out when there is only one."""
+        if name is None:
+            if len(self.phases) != 1:
+                raise ProblemError(
+                    f"the solution of '{self.problem_name}' has {len(self.phases)} phases: "
+                    f"name one of {list(self.phases)}."
+                )
+            return next(iter(self.phases.values()))
+        if not isinstance(name, str) or name not in self.phases:
+            raise unknown_name("phase", name, f"the solution of '{self.problem_name}'", self.phases)
+        return self.phases[name]
+
+    def state(self, name: str, phase: str | None = None) -> Signal:
+        """Return a state over time: ``solution.state("q")(0.3)``."""
+        return self.phase(phase).state(name)
+
+    def control(self, name: str, phase: str | None = None) -> Signal:
+        """Return a control over time by its polynomial, which may leave its bounds between nodes."""
+        return self.phase(phase).control(name)
+
+    def flown_control(self, name: str, phase: str | None = None) -> Signal:
+        """Return a control over time as a signal within its bounds, which can be flown."""
+        return self.phase(phase).flown_control(name)
+
+    def costate(self, name: str, phase: str | None = None) -> Signal:
+        """Return the costate of a state over time, lambda(t0) = dJ*/dx0 of the minimised functional."""
+        return self.phase(phase).costate(name)
+
+    def parameter(self, name: str) -> Array | float:
+        """Return the value of an optimised parameter."""
+        values = self.parameter_values[self.free_parameters.slice(name)]
+        return float(values[0]) if values.size == 1 else values
+
+    def multiplier(self, name: str) -> Array | float:
+        """Return the multiplier(s) nu of a named boundary constraint."""
+        chosen = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
+        if not chosen:
+            known = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
+            raise unknown_name("boundary constraint", name, f"the solution of '{self.problem_name}'", known)
+        values = self.constraint_multipliers[chosen]
+        return float(values[0]) if values.size == 1 else values
+
+    def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
+        """Return H = L + lambda.f at time(s) t; needs the problem."""
+        leg = self.phase(phase)
+        values = self.functions(leg.name).hamiltonian(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        return float(values) if np.ndim(t) == 0 else values
+
+    def switching_function(
+        self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"
+    ) -> Array | float:
+        """Return dH/du of a control at time(s) t: a bounded control sits low where it is positive."""
+        leg = self.phase(phase)
+        values = self.functions(leg.name).switching(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        rows = values[leg.controls.slice(name)]
+        if rows.shape[0] > 1:
+            return rows
+        return float(rows[0]) if np.ndim(t) == 0 else np.asarray(rows[0])
+
+    def evaluate(
+        self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
+    ) -> Array | float:
+        """Return any expression in the model's symbols (or a declared output's name) at time(s) t.
+
+        Parameters
+        ----------
+        expression : casadi.SX or str
+        t : float or array (n_times,), s
+        """
+        leg = self.phase(phase)
+        problem = self.need_problem("evaluate")
+        function = evaluator(problem, leg.name, expression)
+        values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
+        if values.shape[0] > 1:
+            return np.asarray(values)
+        return float(values[0]) if np.ndim(t) == 0 else np.asarray(values[0])
+
+    def functions(self, phase: str) -> PhaseFunctions:
+        """Return dynamics, Hamiltonian and derivatives of a phase at this solution's parameters."""
+        leg = self.phase(phase)
+        problem = self.need_problem("evaluate functions of")
+        return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
+
+    def samples(self) -> dict[str, PhaseSamples]:
+        """Return every phase sampled densely in time, from model and trajectory alone; needs the problem."""
+        return dict(self._samples)
+
+    @cached_property
+    def _samples(self) -> dict[str, PhaseSamples]:
+        """Kept, for what is derived from them is asked for again and again while a solution is refined."""
+        return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
+
+    # --- quality ----------------------------------------------------------------------------------
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Between-node defect, bound violation and propagation error, computed from the model alone."""
+        return measure_quality(self.samples().values())
+
+    @cached_property
+    def objective_error(self) -> ObjectiveError:
+        """Estimated error of the objective; see `gnc_opt.planning.solution.objective_error`. Needs the problem."""
+        return estimate_objective_error(self.samples(), self.objective)
+
+    def outside_tables(self) -> list[OutsideTable]:
+        """Return where the trajectory is outside of the tables of its models; needs the problem."""
+        problem = self.need_problem("look for the tables of")
+        found: list[OutsideTable] = []
+        for name, leg in problem.phases.items():
+            if table_uses(problem, leg):
+                s = self._samples[name]
+                found += outside_tables(
+                    problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
+                )
+        return found
+
+    def propagate(
+        self,
+        phase: str | None = None,
+        *,
+        control: Literal["flown", "polynomial"] = "flown",
+        rtol: float = 1e-11,
+    ) -> Propagation:
+        """Integrate the dynamics under this solution's control, independently of collocation.
+
+        Parameters
+        ----------
+        phase : str, optional
+        control : {"flown", "polynomial"}
+            The bounded signal that can be flown, or the collocation polynomial as it is.
+        rtol : float
+            Relative tolerance of the integrator (DOP853).
+
+        Returns
+        -------
+        Propagation
+            Times, states and the final miss of each state.
+        """
+        leg = self.phase(phase)
+        return propagate(leg, self.functions(leg.name), control=control, rtol=rtol)
+
+    def __str__(self) -> str:
+        from gnc_opt.planning.solution.summary import summary
+
+        return summary(self)
+
+    def __repr__(self) -> str:
+        state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"
+        return f"Solution({self.problem_name!r}, {state})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return preformatted(str(self))
+
+    # --- files and tables -------------------------------------------------------------------------
+
+    def to_pandas(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as a table, one column per component, by time (s).
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` holds the unit of each.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return records(self.phase(phase), times).to_pandas()
+
+    def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as variables over time (s), each with its unit.
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            As for `to_pandas`.
+
+        Returns
+        -------
+        xarray.Dataset
+            Vectors have a dimension for their components; problem, status, objective and provenance are attributes.
+
+        Raises
+        ------
+        GncOptError
+            xarray is not installed; it comes with the extra ``data``.
+        """
+        told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
+        return records(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
+
+    def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
+        """Write states, flown controls and costates to a file for other programs, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.csv`` (which `guess_from_data` reads), ``.json`` or ``.mat``, with all digits. `save` keeps the whole.
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            As for `to_pandas`.
+
+        Raises
+        ------
+        ArgumentError
+            Another suffix.
+        """
+        return records(self.phase(phase), times).write(path)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the numbers to a file that `load` reads without the model.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.npz`` is appended if it has no suffix. An existing file is replaced, and only once the new one is
+            complete.
+
+        Returns
+        -------
+        Path
+            The file written. It holds the quality figures too: measured now, or carried over if this solution was
+            itself loaded without its problem.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written, e.g. because its folder does not exist.
+        """
+        known = vars(self).get("quality") if self.problem is None else self.quality
+        written_by = self.provenance.get("gnc_opt", "unknown")
+        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known, history=self.history)
+
+    def with_problem(self, problem: Problem) -> Solution:
+        """Return this solution joined to its problem, e.g. after `load`.
+
+        Raises
+        ------
+        ProblemError
+            If the problem is not the one that was solved (its fingerprint differs).
+        """
+        expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
+        problem = restated(problem)
+        if problem.fingerprint() != self.provenance.get("fingerprint"):
+            raise ProblemError(
+                f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "
+                "its functions or numbers differ; build it with the same options."
+            )
+        return replace(self, problem=problem.frozen())
+
+    def need_problem(self, action: str) -> Problem:
+        """Return the problem.
+
+        Parameters
+        ----------
+        action : str
+            What it is needed for, a verb whose object is the solution: ``"refine"``.
+
+        Raises
+        ------
+        GncOptError
+            The solution was loaded without it.
+        """
+        if self.problem is None:
+            raise GncOptError(
+                f"cannot {action} the solution of '{self.problem_name}' without its problem: "
+                "load it with load(path, problem=...)."
+            )
+        return self.problem
+
+
+SOLUTION_FILES = FileFormat(
+    Solution,
+    "solution",
+    3,
+    Packing(
+        (
+            *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
+            *(SplitControl, VectorControl, AssembledControl, SwitchedControl, Turns),
+            *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+            *(History, Pass, Actions, RefinementStatus),
+        ),
+        left_out={Solution: ("problem", "history", "bound")},
+    ),
+    alike=(1, 2),  # have no turns, 1 no composed controls
+)
+"""Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
+
+
+def load(path: str | Path, problem: Problem | None = None) -> Solution:
+    """Read a solution that `Solution.save` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+    problem : Problem, optional
+        The problem that was solved, built again. Without it states, controls, costates, multipliers and the
+        quality figures of saving time are there; Hamiltonian, expressions and verification need it.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    GncOptError
+        The file is damaged, no solution of gnc_opt, or of another format version.
+    ProblemError
+        ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
+        may change with a new CasADi.)
+
+    Examples
+    --------
+    >>> path = solution.save("plan.npz")
+    >>> print(go.load(path, problem=problem).objective == solution.objective)
+    True
+    """
+    solution, more = SOLUTION_FILES.read(path)
+    assert isinstance(solution, Solution)
+    solution = replace(solution, history=more.get("history"))
+    if problem is not None:
+        return solution.with_problem(problem)
+    if more.get("quality") is not None:
+        vars(solution)["quality"] = more["quality"]  # what the cached property would hold
+    return solution

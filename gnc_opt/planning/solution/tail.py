@@ -1,0 +1,78 @@
+"""Rest of a solution: what of a trajectory lies after a time.
+
+By the principle of optimality it solves the same problem from there on, which makes it the natural guess where the
+problem is to be solved again on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.tolerances import SAME_TIME
+
+
+def rest_of(solution: Solution, time: float) -> Solution:
+    """Return what of a solution of one phase lies after a time, which begins there with the state it had.
+
+    Costates and multipliers go with it; integrals, cost and bounds remain those of the whole, arcs are left out.
+
+    Parameters
+    ----------
+    solution : Solution
+    time : float
+        s, at or after the beginning and before the end.
+    """
+    ((name, leg),) = solution.phases.items()
+    return replace(solution, phases={name: _rest_of_phase(leg, time)}, structure=())
+
+
+def _rest_of_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
+    slack = SAME_TIME * leg.duration
+    first = int(np.searchsorted(leg.breaks[1:-1], time + slack, "right"))
+    breaks = np.append(time, leg.breaks[first + 1 :])
+    degrees = leg.mesh.degrees[first:]
+    mesh = Mesh.at_times(breaks, degrees)
+    fresh = replace(
+        leg,
+        mesh=mesh,
+        initial_time=time,
+        x=_restricted(leg.x, first, breaks),
+        u=_restricted(leg.u, first, breaks),
+        lam=_restricted(leg.lam, first, breaks),
+    )
+    points = fresh.point_times
+    ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.rules])
+
+    def sampled(signal: PiecewisePolynomial) -> Array:
+        return np.where(ends_segment, signal(points, "left"), signal(points, "right"))
+
+    lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
+    lam_start[:, 0] = leg.lam(time)
+    impulses[:, 0] = -lam_start[:, 0]  # what holds a given start: L = J + multiplier (x - x0), dJ/dx0 = lam
+    return replace(
+        fresh,
+        lam_start=lam_start,
+        lam_end=leg.lam_end[:, first:],
+        point_costates=sampled(leg.lam),
+        path_multipliers=sampled(leg.path_multiplier),
+        state_multipliers=sampled(leg.state_multiplier),
+        control_multipliers=sampled(leg.control_multiplier),
+        state_impulses=impulses,
+    )
+
+
+def _restricted(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
+    """Return the segments from ``first`` on, that one from the first of the breaks on: the same polynomials."""
+    left, right = signal.breaks[first], signal.breaks[first + 1]
+    nodes = signal.nodes[first]
+    places = breaks[0] + 0.5 * (breaks[1] - breaks[0]) * (1 + nodes)
+    own = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
+    values = (own(np.clip(places, left, right)), *signal.values[first + 1 :])
+    return PiecewisePolynomial(breaks, signal.nodes[first:], values)

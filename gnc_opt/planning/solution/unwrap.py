@@ -1,0 +1,117 @@
+"""Controls that are angles: the same turn of the problem's functions, unwound to the values nearest to each other.
+
+An angle without bounds means the same after any number of turns, and a solver that takes long steps leaves every point
+with a number of its own: states, cost and multipliers are right, yet polynomials through the points are not. Of an
+azimuth and an elevation, (a, e) and (a + half a turn, half a turn - e) are the same direction too.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.problem.angles import ELSEWHERE, PERIODS, turned_back
+from gnc_opt.planning.problem.functions import PhaseFunctions
+from gnc_opt.planning.problem.interval import Interval
+
+
+def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
+    """Return controls (m, N) with angles moved by whole periods to be nearest to those before them.
+
+    Those that bounds leave no room for stay where they are, and all if they do not jump.
+
+    Parameters
+    ----------
+    functions : PhaseFunctions
+    bounds : Interval
+        Of the controls (m,).
+    t, x, u : array (N,), (n, N), (m, N)
+        Times, in order, states and controls.
+    """
+    room = bounds.upper - bounds.lower
+    if u.shape[1] < 2 or not np.all(np.isfinite(u)):
+        return u
+    jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
+    if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
+        return u
+    along = _Along(functions, t, x, u)
+    angles = {i: period for i in range(room.size) if 0 < (period := along.period(i)) < room[i]}
+    pairs = [pair for pair in itertools.permutations(angles, 2) if along.mirrors(pair, angles)]
+    turned = u.copy()
+    for i, j in pairs:
+        turned[[i, j]] = _nearest_directions(u[[i, j]], angles[i], angles[j])
+    for i in angles.keys() - set(itertools.chain(*pairs)):
+        turned[i] = _nearest(u[i], angles[i])
+        turned[i] += angles[i] * _turns_inside(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
+    inside = np.all((turned >= bounds.lower[:, None]) & (turned <= bounds.upper[:, None]), axis=1)
+    if not all(inside[i] and inside[j] for i, j in pairs):
+        inside[list(itertools.chain(*pairs))] = False
+    return np.where(inside[:, None], turned, u)
+
+
+def periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
+    """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
+    if not np.any(among):
+        return np.zeros(u.shape[0])
+    along = _Along(functions, t, x, u)
+    return np.array([along.period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
+
+
+def _turns_inside(angle: Array, lower: float, upper: float, period: float) -> float:
+    """Whole turns, as few as can be, that take angles (N,) between their bounds, 0 if none do."""
+    least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
+    return float(np.clip(0.0, least, most)) if least <= most else 0.0
+
+
+class _Along:
+    """What the functions of a phase are along a trajectory, with other controls."""
+
+    def __init__(self, functions: PhaseFunctions, t: Array, x: Array, u: Array) -> None:
+        self.functions, self.t, self.x, self.u = functions, t, x, u
+        self.here = self._values(u)
+
+    def period(self, i: int) -> float:
+        """Return the period of a control, 0 if it has none of `PERIODS`."""
+        for period in PERIODS:
+            if self._same(self._shifted(i, period), self._shifted(i, ELSEWHERE * period)):
+                return period
+        return 0.0
+
+    def mirrors(self, pair: tuple[int, int], periods: dict[int, float]) -> bool:
+        """Whether half a turn of the first and the other side of a quarter turn of the second are the same."""
+        i, j = pair
+        other = self._shifted(i, 0.5 * periods[i])
+        away = other.copy()
+        other[j] = 0.5 * periods[j] - other[j]
+        return self._same(other, away)
+
+    def _same(self, other: Array, away: Array) -> bool:
+        """Whether other controls change nothing, compared with those that are known to be elsewhere."""
+        return turned_back(self.here, self._values(other), self._values(away))
+
+    def _shifted(self, i: int, by: float) -> Array:
+        u = self.u.copy()
+        u[i] += by
+        return u
+
+    def _values(self, u: Array) -> Array:
+        return self.functions.effects(self.t, self.x, u)
+
+
+def _nearest(angle: Array, period: float) -> Array:
+    """Angles (N,), the first within half a period of zero, the others nearest to those before them."""
+    steps = np.diff(angle, prepend=0.0)
+    return np.cumsum(steps - period * np.round(steps / period))
+
+
+def _nearest_directions(angles: Array, *periods: float) -> Array:
+    """Azimuths and elevations (2, N) of the same directions, each nearest to the one before it."""
+    turn, found, last = np.array(periods), np.empty_like(angles), np.zeros(2)
+    for k, (azimuth, elevation) in enumerate(angles.T):
+        ways = np.array([[azimuth, elevation], [azimuth + 0.5 * turn[0], 0.5 * turn[1] - elevation]])
+        ways -= turn * np.round((ways - last) / turn)
+        distance = np.sum(np.abs(ways - last) / turn, axis=1)
+        last = found[:, k] = ways[1 if distance[1] < distance[0] else 0]
+    return found

@@ -1,0 +1,231 @@
+"""The verdict: condition by condition, with numbers, places and meanings.
+
+A bound of the cost that no trajectory of a problem can pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from gnc_opt.errors import unknown_name
+from gnc_opt.text import heading, preformatted, table
+
+
+@dataclass(frozen=True)
+class LowerBound:
+    """The least cost of a problem whose trajectories include all those of another, or seem to.
+
+    Attributes
+    ----------
+    value : float
+        As the objective is stated: what a minimised one is at least, a maximised one at most.
+    states : tuple of str
+        The components of states that are left in the problem that gives the bound; all where it is the problem itself.
+    theorem : str
+        By which the minimum of that problem is a global one. Empty where none applies: the minimum is a local one then,
+        and the value no bound if another is lower.
+
+    Examples
+    --------
+    >>> bound = go.bound_below(solution).bound
+    >>> print(f"{bound.value:.6f}", bound.states, bound.certified)
+    2.000000 ('q', 'v') True
+    """
+
+    value: float
+    states: tuple[str, ...]
+    theorem: str
+
+    @property
+    def certified(self) -> bool:
+        """Whether a theorem says that the value is a global minimum, up to the tolerances of verdict and solver."""
+        return bool(self.theorem)
+
+    def __str__(self) -> str:
+        local = "a local minimum of theirs, no bound if another is lower"
+        known = f"global, {self.theorem}" if self.certified else local
+        return f"{self.value:.10g} by {', '.join(self.states)} ({known})"
+
+
+class Result(Enum):
+    """Outcome of one condition."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    CANNOT_TELL = "CANNOT TELL"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition of optimality and how well it holds.
+
+    Attributes
+    ----------
+    name : str
+    result : Result
+    value : float
+        The worst offence, dimensionless (see ``meaning``).
+    tolerance : float
+        Largest value that passes.
+    where : str
+        Phase, time and quantity of the worst offence.
+    meaning : str
+        What the condition says and what its failure means, in one or two sentences.
+    sufficient : bool
+        False: necessary for a minimum, and ``Verdict.ok`` needs it told. True: part of what suffices for a strict
+        local minimum, so that only ``Verdict.minimum`` needs it told; FAIL says then that its necessary form is
+        violated too, CANNOT TELL that the margin is missing or that there is no test.
+    loss : float or None
+        What the offences along the whole trajectory cost, to first order, in units of the cost; None where that is not
+        told.
+    unit : str
+        Of the loss; empty where it is not known.
+
+    Examples
+    --------
+    >>> condition = go.verify(solution)["Hamiltonian"]
+    >>> print(condition.result.value, condition.value < condition.tolerance)
+    PASS True
+    """
+
+    name: str
+    result: Result
+    value: float
+    tolerance: float
+    where: str
+    meaning: str
+    sufficient: bool = False
+    loss: float | None = None
+    unit: str = ""
+
+    @property
+    def offence_text(self) -> str:
+        """The place of the worst offence and, if it is told, the loss of cost: "phase leg, t = 1 s; costs 0.02 s"."""
+        return (
+            self.where if self.loss is None else f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip()
+        )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All conditions of a solution.
+
+    Attributes
+    ----------
+    problem_name : str
+    conditions : tuple of Condition
+    not_judged : str
+        Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
+    estimated : bool
+        Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
+    bound : LowerBound or None
+        What no trajectory of the problem can pass, if the solution knows it (`bound_below`).
+    gap : float or None
+        Distance of the objective from the bound, relative to the objective.
+
+    Examples
+    --------
+    >>> verdict = go.verify(solution)
+    >>> print(verdict.word, len(verdict.failed))
+    ok 0
+    """
+
+    problem_name: str
+    conditions: tuple[Condition, ...]
+    not_judged: str = ""
+    estimated: bool = False
+    bound: LowerBound | None = None
+    gap: float | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether the necessary conditions of a minimum hold: none fails, and none of them is untold."""
+        return not self.failed and not self.not_judged and all(c.sufficient for c in self.untold)
+
+    @property
+    def minimum(self) -> bool:
+        """Whether sufficient conditions hold too, every one of them: a strict local minimum, within the tolerance."""
+        judged = any(c.sufficient for c in self.conditions)
+        return self.ok and judged and not self.untold
+
+    @property
+    def failed(self) -> tuple[Condition, ...]:
+        """The conditions that fail."""
+        return tuple(c for c in self.conditions if c.result is Result.FAIL)
+
+    @property
+    def untold(self) -> tuple[Condition, ...]:
+        """The conditions that cannot be told."""
+        return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
+
+    @property
+    def open(self) -> tuple[Condition, ...]:
+        """The conditions that keep it from being ok: those that fail, then necessary ones that cannot be told."""
+        return (*self.failed, *(c for c in self.untold if not c.sufficient))
+
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two: "ok", "NOT ok", or what was not judged: "not judged: no costates"."""
+        if self.failed:
+            return "NOT ok"
+        missing = self.not_judged or ", ".join(c.name for c in self.untold if not c.sufficient)
+        return f"not judged: {missing}" if missing else "ok"
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence: if it is ok, whether it is known to be a minimum, and how far from a bound."""
+        if self.minimum:
+            return f"every condition passes: a strict local minimum{self._distance}"
+        if self.ok:
+            return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance}"
+        return self.word
+
+    @property
+    def _distance(self) -> str:
+        if self.bound is None or self.gap is None:
+            return ""
+        if self.bound.certified:
+            return f"; at most {abs(self.gap):.1e} from the global optimum"
+        return f"; {abs(self.gap):.1e} from a local minimum of a relaxation"
+
+    def __getitem__(self, name: str) -> Condition:
+        for condition in self.conditions:
+            if condition.name == name:
+                return condition
+        names = [c.name for c in self.conditions]
+        raise unknown_name("condition", name, f"the verdict on '{self.problem_name}'", names)
+
+    def explain(self) -> str:
+        """Return a paragraph per condition that does not pass, or one that says all do."""
+        how = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
+        for c in self.conditions:
+            if c.result is not Result.PASS:
+                lines.append(
+                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.offence_text}. "
+                    f"{c.meaning}"
+                )
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        width = max(len(c.name) for c in self.conditions)
+        lines = [
+            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.offence_text}"
+            for c in self.conditions
+        ]
+        return "\n".join([*lines, f"verdict: {self.word}"])
+
+    def __repr__(self) -> str:
+        return f"<verdict on '{self.problem_name}': {self.word}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: every condition with its number and place, then what those that do not pass mean."""
+        rows = [
+            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.offence_text)
+            for c in self.conditions
+        ]
+        titles = ("condition", "result", "value", "tolerance", "worst at")
+        shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
+        passed = all(c.result is Result.PASS for c in self.conditions)
+        return shown if passed else shown + preformatted(self.explain())

@@ -1,0 +1,289 @@
+"""Where one solve starts: the variables of its program, from the problem's guess or from an earlier solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.guess.singularity_avoidance import bent
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.costates import point_multipliers
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.polynomial import Side
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import GONE, SHORTEST
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramStart:
+    """Variables to start from and, from an earlier solution, multipliers; all physical.
+
+    Attributes
+    ----------
+    x : array (n_variables,)
+    lam_x : array (n_variables,) or None
+        Of the bounds of the variables.
+    lam_g : array (n_constraints,) or None
+        Of the rows.
+    """
+
+    x: Array
+    lam_x: Array | None = None
+    lam_g: Array | None = None
+
+
+def program_start(transcription: Transcription, problem: Problem, guess: Solution | None) -> ProgramStart:
+    """Return where a solve starts: at a solution with its multipliers, or at the problem's own guess.
+
+    Raises
+    ------
+    ProblemError
+        The solution has other phases, states or controls than the problem.
+    """
+    if guess is None:
+        return ProgramStart(
+            with_integrals(transcription, problem, start_from_guess(transcription, bent(problem)))
+        )
+    return start_from_solution(transcription, problem, guess, start_from_guess(transcription, problem))
+
+
+def start_from_guess(transcription: Transcription, problem: Problem) -> Array:
+    """Return the problem's guess of all program variables (n_variables,), physical; integrals are left at zero."""
+    x = np.zeros(transcription.n_variables)
+    for name, part in transcription.parts.items():
+        leg, collocation = problem.phases[name], part.collocation
+        boundaries = start_phase(leg, np.asarray(collocation.mesh.breaks))
+        points = start_phase(leg, collocation.fractions)
+        x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
+        x[collocation.boundary_states] = boundaries.states
+        free_times = part.times < transcription.n_variables
+        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)]
+        times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
+        x[part.times[free_times]] = times[free_times]
+    if problem.parameters.size:
+        x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
+    box = transcription.variable_interval(problem)
+    return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+
+
+def with_integrals(transcription: Transcription, problem: Problem, x: Array) -> Array:
+    """Set integral variables to the integrals along x: their rows are (integral - quadrature)."""
+    places = transcription.integral_places
+    if not places.size:
+        return x
+    values = transcription.evaluate(problem, x)[0]
+    x = x.copy()
+    x[places] -= np.nan_to_num(values[-places.size :])
+    return x
+
+
+def start_from_solution(
+    transcription: Transcription, problem: Problem, guess: Solution, start: Array
+) -> ProgramStart:
+    """Return variables and multipliers interpolated from a solution on any mesh.
+
+    Parameters
+    ----------
+    start : array (n_variables,)
+        Values for variables that the solution does not have.
+
+    Raises
+    ------
+    ProblemError
+        The solution has other phases, states or controls than the problem.
+    """
+    x = start.copy()
+    lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
+    for name, part in transcription.parts.items():
+        leg = problem.phases[name]
+        old = _matching(guess, leg)
+        _put_phase(transcription, part, old, x, lam_x, lam_g)
+    _put_parameters(transcription, problem, guess, x, lam_x)
+    _put_end_rows(transcription, guess, lam_g)
+    box = transcription.variable_interval(problem)
+    x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+    return ProgramStart(with_integrals(transcription, problem, x), lam_x, lam_g)
+
+
+def mesh_at_rest(leg: PhaseSolution) -> Mesh:
+    """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
+    if leg.duration < SHORTEST:
+        return replace(leg.mesh, movable=())
+    breaks = (leg.breaks - leg.initial_time) / leg.duration
+    stands = np.diff(breaks) > GONE
+    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
+    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
+
+
+def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
+    old = guess.phases.get(leg.name)
+    if old is None:
+        raise ProblemError(
+            f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases."
+        )
+    for kind, mine, theirs in (
+        ("states", leg.model.states, old.states),
+        ("controls", leg.model.controls, old.controls),
+    ):
+        if mine.labels != theirs.labels:
+            raise ProblemError(
+                f"the guess for {leg.where} has the {kind} {list(theirs.labels)}, "
+                f"but the model has {list(mine.labels)}: use guess_from_solution()."
+            )
+    return old
+
+
+def _put_phase(
+    transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
+) -> None:
+    collocation = part.collocation
+    points = _stretch(old, collocation.fractions)
+    breaks = _stretch(old, np.asarray(collocation.mesh.breaks))
+    x[collocation.boundary_states] = old.x(breaks)
+    # A point that ends its segment takes the limit from within: controls and costates may jump there.
+    at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
+
+    def sample(signal: Callable[[Array, Side], Array]) -> Array:
+        return np.where(at_end, signal(points, "left"), signal(points, "right"))
+
+    shared = np.isin(collocation.point_states, collocation.boundary_states)
+    states = old.x(points)
+    x[collocation.point_states[~shared]] = states[~shared]
+    x[collocation.point_controls] = sample(old.flown.clipped)
+    free_times = part.times < transcription.n_variables
+    times = _stretch(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    x[part.times[free_times]] = times[free_times]
+    for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
+        if place < transcription.n_variables:
+            lam_x[place] = multiplier
+    weights = collocation.quadrature * np.diff(times)[collocation.point_arcs]
+    _put_impulses(collocation, old, lam_x)
+    np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
+    if old.path_labels:
+        lam_g[collocation.path_rows] = sample(old.path_multiplier) * weights
+    same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
+    costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
+    for rows, values in zip(
+        collocation.dynamics_rows, point_multipliers(collocation, costates, ends), strict=True
+    ):
+        lam_g[rows] = values
+
+
+def _put_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+    places, impulses = collocation.boundary_states, old.state_impulses
+    lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
+    if collocation.mesh == old.mesh:
+        lam_x[places] = impulses
+
+
+def _put_parameters(
+    transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
+) -> None:
+    for name in problem.parameters.names:
+        if name in guess.free_parameters:
+            places = transcription.parameter_places[problem.parameters.slice(name)]
+            x[places] = guess.parameter_values[guess.free_parameters.slice(name)]
+            lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
+
+
+def _put_end_rows(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+    """Multipliers of boundary constraints, of durations, and of the rows that define integrals: -dJ/dI."""
+    values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
+    known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
+    for name, leg in guess.phases.items():
+        known[f"duration of phase {name}"] = leg.duration_multiplier
+        for label, weight in zip(leg.integral_labels, leg.integral_weights, strict=True):
+            known[f"integral {label}, phase {name}"] = -float(weight)
+    for label, row in transcription.end_rows.items():
+        lam_g[row] = known.get(label, 0.0)
+
+
+def _stretch(old: PhaseSolution, fractions: Array) -> Array:
+    """Times on the old phase at fractions of it."""
+    first, last = old.breaks[0], old.breaks[-1]
+    return np.asarray(first + fractions * (last - first))
+
+
+def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with the trajectory of another one's solution as its guess, as far as both agree.
+
+    For the solution of a simpler problem: with fewer states, another model or other phases. (A solution of a problem
+    with the same phases, states and controls is worth more as ``solve(problem, guess=solution)``: that takes its
+    multipliers, too.)
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Phases go by their names, or, if both have a single one, together; states, controls and free parameters by
+        theirs and their sizes. What the solution does not have is guessed.
+
+    Returns
+    -------
+    Problem
+        Like ``problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        The two have no phase, or no state and no control, in common.
+
+    Examples
+    --------
+    >>> nearby = go.guess_from_solution(problem.with_initial(q=1.1), solution)
+    >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
+    2.0976
+    """
+    expect(problem, Problem, "what guess_from_solution() got", "write guess_from_solution(problem, solution)")
+    expect(solution, Solution, "the solution of guess_from_solution()", "give what solve() returned")
+    common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
+    if len(problem.phases) == len(solution.phases) == 1:
+        common = dict(zip(problem.phases, solution.phases.values(), strict=True))
+    guessed = problem
+    for name, leg in common.items():
+        guessed = _with_phase(guessed, name, leg)
+    if guessed is problem:
+        raise ProblemError(
+            f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
+            "controls of the same names: rename them, or use guess_from_data()."
+        )
+    known, parameters = solution.free_parameters, problem.parameters
+    shared = {
+        v.name: solution.parameter_values[known.slice(v.name)]
+        for v in parameters.variables
+        if v.name in known and known[v.name].size == v.size
+    }
+    return guessed.with_parameter_guess(**shared) if shared else guessed
+
+
+def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+    """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
+    signals = [leg.state(v) for v in leg.states.names]
+    signals += [leg.flown_control(v) for v in leg.controls.names]
+    signals += [leg.flown_control(c.name) for c in leg.composed_controls]
+    known = {signal.name: signal for signal in signals}
+    values: dict[str, Callable[[Any], Array]] = {
+        v.name: _function(leg, known[v.name])
+        for v in problem.phases[name].guessable.values()
+        if v.name in known and len(known[v.name].labels) == v.size
+    }
+    return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
+
+
+def _function(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+    """Return a signal as a guess, which may be asked for times just outside the phase."""
+    first, last = float(leg.breaks[0]), float(leg.breaks[-1])
+    return lambda t: np.asarray(signal(min(max(float(t), first), last)))

@@ -1,0 +1,401 @@
+"""solve: from a stated problem to a solution that is accurate and judged.
+
+Resolver: solving a problem again and again with other numbers, near a solution that is known.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from enum import Enum
+from typing import Literal
+
+from gnc_opt.arguments import expect, read_positive
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.direct.failure import SolveError, failure_message
+from gnc_opt.planning.direct.second_solve import another_way, relative_gain
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.check import check_numbers
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.refinement.arc_warm_start import WARM_ITERATIONS, KnownArcs, first_meshes
+from gnc_opt.planning.refinement.engine import StructureChoice, refine
+from gnc_opt.planning.refinement.limits import RefinementLimits
+from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
+from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import MeshLike
+from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
+from gnc_opt.planning.verification.verify import with_verdicts
+from gnc_opt.tolerances import SHORTEST
+
+
+class Resolver:
+    """Solve variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from one solution of it.
+
+    The ways, tried in this order:
+
+    ============  ============================================================  ========================================
+    way           where                                                         how
+    ============  ============================================================  ========================================
+    SWITCH_TIMES  one phase, every control on a bound, all that is asked of     Newton's method on switch times, arcs
+                  the ends an equality                                          dropped and added as signs ask
+    WARM          all else                                                      its arcs or mesh, and multipliers, by
+                                                                                IPOPT; refined if it was refined
+    COLD          where the others give up                                      `solve` as if nothing were known
+    ============  ============================================================  ========================================
+
+    SWITCH_TIMES gives the flight itself, integrated with its switches, and not a collocated solution: its cost is
+    right to 1e-9 by an estimate from two grids, switch times to the root of that in shares of the phase, and no
+    limit is exceeded, or it gives up.
+    WARM, from a refined solution, is within ``tol``; if the arcs are others or the mesh had to be refined, it also
+    passes the verdict, which it carries then, or it gives up. All else is judged by `verify` only.
+    Both find a local minimum, as a rule that next to the known one; COLD may find another. What was compiled,
+    transcribed and differentiated serves all solves. One object must not be used by two threads at once.
+
+    Parameters
+    ----------
+    solution : Solution
+        A solved one, with its problem.
+    tol : float, optional
+        For solutions from the start; default: that which the solution was refined to; None if it was not.
+    cold : bool
+        Whether to solve from the start where the other ways fail, which takes its time.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem.
+    ProblemError
+        It is not solved.
+
+    Examples
+    --------
+    >>> resolver = go.Resolver(solution)
+    >>> print(f"{resolver.solve(problem.with_initial(q=1.21)).objective:.6f}")
+    2.200000
+    """
+
+    def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
+        expect(solution, Solution, "what Resolver() got", "write Resolver(solve(problem))")
+        self._problem = solution.need_problem("solve")
+        if not solution.status.solved:
+            raise ProblemError(
+                f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
+                "solve again from one that is solved."
+            )
+        asked = solution.history.tolerance if tol is None and solution.history is not None else tol
+        self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
+        self.solution, self.cold = solution, cold
+        flight = KnownFlight.of(solution)
+        self._flight = None if flight is None else flight.differentiated()
+        self._arcs = KnownArcs.of(solution) if solution.structure or self.tol is not None else None
+
+    @one_thread()
+    def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
+        """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
+
+        A variation may begin on the way of the known one, ``problem.with_time(initial=t).with_initial(...)``: what of
+        it lies after that time is the start.
+
+        Parameters
+        ----------
+        problem : Problem
+        near : Solution, optional
+            Of a variation, to start from; default the one that the resolver was made of.
+
+        Raises
+        ------
+        ProblemError
+            The problem, or what it is to start near, is no variation of the one that the resolver knows; or it is not
+            well stated.
+        SolveError
+            No way has led to a solution.
+        KeyboardInterrupt
+            Ctrl-C before anything was solved; while it is solved from the start see `solve`.
+        """
+        expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        stated, problem = problem, restated(problem)
+        if not stated.leads_to(self._problem):
+            raise ProblemError(
+                f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
+                "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
+            )
+        if near is not None:
+            expect(near, Solution, "the start of Resolver.solve()", "give near=resolver.solve(...), say")
+            if _variables(near) != _variables(self.solution):
+                raise ProblemError(
+                    f"the solution of '{near.problem_name}' has other phases, states or controls than what the "
+                    "resolver knows: give near= a solution of a variation."
+                )
+        check_numbers(stated)  # the guess of a variation is used by the last way only, which looks at it
+        found = self._nearby(stated, problem, near) if problem.builds is self._problem.builds else None
+        if found is not None:
+            return found
+        if not self.cold:
+            raise ProblemError(
+                f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
+                "from the start: vary it less, or leave out cold=False."
+            )
+        return said(solve(problem, tol=self.tol), Way.COLD)
+
+    def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
+        """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
+        if self._flight is not None:
+            flight = self._flight if near is None else KnownFlight.of(near)
+            flown = None if flight is None else flight.vary(problem)
+            if flown is not None:
+                return said(flown, Way.SWITCH_TIMES)
+        stated.check()
+        if self._arcs is not None:
+            arcs = self._arcs if near is None else KnownArcs.of(near)
+            found = arcs.vary(problem, reached(self.solution) if self.tol is None else self.tol, "changed")
+            return None if found is None else said(found, Way.WARM)
+        start = self.solution if near is None else near
+        meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
+        guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)
+        found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return said(found, Way.WARM) if found.status.solved else None
+
+
+def _variables(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
+    """Names of states and controls by phase."""
+    return {
+        name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in solution.phases.items()
+    }
+
+
+class Way(Enum):
+    """How a problem was solved again, from a known solution; ``solution.provenance["way"]`` names it."""
+
+    SWITCH_TIMES = "switch times"
+    WARM = "warm start"
+    COLD = "from the start"
+
+
+TOLERANCE = 1e-6
+"""What a solution is refined to where nobody says otherwise."""
+
+
+@one_thread()
+def solve(
+    problem: Problem,
+    *,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    scheme: Scheme = GAUSS,
+    guess: Solution | None = None,
+    tol: float | Literal["auto"] | None = "auto",
+    structure: StructureChoice = "auto",
+    options: SolverOptions | None = None,
+    progress: bool = False,
+    throw: bool = True,
+) -> Solution:
+    """Solve an optimal control problem by collocation, refine the solution, and judge it.
+
+    What is printed of the solution says whether it is ok, a minimum, or which condition of the verdict is open;
+    `verify` returns that verdict without judging again.
+
+    Parameters
+    ----------
+    problem : Problem
+    mesh : Mesh, str or mapping, optional
+        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. Refining only starts
+        from it: for the solution on this very mesh give ``tol=None``.
+    scheme : {"LG", "LGR", "LGL"}
+        Collocation points: Legendre-Gauss, -Radau or -Lobatto.
+    guess : Solution, optional
+        Start from states, controls and multipliers of an earlier solution, on any mesh; ``provenance["way"]`` of the
+        answer says how. If it is the refined solution of a variation (`Problem.with_initial`, ...), and neither mesh
+        nor options are given, its arcs or its mesh serve on, to the tolerance it was refined to; without a tolerance
+        and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
+        see `Resolver`. Where these lead nowhere, it is refined and judged again, from the mesh that the guess was
+        refined from, and if that does not settle, from the start. Without a guess the problem's own guess and straight
+        lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
+        constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
+    tol : float, "auto" or None
+        Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
+        does not come to rest is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None: one solve on the
+        given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`); with a ``guess`` that which a variation was refined
+        to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
+    structure : {"auto", "bang-bang", "none"}
+        How to refine; see `refine`.
+    options : SolverOptions, optional
+        Solver, tolerances, limits and raw options. The limit on wall time is one on solving and refining together.
+    progress : bool
+        Show iterations while solving.
+    throw : bool
+        Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, its
+        ``status`` says what happened and ``violations`` name the worst constraints. An interrupted solve
+        (Ctrl-C, time limit) never raises; interrupted while refining, the best solution so far is returned. Only while
+        the arcs of a guess are followed there is none yet, and Ctrl-C raises ``KeyboardInterrupt``.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    ProblemError
+        The problem is not well stated; see ``Problem.check``.
+    SolveError
+        No solution was found; the error carries the last iterate.
+
+    Examples
+    --------
+    >>> found = go.solve(problem)
+    >>> print(f"{found.objective:.6f} {found.history.status.value}")
+    2.000000 converged
+    """
+    expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
+    family_of(scheme)
+    if guess is not None:
+        expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+    as_usual = mesh is None and structure == "auto" and options is None
+    options = SolverOptions() if options is None else options
+    expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
+    in_a_loop = tol == "auto" and guess is not None
+    if tol == "auto":
+        tol = None if in_a_loop else TOLERANCE
+    elif tol is not None:
+        tol = read_positive(tol, "the tolerance of solve()")
+    problem.check()
+    problem = restated(problem)
+    begin = time.perf_counter()
+    if guess is not None and as_usual and scheme == guess.scheme:
+        nearby = _varied(problem, guess, tol, in_a_loop)
+        if nearby is not None:
+            return nearby
+        if in_a_loop and guess.converged and _is_variation(problem, guess):
+            tol = reached(guess)
+        if tol is not None and guess.converged:
+            return _refined_again(problem, guess, tol, progress, throw)
+    solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
+    if guess is not None:
+        solution = said(solution, Way.WARM)
+    if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
+        raise SolveError(failure_message(solution), solution)
+    if tol is None or not solution.status.solved:
+        return solution
+
+    def refined(found: Solution) -> Solution:
+        limit = options.max_wall_time
+        left = None if limit is None else max(limit - (time.perf_counter() - begin), SHORTEST)
+        limits = RefinementLimits(max_wall_time=left)
+        found = refine(found, tol=tol, structure=structure, limits=limits, progress=progress)
+        return found if guess is None else said(found, Way.WARM)
+
+    final = refined(solution)
+    if final.converged or guess is not None or _stopped(final):
+        return final
+    try:
+        return better_of_two(problem, solution, final, refined, options, mesh, scheme)
+    except KeyboardInterrupt:
+        return final
+
+
+def said(solution: Solution, way: Way) -> Solution:
+    """Return a solution that says how it was found."""
+    told = replace(solution, provenance={**solution.provenance, "way": way.value})
+    return with_verdicts(told, solution)
+
+
+def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
+    """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
+
+    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and judged only if these
+    are others.
+    """
+    if not _is_variation(problem, known):
+        return None
+    if in_a_loop:
+        flight = KnownFlight.of(known)
+        flown = None if flight is None else flight.vary(problem)
+        if flown is not None:
+            return said(flown, Way.SWITCH_TIMES)
+        tol = reached(known) if known.structure or known.converged else None
+    refined = bool(known.structure) or known.history is not None
+    if tol is None or not refined:
+        return None
+    found = KnownArcs.of(known).vary(problem, tol, "changed" if in_a_loop else "always")
+    return None if found is None else said(found, Way.WARM)
+
+
+def _is_variation(problem: Problem, known: Solution) -> bool:
+    """Whether a solution is one of a problem that differs in numbers only."""
+    return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
+
+
+def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
+    """Return what refining leads to where arcs and mesh of a known solution are no longer right.
+
+    They are refined for what has changed: from the mesh that they came of the new ones are found sooner. If that
+    does not come to rest, what is known has led astray, and the problem is solved from the start.
+    """
+    meshes, start = first_meshes(known), on_the_way(known, problem)
+    warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
+    if warm.status is Status.INTERRUPTED:
+        return said(warm, Way.WARM)
+    if warm.status.solved:
+        warm = refine(warm, tol=tol, progress=progress)
+        if warm.converged or _stopped(warm):
+            return said(warm, Way.WARM)
+    cold = solve(
+        problem,
+        mesh=meshes,
+        scheme=known.scheme,
+        tol=tol,
+        progress=progress,
+        throw=throw and not warm.status.solved,
+    )
+    return said(warm, Way.WARM) if _is_nearer(warm, cold) else said(cold, Way.COLD)
+
+
+def _is_nearer(warm: Solution, cold: Solution) -> bool:
+    """Whether the one that did not settle is still the better of two."""
+    if cold.converged or warm.history is None:
+        return False
+    return cold.history is None or warm.history.final.error < cold.history.final.error
+
+
+def reached(known: Solution) -> float:
+    """Return the tolerance that a solution was refined to."""
+    return TOLERANCE if known.history is None else known.history.tolerance
+
+
+def _stopped(refined: Solution) -> bool:
+    return refined.history is not None and refined.history.status is RefinementStatus.INTERRUPTED
+
+
+def better_of_two(
+    problem: Problem,
+    first: Solution,
+    refined: Solution,
+    refine: Callable[[Solution], Solution],
+    options: SolverOptions,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    scheme: Scheme = GAUSS,
+) -> Solution:
+    """Return a refined solution that did not come to rest, or one from `another_way` if that is better.
+
+    Parameters
+    ----------
+    problem : Problem
+    first, refined : Solution
+        On the first mesh, and what came of it.
+    refine : function
+        Refines a solution as the first one was refined.
+    options, mesh, scheme
+        Of the first solve.
+    """
+    other = another_way(problem, first, mesh, scheme, options)
+    if other is None:
+        return refined
+    second = refine(other)
+    assert refined.history is not None and second.history is not None, "both have just been refined"
+    as_accurate = second.converged or second.history.final.error <= refined.history.final.error
+    return second if relative_gain(refined, second) > 0 and as_accurate else refined

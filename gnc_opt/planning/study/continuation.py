@@ -1,0 +1,325 @@
+"""continue_in: a solution followed along a parameter, from a problem that is easy to the one that is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.planning.direct.failure import SolveError
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.arcs import Arc
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.engine import refine
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solver import solve
+from gnc_opt.planning.study.kkt_sensitivity import predict
+from gnc_opt.planning.transcription.mesh import MeshLike
+from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
+from gnc_opt.planning.verification.engine import verify
+
+Family: TypeAlias = Callable[[float], Problem]
+
+SMALLEST = 1e-4
+"""The smallest step, as a share of the whole way."""
+
+JUMP = 0.3
+"""Error of a prediction, in scales of the variables, beyond which a step is taken again in halves."""
+
+GOOD = 0.05
+"""Error of a prediction below which the next step is twice as long."""
+
+MOST_ITERATIONS = 300
+"""Of a step's solve; one that needs more is taken again in halves."""
+
+
+class ContinuationStatus(Enum):
+    """How a continuation ended."""
+
+    COMPLETE = "complete"
+    VANISHED = "vanished"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, eq=False)
+class Continuation:
+    """A family of solutions along a parameter.
+
+    Attributes
+    ----------
+    values : array (n,)
+        Of the parameter, all that were solved, in their order.
+    solutions : tuple of Solution
+        One per value.
+    status : ContinuationStatus
+        VANISHED if no solution was found beyond the last value, however small the step.
+    events : tuple of str
+        What happened on the way: jumps to another branch (a bifurcation or fold lies between the values), structures
+        that changed, and where and how the solution vanished.
+
+    Examples
+    --------
+    >>> family = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
+    >>> print(family.status.value, family.values[-1], f"{family.final.objective:.6f}")  # 2 / sqrt(a)
+    complete 0.25 4.000000
+    """
+
+    values: Array
+    solutions: tuple[Solution, ...]
+    status: ContinuationStatus
+    events: tuple[str, ...] = ()
+
+    @property
+    def final(self) -> Solution:
+        """The last solution."""
+        return self.solutions[-1]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the last value asked for was reached."""
+        return self.status is ContinuationStatus.COMPLETE
+
+    @property
+    def objectives(self) -> Array:
+        """Of the solutions (n,), as stated."""
+        return np.array([solution.objective for solution in self.solutions])
+
+    def at(self, value: float) -> Solution:
+        """Return the solution at a value that was solved.
+
+        Raises
+        ------
+        ArgumentError
+            There is none.
+        """
+        near = np.flatnonzero(np.isclose(self.values, value, rtol=1e-9, atol=1e-12))
+        if not near.size:
+            raise ArgumentError(f"the continuation has no solution at {value}: its values are {self.values}.")
+        return self.solutions[int(near[0])]
+
+    def __repr__(self) -> str:
+        span = f"{self.values[0]:g} to {self.values[-1]:g}"
+        return f"Continuation({self.final.problem_name!r}, {self.status.value}, {self.values.size} solutions, {span})"
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.final.problem_name}: continuation {self.status.value}, {self.values.size} solutions from "
+            f"{self.values[0]:g} to {self.values[-1]:g}",
+            f"{'value':>14} {'objective':>18} {'iterations':>10}",
+        ]
+        lines += [
+            f"{value:14.6g} {solution.objective:18.10g} {solution.statistics.iterations:10d}"
+            for value, solution in zip(self.values, self.solutions, strict=True)
+        ]
+        return "\n".join([*lines, *self.events])
+
+
+@one_thread()
+def continue_in(
+    problem_of: Family,
+    values: Sequence[float],
+    *,
+    step: float | None = None,
+    smallest: float | None = None,
+    first: Solution | None = None,
+    tol: float | None = None,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    scheme: Scheme = GAUSS,
+    options: SolverOptions | None = None,
+) -> Continuation:
+    """Follow a solution along a parameter, in steps that adapt themselves.
+
+    Each step is predicted by the sensitivities of the last solution (if the problems are variations of one another,
+    such as ``lambda k: problem.with_parameters(k=k)``) or along the last two solutions, and corrected by a warm
+    solve on the same mesh. A step whose solve fails, or whose prediction was wrong by far, is taken again in halves;
+    one that was predicted well is followed by a longer one.
+
+    Parameters
+    ----------
+    problem_of : callable
+        Returns the problem for a value; all with the same phases, states and controls.
+    values : sequence of float
+        Where to start, what to visit, where to end: two or more, increasing or decreasing.
+    step : float, optional
+        The first step, > 0; default: to the next of the values.
+    smallest : float, optional
+        The smallest step, > 0; default: `SMALLEST` of the whole way.
+    first : Solution, optional
+        At the first value; default: solved from its problem's guess.
+    tol : float, optional
+        Refine every solution to this; a structure that was found is carried along while the verdict accepts it.
+    mesh, scheme, options
+        As in `solve`.
+
+    Returns
+    -------
+    Continuation
+        With all solutions there are, also when the last value was not reached or Ctrl-C came.
+
+    Raises
+    ------
+    ArgumentError
+        Fewer than two values, or values that turn back.
+    SolveError
+        The first problem has no solution.
+
+    Examples
+    --------
+    >>> path = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 4.0])
+    >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
+    complete 1.0000
+    """
+    way = read_numbers(values, "the values of continue_in()").reshape(-1)
+    turns = np.diff(way)
+    if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
+        raise ArgumentError(f"the values of continue_in() are {way}: give two or more that rise, or fall.")
+    if not callable(problem_of):
+        raise ArgumentError(
+            "continue_in() got no function: write continue_in(lambda k: problem.with_..., values)."
+        )
+    whole = abs(way[-1] - way[0])
+    least = (
+        SMALLEST * whole
+        if smallest is None
+        else read_positive(smallest, "the smallest step of continue_in()")
+    )
+    length = whole if step is None else read_positive(step, "the step of continue_in()")
+    if first is not None:
+        expect(first, Solution, "the first solution of continue_in()", "give what solve() returned")
+    problem = _read(problem_of, float(way[0]))
+    start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
+    if not start.status.solved:
+        raise SolveError(
+            f"the first problem of continue_in(), at {way[0]:g}, has no solution ({start.status.value}): start where "
+            "it is easy.",
+            start,
+        )
+    return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).go(start, length)
+
+
+def _read(problem_of: Family, value: float) -> Problem:
+    problem = expect(
+        problem_of(value), Problem, "what the function of continue_in() returned", "return the problem"
+    )
+    problem.check()
+    return problem  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """One continuation on its way."""
+
+    problem_of: Family
+    way: Array
+    least: float
+    tol: float | None
+    options: SolverOptions | None
+
+    def go(self, start: Solution, length: float) -> Continuation:
+        values, solutions, events = [float(self.way[0])], [start], list[str]()
+        branch = 0  # where the present one begins: no line is drawn across a jump
+        status = ContinuationStatus.COMPLETE
+        ahead = float(np.sign(self.way[-1] - self.way[0]))
+        try:
+            while values[-1] != self.way[-1]:
+                target = self.way[ahead * self.way > ahead * values[-1]][0]
+                value = values[-1] + ahead * length
+                if ahead * (value - target) > -self.least:
+                    value = float(target)
+                taken = abs(value - values[-1])
+                found, miss = self._step(value, values[branch:], solutions[branch:])
+                smooth = found.status.solved and miss <= JUMP
+                if found.status is Status.INTERRUPTED:
+                    status = ContinuationStatus.INTERRUPTED
+                    break
+                if not smooth and taken > self.least * 1.0001:
+                    length = max(0.5 * taken, self.least)
+                    continue
+                if not found.status.solved:
+                    events.append(
+                        f"no solution beyond {values[-1]:.10g}: at {value:.10g} the solve ends as {found.status.value}"
+                    )
+                    status = ContinuationStatus.VANISHED
+                    break
+                if not smooth:
+                    events.append(
+                        f"jump between {values[-1]:.10g} and {value:.10g}: the solution leaves its branch (a "
+                        f"bifurcation or a fold), by {miss:.2g} of its size"
+                    )
+                    branch = len(values)
+                if self.tol is not None and found.structure != () and _kinds(found) != _kinds(solutions[-1]):
+                    events.append(f"structure changes between {values[-1]:.10g} and {value:.10g}")
+                values.append(value)
+                solutions.append(found)
+                length = max(length, taken) if miss > GOOD else 2 * max(length, taken)
+        except KeyboardInterrupt:
+            status = ContinuationStatus.INTERRUPTED
+        return Continuation(np.array(values), tuple(solutions), status, tuple(events))
+
+    def _step(
+        self, value: float, values: Sequence[float], solutions: Sequence[Solution]
+    ) -> tuple[Solution, float]:
+        """Return the solution at a value, and how wrong its prediction was."""
+        problem, last = _read(self.problem_of, value), solutions[-1]
+        if last.structure:
+            problem = _with_structure(problem, last)
+        before, ratio = None, 0.0
+        if len(values) > 1:
+            before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])
+        prediction = predict(problem, last, before, ratio)
+        options = self.options or SolverOptions(max_iterations=MOST_ITERATIONS)
+        found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
+        if not found.status.solved:
+            return found, np.inf
+        miss = prediction.miss(found)
+        if self.tol is None:
+            return found, miss
+        if last.structure:
+            if verify(found).ok:
+                return replace(found, structure=_moved(last, found), history=last.history), miss
+            problem = _read(self.problem_of, value)
+            again = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
+            if not again.status.solved:
+                return again, np.inf
+            found = again
+        try:
+            return refine(found, tol=self.tol), miss
+        except GncOptError:
+            return found, miss
+
+
+def _with_structure(problem: Problem, last: Solution) -> Problem:
+    """Return the problem with the arcs of a solution whose switch times were optimised."""
+    old = last.need_problem("continue")
+    for name, leg in old.phases.items():
+        held = leg.numbers.arcs
+        if held is not None:
+            arcs, paths, states = (
+                np.array(kinds) if kinds else None for kinds in (held.controls, held.paths, held.states)
+            )
+            problem = problem.with_arcs(
+                name, arcs=arcs, paths=paths, states=states, smooth=held.smooth, junctions=held.junctions
+            )
+    return problem
+
+
+def _moved(last: Solution, found: Solution) -> tuple[Arc, ...]:
+    """Return the arcs of the last solution at the times of another one with the same movable mesh."""
+    arcs = []
+    for arc in last.structure:
+        old, new = last.phases[arc.phase].breaks, found.phases[arc.phase].breaks
+        start, end = (float(new[int(np.argmin(np.abs(old - t)))]) for t in (arc.start, arc.end))
+        arcs.append(replace(arc, start=start, end=end))
+    return tuple(arcs)
+
+
+def _kinds(solution: Solution) -> tuple[object, ...]:
+    return tuple((arc.phase, arc.channel, arc.kind) for arc in solution.structure)

@@ -1,0 +1,337 @@
+r"""The first-order conditions of the transcribed program as a linear system, for derivatives of its solution.
+
+With the variables on their limits pinned and the rows on theirs (set C), a minimum solves
+
+.. math:: \nabla_F \mathcal L(z, \lambda; p) = 0, \qquad g_C(z; p) = b, \qquad z_P = \beta,
+
+:math:`\mathcal L = f + \lambda^T g`, F the free and P the pinned variables. A change of the data p, b and
+:math:`\beta` moves the minimum by the implicit function theorem (Fiacco 1976),
+
+.. math::
+    \begin{pmatrix} \mathcal L_{FF} & g_F^T \\ g_F & 0 \end{pmatrix}
+    \begin{pmatrix} \dot z_F \\ \dot \lambda \end{pmatrix} =
+    -\begin{pmatrix} \mathcal L_{FP}\dot\beta + \mathcal L_{Fp}\dot p \\
+                     g_P\dot\beta + g_p\dot p - \dot b \end{pmatrix},
+
+and the minimum itself by :math:`\dot f = \mathcal L_p \dot p + \mathcal L_P \dot\beta - \lambda^T \dot b`.
+
+Prediction: where a solution goes when the numbers of its problem change a little.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
+from gnc_opt.planning.direct.second_solve import sharper
+from gnc_opt.planning.optimality.active_set import with_contacts
+from gnc_opt.planning.optimality.kkt import SaddlePoint
+from gnc_opt.planning.optimality.program_point import WEAK, ProgramLimits, ProgramPoint, saddle_matrix
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.extract import extract_phases
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
+from gnc_opt.planning.transcription.scaling import Scaling, scale_variables
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+
+
+@dataclass(frozen=True, eq=False)
+class MovedSolution:
+    """A solution moved to another problem of its family.
+
+    Attributes
+    ----------
+    guess : Solution
+        To start from.
+    variables : array (n_variables,)
+        Of the guess in its program, physical.
+    scales : array (n_variables,)
+    """
+
+    guess: Solution
+    variables: Array
+    scales: Array
+
+    def miss(self, found: Solution) -> float:
+        """Return by how much the prediction was wrong: its largest error, in shares of the variables' scales."""
+        here = _start(found.need_problem("compare"), found)[1].x
+        if here.shape != self.variables.shape:
+            return 0.0  # on another mesh, by a refinement: nothing to compare
+        return float(np.max(np.abs(here - self.variables) / self.scales))
+
+
+def predict(problem: Problem, last: Solution, before: Solution | None, ratio: float) -> MovedSolution:
+    """Return where the solution is likely to go for ``problem``.
+
+    By the sensitivities of the last solution, if both problems are variations of one another (`with_parameters`,
+    `with_initial` and their like); else, or where they are not determined, along the line through the last two.
+
+    Parameters
+    ----------
+    problem : Problem
+        The next one.
+    last, before : Solution
+        Of the last problem and of the one before that.
+    ratio : float
+        Length of this step over that of the last one.
+    """
+    problem = restated(problem)
+    transcription, start = _start(problem, last)
+    change = _by_sensitivity(problem, last)
+    if change is None and before is not None:
+        earlier = program_start(transcription, problem, before).x
+        change = ratio * (start.x - earlier)
+    x = start.x if change is None or change.shape != start.x.shape else start.x + change
+    box = transcription.variable_interval(problem)
+    x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
+    assert start.lam_x is not None and start.lam_g is not None, "a solution has multipliers"
+    phases, _ = extract_phases(transcription, problem, Iterate(x, start.lam_x, start.lam_g))
+    values = x[transcription.parameter_places]
+    guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
+    return MovedSolution(guess, x, scale_variables(transcription, problem, start.x))
+
+
+def _start(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
+    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
+    transcription = transcribe(problem, meshes, solution.scheme)
+    return transcription, program_start(transcription, problem, solution)
+
+
+def _by_sensitivity(problem: Problem, last: Solution) -> Array | None:
+    """Return the first-order change of the variables (n_variables,), or None where it is not known."""
+    old = last.need_problem("differentiate")
+    if problem.builds is not old.builds:
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
+            point = KktPoint(last)
+            return point.respond(_difference(point.transcription, old, problem)).variables
+    except GncOptError:
+        return None
+
+
+def _difference(transcription: Transcription, old: Problem, new: Problem) -> Change:
+    """Return the difference between the data of two problems; limits that are not finite do not move."""
+
+    def moved(before: Array, after: Array) -> Array:
+        finite = np.isfinite(before) & np.isfinite(after)
+        return np.where(finite, np.where(finite, after, 0.0) - np.where(finite, before, 0.0), 0.0)
+
+    here, there = transcription.variable_interval(old), transcription.variable_interval(new)
+    rows, new_rows = transcription.row_interval(old), transcription.row_interval(new)
+    lower, upper = moved(here.lower, there.lower), moved(here.upper, there.upper)
+    row_lower, row_upper = moved(rows.lower, new_rows.lower), moved(rows.upper, new_rows.upper)
+    return Change(
+        transcription.numbers(new) - transcription.numbers(old),
+        np.where(lower != 0, lower, upper),
+        np.where(row_lower != 0, row_lower, row_upper),
+    )
+
+
+_RESIDUAL = 1e-10
+"""Residual of the scaled conditions to which Newton's method must bring them."""
+
+_ROUNDED = 1e-13
+"""Residual at which only rounding is left."""
+
+_NEWTON_STEPS = 8
+
+
+@dataclass(frozen=True)
+class Change:
+    """A direction in the data of a program, physical.
+
+    Attributes
+    ----------
+    numbers : array (n_numbers,)
+        Of model parameters and fixed times, in the order of ``Transcription.numbers``.
+    limits : array (n_variables,)
+        Of the limits on which variables are pinned.
+    row_limits : array (n_constraints,)
+        Of the limits on which rows sit.
+    """
+
+    numbers: Array
+    limits: Array
+    row_limits: Array
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the minimum does in that direction: the minimised functional and the variables, physical."""
+
+    objective: float
+    variables: Array
+
+
+class KktPoint:
+    """A solution as a point of its program, with the system of first-order conditions factorised.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solved, with its problem.
+
+    Raises
+    ------
+    GncOptError
+        The system is singular, or the limits that the multipliers name are not those of the minimum.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        trouble = self._attempt(solution)
+        if trouble:
+            trouble = self._attempt(sharper(solution))
+        if trouble:
+            raise GncOptError(trouble)
+        self._warn_of_weak_limits()
+
+    # --- the point --------------------------------------------------------------------------------
+
+    def _attempt(self, solution: Solution) -> str:
+        """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
+        self._point = ProgramPoint.of(solution, held=with_contacts)
+        return self._converge() or self._wrong_limit()
+
+    def _converge(self) -> str:
+        """Newton's method on the conditions, so that derivatives belong to the exact minimum of the program.
+
+        Returns what is wrong if it fails, else nothing.
+        """
+        best = np.inf
+        for _ in range(_NEWTON_STEPS):
+            self._factorise()
+            residual = self._point.residual
+            size = float(np.max(np.abs(residual), initial=0.0))
+            if size <= _ROUNDED or (size <= _RESIDUAL and size > 0.1 * best):
+                break
+            best = min(best, size)
+            self._point = self._point.moved(self._system.solve(-residual))
+        if not best <= _RESIDUAL and not size <= _RESIDUAL:
+            worst = int(np.argmax(np.abs(residual)))
+            return (
+                f"the first-order conditions of '{self.problem.name}' do not hold at '{self._system.labels[worst]}' "
+                f"(residual {size:.1e}): solve with a tighter tolerance, or refine the solution, before you ask for "
+                "sensitivities."
+            )
+        return ""
+
+    def _factorise(self) -> None:
+        point = self._point
+        free, held = np.flatnonzero(~self.pinned), np.flatnonzero(self.held)
+        matrix = saddle_matrix(point.hessian[free][:, free], point.jacobian[held][:, free])
+        labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
+        self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
+
+    def _wrong_limit(self) -> str:
+        """What is wrong if a limit pushes the wrong way or is broken, now that the conditions hold; else nothing."""
+        culprits = [
+            limits.labels[i]
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero((limits.push(multipliers) < -WEAK) | (limits.room(values) < -WEAK))
+        ]
+        if not culprits:
+            return ""
+        return (
+            f"the limit of '{culprits[0]}' of '{self.problem.name}' is neither kept nor left when the first-order "
+            "conditions are solved exactly: refine the solution (bang-bang arcs with structure='auto') before "
+            "you ask for sensitivities."
+        )
+
+    def _warn_of_weak_limits(self) -> None:
+        weak = [
+            limits.labels[i]
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero(limits.weak(values, multipliers))
+        ]
+        if weak:
+            others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
+            warn_user(
+                f"'{weak[0]}'{others} of '{self.problem.name}' is only just at its limit (weakly active), where "
+                "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
+            )
+
+    def _sides(self) -> list[tuple[ProgramLimits, Array, Array]]:
+        """Limits of variables and of rows, each with values and multipliers."""
+        point = self._point
+        # Multipliers that are not unique tell nothing by their signs.
+        unique = np.nan if self._system.redundant else 1.0
+        bounds, rows = point.multiplier_densities
+        return [(point.variables, point.x, unique * bounds), (point.rows, point.values, unique * rows)]
+
+    # --- derivatives ------------------------------------------------------------------------------
+
+    def respond(self, change: Change) -> Response:
+        """Return the derivative of the minimum in a direction of the data."""
+        point, scales, rows = self._point, self.scaling.variables, self.scaling.rows
+        n_rest = point.numbers.size - change.numbers.size
+        direction = np.concatenate([change.numbers, np.zeros(n_rest)])
+        moved = np.where(self.pinned, change.limits, 0.0) / scales
+        shifted = np.where(self.held, change.row_limits, 0.0) * rows
+        of_lagrangian, of_gradient, of_rows = (
+            v.full().ravel()
+            for v in _derivatives(self.transcription)(point.x, point.numbers, point.lam, direction)
+        )
+        free, held = ~self.pinned, self.held
+        right = np.concatenate(
+            [
+                (of_gradient + point.hessian @ moved)[free],
+                (of_rows + point.jacobian @ moved - shifted)[held],
+            ]
+        )
+        solved = self._system.solve(-right)
+        variables = moved.copy()
+        variables[free] = solved[: int(np.sum(free))]
+        objective = float(of_lagrangian[0] + point.gradient @ moved - point.lam @ shifted)
+        return Response(objective / self.scaling.objective, variables * scales)
+
+    @property
+    def problem(self) -> Problem:
+        """Of the solution."""
+        return self._point.problem
+
+    @property
+    def transcription(self) -> Transcription:
+        """The program, on the solution's mesh."""
+        return self._point.transcription
+
+    @property
+    def scaling(self) -> Scaling:
+        """Of the program."""
+        return self._point.scaling
+
+    @property
+    def pinned(self) -> Mask:
+        """Variables on their limits (n_variables,)."""
+        return self._point.variables.active
+
+    @property
+    def held(self) -> Mask:
+        """Rows on their limits (n_constraints,)."""
+        return self._point.rows.active
+
+    @property
+    def variables(self) -> Array:
+        """The variables (n_variables,) at the minimum, physical."""
+        return self._point.x * self.scaling.variables
+
+
+def _derivatives(transcription: Transcription) -> Any:
+    """Return (x, p, lam, dp) -> directional derivatives along dp of L, of its gradient and of g."""
+    if "sensitivity" not in transcription.built:
+        nlp = transcription.nlp
+        lam, dp = ca.MX.sym("lam", nlp.n_constraints), ca.MX.sym("dp", nlp.n_parameters)
+        lagrangian = nlp.f + ca.dot(lam, nlp.g)
+        gradient = ca.gradient(lagrangian, nlp.x)
+        outputs = [ca.densify(ca.jtimes(e, nlp.p, dp)) for e in (lagrangian, gradient, nlp.g)]
+        transcription.built["sensitivity"] = ca.Function("sensitivity", [nlp.x, nlp.p, lam, dp], outputs)
+    return transcription.built["sensitivity"]

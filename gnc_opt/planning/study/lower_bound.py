@@ -1,0 +1,246 @@
+r"""Problems whose first-order conditions suffice for a global minimum.
+
+**Convex problems**: see `gnc_opt.planning.verification.sufficiency`.
+
+**Linear time-optimal control**: :math:`\dot x = A x + b(u)`, :math:`u \in U`, from given or free initial states to a
+given :math:`x_f` in the least time, states within a convex set. If :math:`A x_f + b(u_f) = 0` for a
+:math:`u_f \in U`, every normal extremal is a global minimum.
+(For a target at the origin and a polyhedron U: L. S. Pontryagin et al., The Mathematical Theory of Optimal Processes,
+1962, ch. III.) For suppose that another trajectory x' with u' arrives earlier and rests until T. Between 0 and T, with
+the costate of the extremal and :math:`d = x' - x`,
+
+.. math:: 0 \ge [\lambda^T d] = \int \lambda^T (b(u') - b(u))\, dt - \int d^T d\mu \ge 0,
+
+for u minimises H and what limits of the states push, :math:`d\mu`, points out of a convex set. So u' minimises H as
+well, and while x' rests, :math:`\min_u \lambda^T (A x_f + b(u)) = 0`, although it tends to -1 at T, where H = 0.
+
+bound_below: how far a solution is from the best there is, as far as a relaxation tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.environment import one_thread
+from gnc_opt.planning.problem.kinks import has_kinks
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.solver import solve
+from gnc_opt.planning.study.relaxation import Relaxation, relaxations
+from gnc_opt.planning.verification.engine import TOLERANCE, verify
+from gnc_opt.planning.verification.sufficiency import is_convex
+from gnc_opt.planning.verification.verify import keep_verdict
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING
+
+_TIMES = 201
+"""At which a relaxation is told the flight, its first guess."""
+
+
+@one_thread()
+def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
+    """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
+
+    A problem that is convex, or linear and time-optimal with a target at which it can rest, bounds itself: what meets
+    the first-order conditions is a global minimum. Else states are dropped that others do not need (the position of a
+    spacecraft whose attitude does not depend on it), with all that limits them; what remains is solved from the flight
+    as a guess, refined and judged, once for every such part that has all states of the cost. The highest bound counts,
+    of those that a theorem certifies if there are any. A part to which none applies gives the value of a local minimum,
+    which is a bound only if no other is lower: ``bound.certified`` says which.
+
+    Parameters
+    ----------
+    solution : Solution
+        With its problem, solved.
+    tol : float
+        Of the refinement of each part, as for `solve`.
+
+    Returns
+    -------
+    Solution
+        The same numbers. ``bound`` is None if nothing can be dropped, or no part was solved to an ok verdict.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem.
+    ProblemError
+        ``tol`` is not positive.
+
+    Examples
+    --------
+    >>> bounded = go.bound_below(solution)
+    >>> print(bounded.bound.certified, f"{abs(bounded.gap):.0e}")
+    True 0e+00
+    """
+    expect(solution, Solution, "what bound_below() got", "give a solution as solve() returns it")
+    read_positive(tol, "the tolerance of bound_below()")
+    problem = solution.need_problem("bound")
+    verdict = replace(verify(solution), bound=None, gap=None)
+    theorem = theorem_of(solution, verdict)
+    if theorem:
+        best: LowerBound | None = LowerBound(solution.objective, _labels(problem), theorem)
+    else:
+        found = (_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
+        known = [bound for bound in found if bound is not None]
+        best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
+    bounded = replace(solution, bound=best)
+    keep_verdict(bounded, verdict, TOLERANCE)
+    return bounded
+
+
+def _bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
+    """Return what a relaxation bounds the cost by; None if it is not solved or known to be no bound."""
+    problem = _guessed(relaxation, solution)
+    relaxed = solve(problem, tol=tol, throw=False)
+    if not relaxed.converged:
+        return None
+    theorem = theorem_of(relaxed, verify(relaxed))
+    beyond = problem.sense * (relaxed.objective - solution.objective)
+    if not theorem and beyond > tol * abs(solution.objective):
+        return None  # the solution's own flight costs less: a minimum of the relaxation, but not its least
+    kept = solution.need_problem("bound").phases
+    labels = [
+        label
+        for name, mask in relaxation.states.items()
+        for label, left in zip(kept[name].model.states.labels, mask, strict=True)
+        if left
+    ]
+    return LowerBound(relaxed.objective, tuple(dict.fromkeys(labels)), theorem)
+
+
+def _guessed(relaxation: Relaxation, solution: Solution) -> Problem:
+    """Return a relaxation with the solution's flight as its guess."""
+    problem = relaxation.problem
+    for name, leg in problem.phases.items():
+        flown = solution.phase(name)
+        times = np.linspace(flown.initial_time, flown.final_time, _TIMES)
+        states = flown.x(times, "right")[relaxation.states[name]]
+        controls = flown.flown(times, "right")[relaxation.controls[name]]
+        values = {n: states[leg.model.states.slice(n)] for n in leg.model.states.names}
+        values |= {n: controls[leg.model.controls.slice(n)] for n in leg.model.controls.names}
+        leg.guess(times, **values)
+    return problem.with_parameter_guess(**{n: solution.parameter(n) for n in problem.parameters.names})
+
+
+def _labels(problem: Problem) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(label for leg in problem.phases.values() for label in leg.model.states.labels))
+
+
+CONVEX = "convex"
+LINEAR_TIME_OPTIMAL = "linear and time-optimal"
+
+_AT_REST = 1e-9
+"""Rates below this, relative to those of the flight, are none."""
+
+
+def theorem_of(solution: Solution, verdict: Verdict) -> str:
+    """Return the theorem by which an extremal is a global minimum; "" if none applies or the verdict is not ok."""
+    problem = solution.need_problem("certify")
+    if not verdict.ok:
+        return ""
+    if is_convex(problem):
+        return CONVEX
+    return LINEAR_TIME_OPTIMAL if _linear_time_optimal(problem, solution) else ""
+
+
+def _linear_time_optimal(problem: Problem, solution: Solution) -> bool:
+    if len(problem.phases) != 1 or problem.constraints or problem.parameters.size:
+        return False
+    leg = next(iter(problem.phases.values()))
+    return (
+        _least_time(problem, leg, solution.phase().final_time)
+        and bool(np.all(leg.numbers.final.fixed))
+        and _linear(leg)
+        and _can_rest(leg, solution)
+    )
+
+
+def _least_time(problem: Problem, leg: Phase, found: float) -> bool:
+    """Whether the cost is the final time, and the solution's is not the least that is allowed."""
+    initial, final = leg.times()
+    slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)
+    others = [s for s in ca.symvar(problem.cost) if s.element_hash() != leg.final_time.element_hash()]
+    time_alone = all(s.element_hash() == leg.initial_time.element_hash() for s in others)
+    grows = slope.is_constant() and float(ca.DM(slope)) > 0
+    span = found - initial.lower[0]
+    return bool(initial.fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
+
+
+def _linear(leg: Phase) -> bool:
+    """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
+    t, x, u, _ = leg.model.arguments()
+    rates, rows = leg.model.derivative(), leg.path_expression()
+    curved = has_kinks(rates) or _depends(ca.jacobian(rates, x), ca.vertcat(x, u))
+    if curved or ca.depends_on(ca.vertcat(rates, rows), t):
+        return False
+    box = leg.path_interval()
+    for i in range(rows.numel()):
+        row = rows[i]
+        if not ca.depends_on(row, x):
+            continue
+        if ca.depends_on(row, u) or not _convex(leg, row, x, box.lower[i], box.upper[i]):
+            return False
+    return True
+
+
+def _convex(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
+    """Whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
+    hessian = ca.hessian(row, x)[0]
+    p = leg.model.symbols("parameter")
+    if _depends(hessian, x) or has_kinks(row):
+        return False
+    values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
+    slack = ROUNDING * np.max(np.abs(values), initial=0.0)
+    return bool(
+        (np.all(values >= -slack) or upper == np.inf) and (np.all(values <= slack) or lower == -np.inf)
+    )
+
+
+def _depends(expression: Any, symbols: Any) -> bool:
+    return bool(ca.depends_on(expression, symbols))
+
+
+def _can_rest(leg: Phase, solution: Solution) -> bool:
+    """Whether an admissible control holds the final state, as far as least squares find one."""
+    flown = solution.phase()
+    t, target = flown.final_time, leg.numbers.final.lower
+    box, limits = leg.numbers.controls, leg.path_interval()
+    _, x, u, p = leg.model.arguments()
+    along = ca.Function("along", [x, u, p], [leg.model.derivative(), leg.path_expression()])
+    span = max(t - flown.initial_time, ROUNDING)
+    rates = np.maximum(np.ptp(flown.x(flown.sample_times(4), "right"), axis=1) / span, ROUNDING)
+
+    def residuals(control: Array) -> Array:
+        rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
+        beyond = np.maximum(np.maximum(limits.lower - rows, rows - limits.upper), 0.0)
+        return np.concatenate([rate / rates, beyond])
+
+    if not box.lower.size:
+        return bool(np.all(np.abs(residuals(np.zeros(0))) <= _AT_REST))
+    inner = np.where(box.fixed, np.inf, box.upper), np.where(box.fixed, -np.inf, box.lower)
+    starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.flown(t, "left"))
+    for start in starts:
+        free = ~box.fixed
+        held = np.where(box.fixed, box.lower, start)
+
+        def of_free(values: Array, held: Array = held, free: Any = free) -> Array:
+            control = held.copy()
+            control[free] = values
+            return residuals(control)
+
+        begin = np.clip(held[free], inner[1][free], inner[0][free])
+        found = scipy.optimize.least_squares(
+            of_free, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
+        )
+        if np.all(np.abs(found.fun) <= _AT_REST):
+            return True
+    return False

@@ -1,0 +1,556 @@
+"""multistart: many starting trajectories, to tell a local minimum from the best known one.
+
+Every start is solved on a coarse mesh. Answers that their own dynamics do not confirm are thrown out and equal ones
+merged; what is left is reflected, part by part, for other starts. The distinct minima that all these lead to are
+refined, judged and merged once more: several discretisations may be one minimum, and some are none.
+
+What becomes of a coarse minimum: refined to exact switch times or on finer meshes, and judged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
+
+import numpy as np
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.guess.perturbation import with_random_guess
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.engine import StructureChoice
+from gnc_opt.planning.refinement.engine import refine as refine_solution
+from gnc_opt.planning.refinement.limits import RefinementLimits
+from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.study.minima import Minimum, Reflection, Reflections, equal, merged
+from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
+from gnc_opt.planning.verification.engine import verify
+
+MOST_POINTS = 1000
+"""Of a phase on a refined mesh."""
+
+MOST_PASSES = 20
+"""Of one refinement. Structures that are worth anything stand after fewer."""
+
+WORTHWHILE = 4
+"""Growth of the mesh beyond which a minimum is left unrefined whose controls switch without a structure that the
+verdict accepts: the mesh would grow for minutes and prove nothing."""
+
+MISS = 0.1
+"""A collocation solution is spurious if both its propagation misses the end and its defect between the nodes exceed
+this share of the states' magnitudes. (Either one alone may be due to unstable dynamics or to a coarse mesh.) On the
+rendezvous, 10 x 4 points, spurious solutions have 0.3 and 0.8 at least, others 0.03 and 0.4 at most."""
+
+
+@dataclass(frozen=True)
+class Refining:
+    """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious.
+
+    Exact switch times are tried first; where controls do not switch or the verdict rejects the outcome, the mesh is
+    refined ("auto").
+    """
+
+    structure: StructureChoice
+    tol: float
+    options: SolverOptions
+
+    def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
+        known = set(problem.builds)
+        try:
+            return self._refine(problem, minimum)
+        finally:
+            for key in set(problem.builds) - known:  # its meshes are its own, and no other minimum needs them
+                del problem.builds[key]
+
+    def _refine(self, problem: Problem, minimum: Minimum) -> Minimum:
+        coarse = minimum.solution.with_problem(problem)
+        if self.structure == "none":
+            return self._refined(minimum, coarse, "none")
+        try:
+            found = self._switched(minimum, coarse)
+        except ProblemError:
+            if self.structure == "bang-bang":
+                raise
+            return self._refined(minimum, coarse, "none")  # no control switches
+        if self.structure == "bang-bang" or found.verdict_ok:
+            return found
+        points = max(leg.mesh.size for leg in coarse.phases.values())
+        by_mesh = self._refined(minimum, coarse, "none", max_points=WORTHWHILE * points)
+        return by_mesh if by_mesh.verdict_ok or _error(by_mesh) < _error(found) else found
+
+    def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
+        """Refine to exact switch times, from up to three places.
+
+        A coarse mesh cannot tell short arcs: its solution on a mesh of halved segments shows more of the structure.
+        And it has minima of its own, from which refinement leads to trajectories that are better and not optimal:
+        solved once more from there, the coarse mesh leads downhill to a true minimum.
+        """
+        first = self._refined(minimum, coarse, "bang-bang")
+        problem = coarse.problem
+        if first.verdict_ok or problem is None:
+            return first
+        meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
+        halved = {name: _halved(mesh) for name, mesh in meshes.items()}
+        places = [(coarse, halved), (first.solution.with_problem(problem), meshes)]
+        for guess, mesh in places if first.refined else places[:1]:
+            solution = solve_mesh(problem, mesh, guess=guess, options=self.options)
+            pass_on_interrupt(solution, self.options)
+            if not solution.status.solved or is_spurious(solution):
+                continue
+            if mesh is meshes and equal(solution.objective, coarse.objective):
+                continue  # back where it came from
+            second = self._refined(minimum, solution, "bang-bang")
+            if second.verdict_ok:
+                return second
+        return first
+
+    def _refined(
+        self, minimum: Minimum, coarse: Solution, structure: StructureChoice, max_points: int = MOST_POINTS
+    ) -> Minimum:
+        limits = RefinementLimits(max_passes=MOST_PASSES, max_points=max_points)
+        solution = refine_solution(coarse, structure=structure, tol=self.tol, limits=limits)
+        if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not solution.status.solved or is_spurious(solution):
+            return minimum
+        return replace(
+            minimum,
+            solution=replace(solution, problem=None),
+            objective=solution.objective,
+            refined=True,
+            verdict_ok=verify(solution).ok,
+        )
+
+
+def _error(minimum: Minimum) -> float:
+    """Return the error that refining left; infinite if it has not been refined."""
+    history = minimum.solution.history
+    return math.inf if history is None or not minimum.refined else history.final.error
+
+
+def _halved(mesh: Mesh) -> Mesh:
+    """Return the mesh with every segment cut in two."""
+    breaks = np.asarray(mesh.breaks)
+    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
+
+
+def is_spurious(solution: Solution) -> bool:
+    """Whether a collocation solution is none of the differential equations; see `MISS`."""
+    quality = solution.quality
+    return not (quality.terminal_error < MISS or quality.max_defect < MISS)
+
+
+def pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
+    """Raise KeyboardInterrupt if it was Ctrl-C, and not the time limit, that the solver obeyed."""
+    limit = options.max_wall_time
+    if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
+        raise KeyboardInterrupt
+
+
+if TYPE_CHECKING:  # executors bring sockets and queues along, which most programs do without
+    from concurrent.futures import Executor
+
+    from gnc_opt.workers import Done, Shared, WorkerPool
+
+ShowEnding: TypeAlias = Callable[["float | None"], None]
+"""Shows the objective with which a task ended, None if without one."""
+
+Builder: TypeAlias = Callable[[], Problem]
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+COARSE_MESH = "20x3"
+
+BARRIERS = (None, 1e-5, 1e-4, 1e-5)
+"""First barrier parameters, by turns. IPOPT's own (0.1) forgets the guess: it is the most likely to find the best
+minimum, and it finds little else. With a small one the solver stays near the guess, which finds the others. Every
+second start has the smallest, full bangs and large turns, and about the duration of the best solution that the others
+lead to: of what is tried these find most."""
+
+RANDOM = 0.6
+"""Share of the starts that are random; the others are reflections of what these find, if there are as many."""
+
+REFLECTED = 1e-5
+"""First barrier parameter of a reflection."""
+
+MOST_ITERATIONS = 400
+"""Of a coarse solve; a start that needs more is worth less than another start."""
+
+
+@dataclass(frozen=True)
+class Multistart:
+    """What `multistart` found.
+
+    Attributes
+    ----------
+    problem_name : str
+    minima : tuple of Minimum
+        Best first.
+    failures : dict of str to int
+        How many starts gave no minimum, by the solver's status, "spurious" (not confirmed by the dynamics) or "bad
+        guess" (functions that are not finite along it).
+    starts : int
+        Starts asked for.
+    finished : int
+        Starts solved, with or without success; fewer than ``starts`` after an interrupt.
+    seed : int
+    interrupted : bool
+        Whether Ctrl-C ended the search before its time.
+
+    Examples
+    --------
+    >>> found = go.multistart(problem, n=2, seed=1, executor="serial", refine=False)
+    >>> print(f"{found.best.objective:.1f}", found.finished, dict(found.failures))
+    2.0 2 {}
+    """
+
+    problem_name: str
+    minima: tuple[Minimum, ...]
+    failures: Mapping[str, int]
+    starts: int
+    finished: int
+    seed: int
+    interrupted: bool = False
+
+    @property
+    def best(self) -> Minimum:
+        """The best minimum.
+
+        Raises
+        ------
+        GncOptError
+            There is none.
+        """
+        if not self.minima:
+            raise GncOptError(
+                f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_listed(self.failures)}): "
+                "solve() it once and look at the violations, or try more starts."
+            )
+        return self.minima[0]
+
+    def __repr__(self) -> str:
+        best = f", best={self.minima[0].objective:.10g}" if self.minima else ""
+        count = f"{len(self.minima)} minima, {self.finished} of {self.starts} starts"
+        return f"Multistart({self.problem_name!r}, {count}{best})"
+
+    def __str__(self) -> str:
+        heading = (
+            f"{self.problem_name}: {len(self.minima)} minima from {self.finished} of {self.starts} starts"
+        )
+        lines = [f"{heading}, seed {self.seed}{', interrupted' if self.interrupted else ''}"]
+        lines.append(f"{'objective':>18} {'above best':>11} {'hits':>5} {'ways':>5}  verdict")
+        for minimum in self.minima:
+            digits = f"{minimum.objective:.10g}" if minimum.verdict_ok else f"{minimum.objective:.6g}"
+            lines.append(
+                f"{digits:>18} {abs(minimum.objective - self.minima[0].objective):11.3g} "
+                f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.standing}"
+            )
+        if self.failures:
+            lines.append(f"without a minimum: {_listed(self.failures)}")
+        return "\n".join(lines)
+
+
+def _listed(failures: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
+
+
+@one_thread()
+def multistart(
+    problem: Problem | Builder,
+    *,
+    n: int = 40,
+    seed: int = 0,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    structure: StructureChoice = "auto",
+    tol: float = 1e-8,
+    refine: bool = True,
+    max_refined: int = 12,
+    within: float | None = None,
+    executor: Executor | Literal["serial"] | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> Multistart:
+    """Solve a problem from many guesses and rank the distinct minima.
+
+    Which minima there are it cannot know: one that few guesses lead to is missed by as many seeds as chance will have.
+
+    Parameters
+    ----------
+    problem : Problem or callable
+        The problem, or a function without arguments that builds it, such as ``functools.partial(build, case=2)``.
+        Problems hold symbols that cannot be sent to another process, so executors of processes need the function;
+        the default executor can do without where processes fork (Linux).
+    n : int
+        Starts. The first one is the problem's own guess, about six in ten are random, and the others are reflections
+        of the minima that these lead to; see `gnc_opt.planning.study.minima`.
+    seed : int
+        The answer depends on it, and not on the executor or the order in which the starts end.
+    mesh : Mesh, str or mapping, optional
+        The coarse mesh; default "20x3".
+    structure, tol
+        For `refine`.
+    refine : bool
+        Whether to refine and judge the minima, or leave them on the coarse mesh.
+    max_refined : int
+        Refine the best minima until so many distinct ones are known, and at most twice as many: some are minima of
+        the coarse mesh alone, which refining leads to others.
+    within : float, optional
+        Leave minima on the coarse mesh that are worse than the best by more than this share of its objective: they
+        will hardly become the best, and poor minima take longest. For objectives far from zero, such as times.
+    executor : concurrent.futures.Executor or "serial", optional
+        Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
+    options : SolverOptions, optional
+        For the coarse solves. Default: at most `MOST_ITERATIONS` iterations. Without a ``mu_init`` of theirs, most
+        starts use a small one; see `BARRIERS`.
+    progress : bool
+        Show how many starts have ended and the best objective.
+
+    Returns
+    -------
+    Multistart
+        Ctrl-C ends the search and returns what has been found until then.
+
+    Raises
+    ------
+    ProblemError
+        The problem is not well stated.
+    GncOptError
+        The problem cannot be sent to the executor's processes.
+
+    Examples
+    --------
+    >>> found = go.multistart(problem, n=2, seed=1, executor="serial", refine=False)
+    >>> print(f"{found.minima[0].objective:.1f}")
+    2.0
+    """
+    from gnc_opt.workers import WorkerPool
+
+    read_integer(n, "the number of starts of multistart()", 1)
+    read_integer(seed, "the seed of multistart()", 0)
+    read_integer(max_refined, "max_refined of multistart()", 0)
+    read_positive(tol, "the tolerance of multistart()")
+    if within is not None:
+        read_positive(within, "within of multistart()", or_zero=True)
+    if structure not in get_args(StructureChoice):
+        raise ProblemError(
+            f"multistart() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+        )
+    if options is not None:
+        expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
+    chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
+    shared = _shared(problem)
+    stated = shared.value
+    with WorkerPool(shared, executor, "multistart()") as pool:
+        stated.check()
+        search = _Search(pool, stated, progress)
+        coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
+        endings = search.endings(coarse, n)
+        minima = merged(_first_minima(endings))
+        if refine and not pool.interrupted:
+            count = _worth_refining(minima, within)
+            refined = search.refined(Refining(structure, tol, chosen), minima[:count], max_refined)
+            minima = merged([*refined, *minima[count:]])
+    return Multistart(
+        stated.name,
+        tuple(replace(m, solution=m.solution.with_problem(stated)) for m in minima),
+        dict(sorted(Counter(ending.failure for ending in endings if ending.failure).items())),
+        n,
+        len(endings),
+        seed,
+        pool.interrupted,
+    )
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The starts and refinements of one search, and what shows their progress."""
+
+    pool: WorkerPool[Problem]
+    problem: Problem
+    progress: bool
+
+    def endings(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
+        """Solve n starts: the problem's own guess, random ones, and reflections of what these lead to."""
+        endings: list[_StartEnding] = []
+        with _meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
+
+            def run(task: _Coarse, starts: Iterable[_Start]) -> None:
+                if not self.pool.interrupted:
+                    done = self.pool.run(task, starts, lambda start: show(_answer(start).objective))
+                    endings.extend(_answer(start) for start in done)
+
+            try:
+                self._run_all(coarse, n, endings, run)
+            except KeyboardInterrupt:  # between two runs
+                self.pool.interrupted = True
+        return endings
+
+    def _run_all(
+        self,
+        coarse: _Coarse,
+        n: int,
+        endings: Sequence[_StartEnding],
+        run: Callable[[_Coarse, Iterable[_Start]], None],
+    ) -> None:
+        random = math.ceil(RANDOM * n)
+        run(coarse, map(_Start, range(0, random, 2)))
+        coarse = replace(coarse, durations=_durations(endings))
+        run(coarse, map(_Start, range(1, random, 2)))
+        reflections = Reflections()
+        while not self.pool.interrupted:
+            first, minima = len(endings), merged(_first_minima(endings))
+            chosen = reflections.of(self.problem, minima, n - first)
+            if not chosen:
+                break
+            run(coarse, [_Start(first + k, turned) for k, turned in enumerate(chosen)])
+        run(coarse, map(_Start, range(len(endings), n)))
+
+    def refined(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
+        """Refine minima, best first, until there are so many distinct ones; return the others as they are."""
+        finer: list[Minimum] = []
+        waiting = list(minima)
+        while not self.pool.interrupted:
+            left = min(most - len(merged(finer)), 2 * most - len(finer))
+            batch, waiting = waiting[: max(left, 0)], waiting[max(left, 0) :]
+            if not batch:
+                break
+            with _meter("refinements", len(batch), self.progress, self.problem.sense) as show:
+                done = self.pool.run(refining, batch, lambda minimum: show(_answer(minimum).objective))
+            answers = {id(minimum.item): _answer(minimum) for minimum in done}
+            finer += [answers.get(id(minimum), minimum) for minimum in batch]
+        return [*finer, *waiting]
+
+
+def _durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
+    """Return how long each phase takes in the best of the solutions; nothing without one."""
+    best = next(iter(merged(_first_minima(endings))), None)
+    return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
+
+
+def _shared(problem: Problem | Builder) -> Shared[Problem]:
+    """Return the problem for all workers; only a function that builds it can be sent to other processes."""
+    from gnc_opt.workers import Shared
+
+    if isinstance(problem, Problem):
+        remedy = 'give a function that builds it, e.g. functools.partial(build, case=2), or executor="serial"'
+        return Shared(problem, f"problem '{problem.name}', which holds symbols,", remedy)
+    if not callable(problem):
+        raise ArgumentError(
+            f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
+        )
+    remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
+    builder = partial(_built, problem)
+    return Shared(builder(), "the function that builds the problem", remedy, builder)
+
+
+def _built(builder: Builder) -> Problem:
+    return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
+
+
+def _answer(done: Done[Item, Answer]) -> Answer:
+    """Return what a task answered, or raise what prevented it."""
+    from gnc_opt.workers import WorkerDied
+
+    error = done.error
+    if isinstance(error, WorkerDied):
+        raise GncOptError(
+            "a process of multistart() has died, perhaps for want of memory: try a coarser mesh, or "
+            'executor="serial".'
+        ) from error
+    if error is not None:
+        raise error
+    assert done.answer is not None
+    return done.answer
+
+
+def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
+    """Return how many of the minima, best first, are not far worse than the best."""
+    if within is None or not minima:
+        return len(minima)
+    best = minima[0].objective
+    return sum(abs(minimum.objective - best) <= within * abs(best) for minimum in minima)
+
+
+def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
+    if not visible:
+        return nullcontext(lambda objective: None)
+    from gnc_opt.progress import search_meter
+
+    return search_meter(name, total, sense)
+
+
+# --- what the workers do ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Start:
+    """One start: random, or a reflection."""
+
+    index: int
+    reflection: Reflection | None = None
+
+
+@dataclass(frozen=True)
+class _StartEnding:
+    """How one start ended; the solution, without its problem, if it is a minimum."""
+
+    index: int
+    failure: str = ""
+    solution: Solution | None = None
+
+    @property
+    def objective(self) -> float | None:
+        return None if self.solution is None else self.solution.objective
+
+
+@dataclass(frozen=True)
+class _Coarse:
+    """Solve one start and look whether its dynamics confirm it; durations, if known, are those of another solution."""
+
+    seed: int
+    mesh: MeshLike | Mapping[str, MeshLike]
+    options: SolverOptions
+    durations: Mapping[str, float] = field(default_factory=dict)
+
+    def __call__(self, problem: Problem, start: _Start) -> _StartEnding:
+        index, options = start.index, self.options
+        if index and options.mu_init is None:
+            barrier = BARRIERS[index % len(BARRIERS)] if start.reflection is None else REFLECTED
+            options = replace(options, mu_init=barrier)
+        try:
+            started = self._started(problem, start)
+            started.check()
+            solution = solve_mesh(started, self.mesh, options=options)
+        except ProblemError:
+            if index == 0:
+                raise
+            return _StartEnding(index, "bad guess")
+        if not solution.status.solved:
+            pass_on_interrupt(solution, options)
+            return _StartEnding(index, solution.status.value)
+        if is_spurious(solution):
+            return _StartEnding(index, "spurious")
+        return _StartEnding(index, solution=replace(solution, problem=None))
+
+    def _started(self, problem: Problem, start: _Start) -> Problem:
+        if start.reflection is not None:
+            return start.reflection.guess(problem)
+        durations = self.durations if start.index % 2 else None
+        return with_random_guess(problem, self.seed, start.index, durations)
+
+
+def _first_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:
+    for ending in endings:
+        if ending.solution is not None:
+            objective = ending.solution.objective
+            yield Minimum(ending.solution, objective, 1, (ending.index,), 1, (objective,))

@@ -1,0 +1,302 @@
+"""Relaxations: what is left of a problem when states are dropped that others do not need.
+
+A set of states is closed if no derivative in it depends on a state outside, as attitude and rate of a spacecraft are
+whose thrust moves its position: told from the sparsity of Jacobians. Whatever flies the whole problem flies the closed
+set too. So its least cost without the others, and without all that limits them, bounds that of the whole from below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Mask
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """A problem of fewer states.
+
+    Attributes
+    ----------
+    problem : Problem
+        Variables keep their names; of vectors that are split the components that are left.
+    states : dict of str to array of bool
+        By phase, which components of its states are left.
+    controls : dict of str to array of bool
+        The same for its controls.
+    """
+
+    problem: Problem
+    states: dict[str, Mask]
+    controls: dict[str, Mask]
+
+
+def relaxations(problem: Problem) -> list[Relaxation]:
+    """Return what is left of a problem for each closed set of states that its cost needs no others than.
+
+    Left out is a set that another one contains, whose bound is as high at least, and that of all states.
+    """
+    found = (_restricted(problem, part) for part in _largest(list(_closed_sets(problem))))
+    return [relaxation for relaxation in found if relaxation is not None]
+
+
+def _largest(sets: list[Mask]) -> Iterator[Mask]:
+    for i, own in enumerate(sets):
+        if not any(np.all(other >= own) for j, other in enumerate(sets) if j != i):
+            yield own
+
+
+def _closed_sets(problem: Problem) -> Iterator[Mask]:
+    """Yield, per state, all that it needs: each set once, with at least a state in every phase.
+
+    First what hangs together by constraints as well, then what does when those are left out.
+    """
+    legs = list(problem.phases.values())
+    owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
+    needs = np.eye(owner.size, dtype=bool)
+    ties = [_at_ends(problem, problem.constraint_expression())]
+    for i, leg in enumerate(legs):
+        own, x = owner == i, leg.model.symbols("state")
+        needs[np.ix_(own, own)] |= _depends(leg.model.derivative(), x)
+        rows = np.zeros((leg.path_expression().numel(), owner.size), dtype=bool)
+        rows[:, own] = _depends(leg.path_expression(), x)
+        ties.append(rows)
+    every = np.vstack(ties)
+    # Phases stay joined: what links them ties states, whatever else is left out.
+    linking = every[[np.unique(owner[row]).size > 1 for row in every]]
+    known: set[bytes] = set()
+    for rows in (every, linking):
+        for closed in _closure(needs | (rows.T.astype(int) @ rows > 0)):
+            if (
+                not closed.all()
+                and closed.tobytes() not in known
+                and np.unique(owner[closed]).size == len(legs)
+            ):
+                known.add(closed.tobytes())
+                yield closed
+
+
+def _closure(needs: Mask) -> Mask:
+    """Return all that each needs, directly or not."""
+    while True:
+        more = (needs.astype(int) @ needs) > 0
+        if np.array_equal(more, needs):
+            return needs
+        needs = more
+
+
+def _depends(expression: Any, symbols: Any) -> Mask:
+    """Return which rows depend on which symbols, (n_rows, n_symbols)."""
+    pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
+    if pattern.size:
+        rows, columns = ca.jacobian_sparsity(expression, symbols).get_triplet()
+        pattern[rows, columns] = True
+    return pattern
+
+
+def _at_ends(problem: Problem, expression: Any) -> Mask:
+    """Return on which states of all phases rows depend, by end points or by integrals."""
+    columns = []
+    for leg in problem.phases.values():
+        ends = _depends(expression, leg.ends("initial")) | _depends(expression, leg.ends("final"))
+        along = _depends(leg.integrand_expression(), leg.model.symbols("state"))
+        used = _depends(expression, leg.integral_symbols())
+        columns.append(ends | ((used.astype(int) @ along) > 0))
+    return np.hstack(columns)
+
+
+class _Part:
+    """What is left of a phase.
+
+    Parameters
+    ----------
+    leg : Phase
+    states : array (n_states,) of bool
+    integrals : array (n_integrals,) of bool
+        Those that the cost and the end conditions that are left need.
+    """
+
+    def __init__(self, leg: Phase, states: Mask, integrals: Mask) -> None:
+        self.leg, self.states = leg, states
+        _, x, u, _ = leg.model.arguments()
+        rates, paths = leg.model.derivative()[np.flatnonzero(states)], leg.path_expression()
+        self.integrands = {
+            name: integrand
+            for used, (name, (_, integrand)) in zip(integrals, leg.integrands.items(), strict=True)
+            if used
+        }
+        moved = ca.vertcat(rates, *self.integrands.values())
+        self.controls = np.any(_depends(moved, u), axis=0)
+        alone = ~np.any(_depends(paths, x)[:, ~states], axis=1)
+        limited = _depends(paths, u)
+        self.rows = alone & ~np.any(limited, axis=1)
+        while True:  # rows on states and controls that are left bring their other controls along
+            more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
+            if np.array_equal(more, self.rows):
+                break
+            self.rows = more
+            self.controls = self.controls | np.any(limited[more], axis=0)
+        self.rates, self.paths = rates, paths[np.flatnonzero(self.rows)]
+
+    @property
+    def expressions(self) -> Any:
+        """All of them, stacked."""
+        return ca.vertcat(self.rates, self.paths, *self.integrands.values())
+
+    def model(self, used: set[int]) -> tuple[Model, Any, Any]:
+        """Return the model of what is left, and old symbols with the new ones in their place."""
+        old, model = self.leg.model, Model(self.leg.model.name)
+        t, x, u, p = old.arguments()
+        for layout, kept, declare in (
+            (old.states, self.states, model.state),
+            (old.controls, self.controls, model.control),
+        ):
+            for name, places in _components(layout, kept):
+                v = layout[name]
+                nominal = None if v.nominal is None else np.broadcast_to(v.nominal, v.size)[places]
+                declare(name, len(places), unit=v.unit, nominal=nominal)
+        parameters = np.array(
+            [s.element_hash() in used for s in ca.vertsplit(p)] if p.numel() else [], dtype=bool
+        )
+        for name, places in _components(old.parameters, parameters):
+            value = old.parameter_values[old.parameters.slice(name)][places]
+            model.parameter(name, value, unit=old.parameters[name].unit)
+        kept = ((x, self.states), (u, self.controls), (p, parameters))
+        before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
+        after = ca.vertcat(*model.arguments())
+        rates = _substituted(self.rates, before, after)
+        model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
+        return model, before, after
+
+
+def _restricted(problem: Problem, kept: Mask) -> Relaxation | None:
+    """Return the problem of a closed set of states; None if the cost needs others."""
+    conditions, cost = problem.constraint_expression(), problem.cost
+    if np.any(_at_ends(problem, cost)[:, ~kept]):
+        return None
+    alone = ~np.any(_at_ends(problem, conditions)[:, ~kept], axis=1)
+    conditions = conditions[np.flatnonzero(alone)]
+    ends = ca.vertcat(cost, conditions)
+    parts, first = [], 0
+    for leg in problem.phases.values():
+        last = first + leg.model.states.size
+        integrals = np.any(_depends(ends, leg.integral_symbols()), axis=0)
+        parts.append(_Part(leg, kept[first:last], integrals))
+        first = last
+    return _stated(problem, parts, conditions, problem.constraint_interval(), alone)
+
+
+def _stated(
+    problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
+) -> Relaxation:
+    used = {
+        s.element_hash()
+        for e in (problem.cost, conditions, *(p.expressions for p in parts))
+        for s in ca.symvar(e)
+    }
+    states = ", ".join(
+        dict.fromkeys(name for p in parts for name, _ in _components(p.leg.model.states, p.states))
+    )
+    relaxed = Problem(f"{problem.name}, {states} alone")
+    before, after = _parameters(problem, relaxed, parts, used)
+    stated, free = ca.vertcat(*before), ca.vertcat(*after)
+    for part in parts:
+        model, old, new = part.model(used)
+        leg = relaxed.phase(part.leg.name, model)
+        _state_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
+        kept = np.flatnonzero(part.states)
+        before += [old, part.leg.initial_time, part.leg.final_time]
+        after += [new, leg.initial_time, leg.final_time]
+        before += [part.leg.ends("initial")[kept], part.leg.ends("final")[kept]]
+        after += [leg.ends("initial"), leg.ends("final")]
+        before += [part.leg.integrands[name][0] for name in part.integrands]
+        after += [leg.integrands[name][0] for name in part.integrands]
+    cost, rows = (
+        _substituted(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
+    )
+    for row, place in enumerate(np.flatnonzero(alone)):
+        label = _one_row(problem.constraint_labels()[place])
+        relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
+    (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
+    return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
+
+
+def _parameters(
+    problem: Problem, relaxed: Problem, parts: list[_Part], used: set[int]
+) -> tuple[list[Any], list[Any]]:
+    """Declare the free parameters that are used; return old symbols and the new ones.
+
+    All of their components are used from there on, those of model parameters of the same name included: what would
+    not be declared there would be a constant of the relaxation.
+    """
+    before, after = [], []
+    for name in problem.parameters.names:
+        symbols = [problem.parameter_symbols()[problem.parameters.slice(name)]]
+        symbols += [p.leg.model.symbol(name) for p in parts if name in p.leg.model.parameters]
+        scalars = {s.element_hash() for column in symbols for s in ca.vertsplit(column)}
+        if scalars & used:
+            box, guess = problem.parameter_bounds[name], problem.parameter_guess[name]
+            v = problem.parameters[name]
+            after.append(
+                relaxed.parameter(name, v.size, lower=box.lower, upper=box.upper, guess=guess, unit=v.unit)
+            )
+            before.append(symbols[0])
+            used |= scalars
+    return before, after
+
+
+def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
+    """State limits, path constraints and integrals of what is left of a phase."""
+    old, states, controls = part.leg.numbers, part.states, part.controls
+    leg.numbers = replace(
+        leg.numbers,
+        initial_time=old.initial_time,
+        final_time=old.final_time,
+        duration=old.duration,
+        initial=_those(old.initial, states),
+        final=_those(old.final, states),
+        states=_those(old.states, states),
+        controls=_those(old.controls, controls),
+    )
+    limits = _those(part.leg.path_interval(), part.rows)
+    labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
+    rows = _substituted(part.paths, before, after)
+    for i, label in enumerate(labels):
+        leg.path(_one_row(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+    for name, integrand in part.integrands.items():
+        leg.integral(_substituted(integrand, before, after), name)
+
+
+def _components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
+    """Yield the variables of which components are kept, and which of theirs."""
+    chosen = np.asarray(kept, dtype=bool)
+    for name in layout.names:
+        places = np.flatnonzero(chosen[layout.slice(name)]).tolist()
+        if places:
+            yield name, places
+
+
+def _one_row(label: str) -> str:
+    """Return the name of a constraint that is one row of another."""
+    return label.replace("[", " ").rstrip("]")
+
+
+def _substituted(expression: Any, before: Any, after: Any) -> Any:
+    """Return an expression in other symbols; phases that share a model bring its symbols more than once."""
+    first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
+    places = list(first.values())
+    return ca.substitute(expression, before[places], after[places])
+
+
+def _those(box: Interval, kept: Mask) -> Interval:
+    return Interval(box.lower[kept], box.upper[kept])

@@ -1,0 +1,520 @@
+"""Sensitivity: derivatives of an optimal solution with respect to the numbers of its problem.
+
+They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), hence of the continuous
+problem up to the error of its mesh. They hold while the same limits stay active.
+
+What `Solution.sensitivity` returns: derivatives of an optimal solution with respect to one quantity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.functions import phase_functions
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.extract import model_parameters, state_polynomial
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, piecewise
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.study.kkt_sensitivity import Change, KktPoint, Response
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.transcription import Transcription
+
+
+@dataclass(frozen=True)
+class SignalSensitivity:
+    """Derivative of a state or control at fixed time, with respect to a quantity.
+
+    ``signal(t)`` returns what the state or control itself would; for a vector quantity one such value per
+    component, stacked along a new first axis. ``side`` picks the limit exactly at a segment boundary.
+    """
+
+    name: str
+    scalar: bool
+    components: tuple[Signal, ...]
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
+        """Evaluate at time t (s)."""
+        values = [signal(t, side) for signal in self.components]
+        return values[0] if self.scalar else np.stack([np.asarray(v) for v in values])
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSensitivity:
+    """Derivatives of one phase.
+
+    Attributes
+    ----------
+    name : str
+    initial_time, final_time : float or array (n_components,)
+    switch_times : array (n_movable,) or (n_components, n_movable)
+        Of the movable mesh boundaries, which are the switch times of a solution with optimised structure.
+    states, controls : mapping of SignalSensitivity
+    """
+
+    name: str
+    initial_time: Array | float
+    final_time: Array | float
+    switch_times: Array
+    states: Mapping[str, SignalSensitivity]
+    controls: Mapping[str, SignalSensitivity]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of a solution with respect to one quantity (per unit of it).
+
+    A quantity of several components puts them on the first axis of every derivative.
+
+    Attributes
+    ----------
+    quantity : str
+        E.g. ``"parameter 'k'"``.
+    objective : float or array (n_components,)
+        Of the objective as stated (not negated when maximised).
+    phases : mapping of PhaseSensitivity
+    parameters : mapping of float or array
+        Of the optimised parameters.
+
+    Examples
+    --------
+    >>> told = go.sensitivity(solution, initial="q")
+    >>> print(told.quantity, f"{told.final_time:.6f}")
+    initial value of 'q' in phase 'leg' 1.000000
+    """
+
+    quantity: str
+    objective: Array | float
+    phases: Mapping[str, PhaseSensitivity]
+    parameters: Mapping[str, Array | float]
+
+    def phase(self, name: str | None = None) -> PhaseSensitivity:
+        """Return the derivatives of a phase; the name may be left out when there is only one."""
+        if name is None and len(self.phases) == 1:
+            return next(iter(self.phases.values()))
+        if name is None:
+            raise ProblemError(f"there are {len(self.phases)} phases: name one of {list(self.phases)}.")
+        if name not in self.phases:
+            raise unknown_name("phase", name, "the sensitivity", self.phases)
+        return self.phases[name]
+
+    def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
+        """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
+        return _named(self.phase(phase).states, name, "state")
+
+    def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
+        """Return the derivative of a control over time."""
+        return _named(self.phase(phase).controls, name, "control")
+
+    def parameter(self, name: str) -> Array | float:
+        """Return the derivative of an optimised parameter."""
+        if name not in self.parameters:
+            raise unknown_name("optimised parameter", name, "the sensitivity", self.parameters)
+        return self.parameters[name]
+
+    @property
+    def initial_time(self) -> Array | float:
+        """Of the initial time of the only phase."""
+        return self.phase().initial_time
+
+    @property
+    def final_time(self) -> Array | float:
+        """Of the final time of the only phase."""
+        return self.phase().final_time
+
+
+def _named(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
+    if not isinstance(name, str) or name not in signals:
+        raise unknown_name(kind, name, "the sensitivity", signals)
+    return signals[name]
+
+
+FLAT = 1e-10
+"""Curvature of H in a free control, relative to the largest, that counts as none."""
+
+_POINTS: WeakKeyDictionary[Solution, KktPoint] = WeakKeyDictionary()
+
+
+@one_thread()
+def sensitivity(
+    solution: Solution,
+    parameter: str | None = None,
+    /,
+    *,
+    initial: str | None = None,
+    final: str | None = None,
+    time: Literal["initial", "final"] | None = None,
+    constraint: str | None = None,
+    phase: str | None = None,
+) -> Sensitivity:
+    """Differentiate the optimal solution with respect to one quantity.
+
+    ``sensitivity(solution, "k")``, ``sensitivity(solution, initial="q").objective``,
+    ``sensitivity(solution, time="final").state("q")(0.3)``.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solved, with its problem.
+    parameter : str, optional
+        A model parameter, in every phase that has it (or in ``phase``).
+    initial, final : str, optional
+        A state whose initial or final value is given or at its limit.
+    time : {"initial", "final"}, optional
+        A time that is given or at its limit.
+    constraint : str, optional
+        A boundary constraint, by the limit that is active.
+    phase : str, optional
+        May be left out when there is only one.
+
+    Returns
+    -------
+    Sensitivity
+        Derivatives of objective, times, states and controls (at fixed time) and optimised parameters. Those of
+        the objective are the costates: d(objective)/d(initial q) is costate("q")(t0), negated when maximised.
+
+    Raises
+    ------
+    ProblemError
+        No quantity or several, an unknown one, or one that is optimised itself.
+    GncOptError
+        No problem, not solved, or first-order conditions that do not determine the solution; the message names
+        the variable.
+
+    Warns
+    -----
+    ProblemWarning
+        A limit is weakly active, where derivatives are one-sided.
+
+    Examples
+    --------
+    From rest at a distance q the least time is 2 sqrt(q):
+
+    >>> print(f"{go.sensitivity(solution, initial='q').objective:.6f}")
+    1.000000
+    """
+    given = {
+        "parameter": parameter,
+        "initial": initial,
+        "final": final,
+        "time": time,
+        "constraint": constraint,
+    }
+    chosen = [(kind, name) for kind, name in given.items() if name is not None]
+    if len(chosen) != 1:
+        raise ProblemError(
+            f"sensitivity() got {len(chosen)} quantities: name one, as in sensitivity(solution, 'k'), or by "
+            "initial='x', final='x', time='final' or constraint='c'."
+        )
+    _check(solution)
+    point = _point(solution)
+    kind, name = chosen[0]
+    quantity, changes = _changes(point, solution, kind, name, phase)
+    responses = [point.respond(change) for change in changes]
+    return _collect(point, solution, quantity, changes, responses)
+
+
+def _check(solution: Solution) -> None:
+    solution.need_problem("differentiate")
+    if not solution.status.solved:
+        raise GncOptError(
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
+            "differentiate one that is solved."
+        )
+
+
+def _point(solution: Solution) -> KktPoint:
+    """Factorise once per solution."""
+    if solution not in _POINTS:
+        _POINTS[solution] = KktPoint(solution)
+        _warn_of_singular_controls(_POINTS[solution], solution)
+    return _POINTS[solution]
+
+
+def _warn_of_singular_controls(point: KktPoint, solution: Solution) -> None:
+    """A control between its limits needs curvature of H; else the mesh decides on its derivative."""
+    for name, part in point.transcription.parts.items():
+        leg, collocation = solution.phases[name], part.collocation
+        free = ~point.pinned[collocation.point_controls]
+        free &= ~np.any(point.held[collocation.path_rows], axis=0)
+        if not free.any():
+            continue
+        times = leg.point_times
+        states, controls = (
+            point.variables[p] for p in (collocation.point_states, collocation.point_controls)
+        )
+        functions = solution.functions(name)
+        curvature = functions.control_hessian(
+            times, states, controls, leg.point_costates, leg.path_multipliers
+        )
+        sizes = point.scaling.variables[collocation.point_controls[:, 0]]
+        curvature = curvature * (sizes[:, None] * sizes)[:, :, None]
+        largest = float(np.max(np.abs(curvature)))
+        for j in np.flatnonzero(free.any(axis=0)):
+            rows = np.flatnonzero(free[:, j])
+            values, vectors = np.linalg.eigh(curvature[np.ix_(rows, rows, [j])][:, :, 0])
+            if np.min(np.abs(values)) > FLAT * largest:
+                continue
+            label = leg.controls.labels[rows[int(np.argmax(np.abs(vectors[:, np.argmin(np.abs(values))])))]]
+            warn_user(
+                f"control '{label}' of '{solution.problem_name}' is singular at t = {times[j]:.6g} s, phase {name} "
+                "(the Hamiltonian has no curvature in it): the derivatives of the controls there depend on the mesh; "
+                "refine(solution, structure='auto') settles bang-bang arcs."
+            )
+            return
+
+
+# --- the quantity ---------------------------------------------------------------------------------
+
+
+def _changes(
+    point: KktPoint, solution: Solution, kind: str, name: str, phase: str | None
+) -> tuple[str, list[Change]]:
+    """Name the quantity and return one direction per component."""
+    if kind == "parameter":
+        return f"parameter '{name}'", _parameter_changes(point, name, phase)
+    if kind == "constraint":
+        return f"boundary constraint '{name}'", _constraint_changes(point, solution, name)
+    leg = solution.phase(phase)
+    if kind == "time":
+        if name not in ("initial", "final"):
+            raise ProblemError(
+                f"sensitivity() knows no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
+            )
+        return f"{name} time of phase '{leg.name}'", [_time_change(point, leg.name, name)]
+    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_changes(point, leg, kind, name)
+
+
+def _no_change(point: KktPoint) -> Change:
+    transcription = point.transcription
+    return Change(
+        np.zeros(transcription.numbers(point.problem).size),
+        np.zeros(transcription.n_variables),
+        np.zeros(transcription.n_constraints),
+    )
+
+
+def _parameter_changes(point: KktPoint, name: str, phase: str | None) -> list[Change]:
+    """Model parameters, in every phase that has them (or in one)."""
+    problem = point.problem
+    if name in problem.parameters:
+        raise ProblemError(
+            f"parameter '{name}' of problem '{problem.name}' is optimised, so that nothing depends on its value: ask "
+            "for a parameter of a model, or read Sensitivity.parameter()."
+        )
+    starts, offset = {}, 0
+    for leg in problem.phases.values():
+        if name in leg.model.parameters and phase in (None, leg.name):
+            starts[leg.name] = offset + leg.model.parameters.slice(name).start
+        offset += leg.model.parameters.size
+    if not starts:
+        known = sorted({n for leg in problem.phases.values() for n in leg.model.parameters.names})
+        raise unknown_name("model parameter", name, f"problem '{problem.name}'", known)
+    size = problem.phases[next(iter(starts))].model.parameters[name].size
+    changes = []
+    for component in range(size):
+        change = _no_change(point)
+        change.numbers[[start + component for start in starts.values()]] = 1.0
+        changes.append(change)
+    return changes
+
+
+def _state_changes(point: KktPoint, leg: PhaseSolution, end: str, name: str) -> list[Change]:
+    rows = leg.states.slice(name)
+    collocation = point.transcription.parts[leg.name].collocation
+    places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
+    changes = []
+    for place, label in zip(places, leg.states.labels[rows], strict=True):
+        if not point.pinned[place]:
+            raise ProblemError(
+                f"the {end} value of '{label}' in phase '{leg.name}' of '{point.problem.name}' is not held by a given "
+                "value or limit, so that there is nothing to differentiate by: choose a state that is."
+            )
+        change = _no_change(point)
+        change.limits[place] = 1.0
+        changes.append(change)
+    return changes
+
+
+def _time_change(point: KktPoint, phase: str, end: str) -> Change:
+    transcription = point.transcription
+    place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
+    change = _no_change(point)
+    if place >= transcription.n_variables:
+        n_models = change.numbers.size - 2 * len(transcription.parts)
+        change.numbers[n_models + place - transcription.n_variables] = 1.0
+    elif point.pinned[place]:
+        change.limits[place] = 1.0
+    else:
+        raise ProblemError(
+            f"the {end} time of phase '{phase}' of '{point.problem.name}' is optimised, so that nothing depends on its "
+            "value: fix it with time() first."
+        )
+    return change
+
+
+def _constraint_changes(point: KktPoint, solution: Solution, name: str) -> list[Change]:
+    solution.multiplier(name)  # refuses unknown names
+    rows = point.transcription.constraint_rows
+    changes = []
+    for label, row in zip(solution.constraint_labels, rows, strict=True):
+        if label.split("[")[0] != name:
+            continue
+        if not point.held[row]:
+            raise ProblemError(
+                f"boundary constraint '{label}' of '{point.problem.name}' is not active: its limit changes nothing."
+            )
+        change = _no_change(point)
+        change.row_limits[row] = 1.0
+        changes.append(change)
+    return changes
+
+
+# --- the derivatives ------------------------------------------------------------------------------
+
+
+def _collect(
+    point: KktPoint, solution: Solution, quantity: str, changes: list[Change], responses: list[Response]
+) -> Sensitivity:
+    problem, transcription = point.problem, point.transcription
+    layout = problem.parameters
+    values = np.stack([r.variables[transcription.parameter_places] for r in responses])
+    parameters = {name: _stacked(list(values[:, layout.slice(name)])) for name in layout.names}
+    phases = {
+        name: _phase_sensitivity(point, part, solution.phases[name], changes, responses)
+        for name, part in transcription.parts.items()
+    }
+    objective = _stacked([np.array([problem.sense * r.objective]) for r in responses])
+    return Sensitivity(quantity, objective, phases, parameters)
+
+
+def _stacked(components: list[Array]) -> Array | float:
+    """One value per component; a single component and a single value lose their axis."""
+    flat = [c[0] if c.size == 1 else c for c in components]
+    if len(flat) > 1:
+        return np.asarray(flat)
+    return float(flat[0]) if components[0].size == 1 else np.asarray(flat[0])
+
+
+def _phase_sensitivity(
+    point: KktPoint, part: PhasePart, leg: PhaseSolution, changes: list[Change], responses: list[Response]
+) -> PhaseSensitivity:
+    pieces = [_differentiate(point, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
+    anchors = [piece[0] for piece in pieces]
+    scalar = len(pieces) == 1
+
+    def signals(layout: Layout, sources: list[PiecewisePolynomial]) -> dict[str, SignalSensitivity]:
+        return {
+            v.name: SignalSensitivity(
+                v.name,
+                scalar,
+                tuple(Signal(v.name, "", v.labels, source, layout.slice(v.name)) for source in sources),
+            )
+            for v in layout.variables
+        }
+
+    inner = np.stack([a[1:-1] for a in anchors])
+    return PhaseSensitivity(
+        leg.name,
+        _stacked([a[:1] for a in anchors]),
+        _stacked([a[-1:] for a in anchors]),
+        inner[0] if scalar else inner,
+        signals(leg.states, [piece[1] for piece in pieces]),
+        signals(leg.controls, [piece[2] for piece in pieces]),
+    )
+
+
+def _differentiate(
+    point: KktPoint, part: PhasePart, leg: PhaseSolution, change: Change, response: Response
+) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
+    """Derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
+    transcription, collocation = point.transcription, part.collocation
+    n_times = 2 * len(transcription.parts)
+    moved = np.concatenate([response.variables, change.numbers[-n_times:]])
+    anchors = moved[part.times]
+    rates = _rate_changes(point, part, leg, change, moved)
+    states = state_polynomial(collocation, leg.breaks, response.variables, rates)
+    controls = piecewise(leg.breaks, leg.rules, response.variables[collocation.point_controls])
+    shifts = _break_changes(transcription, part, anchors)
+    return anchors, _at_fixed_time(states, leg.x, shifts), _at_fixed_time(controls, leg.u, shifts)
+
+
+def _break_changes(transcription: Transcription, part: PhasePart, anchors: Array) -> Array:
+    """Derivatives of the times of the segment boundaries, (K + 1,)."""
+    mesh = part.collocation.mesh
+    starts = anchors[mesh.segment_arcs] + mesh.arc_starts * np.diff(anchors)[mesh.segment_arcs]
+    return np.append(starts, anchors[-1])
+
+
+def _at_fixed_time(
+    change: PiecewisePolynomial, signal: PiecewisePolynomial, shifts: Array
+) -> PiecewisePolynomial:
+    """Take the motion of the nodes out: dx/dp at fixed t is dX/dp at a node less dx/dt times the node's dt/dp."""
+    if not np.any(shifts):
+        return change
+    slopes = signal.derivative()
+    values = []
+    for k, nodes in enumerate(change.nodes):
+        moved = shifts[k] + 0.5 * (1 + nodes) * (shifts[k + 1] - shifts[k])
+        values.append(change.values[k] - slopes.values[k] * moved)
+    return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
+
+
+def _rate_changes(
+    point: KktPoint, part: PhasePart, leg: PhaseSolution, change: Change, moved: Array
+) -> Array:
+    """Derivatives of dx/dt times the arc's duration at the points, (n_states, N)."""
+    collocation, problem = part.collocation, point.problem
+    own = problem.phases[part.name]
+    q = point.variables[point.transcription.parameter_places]
+    extended = np.concatenate([point.variables, point.transcription.fixed_times(problem)])
+    here, there = extended[part.times], moved[part.times]
+    arcs, fractions = collocation.point_arcs, collocation.arc_fractions
+    spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
+    times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
+    x, u = extended[collocation.point_states], extended[collocation.point_controls]
+    p = model_parameters(problem, own, q)
+    functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
+    offset = sum(
+        other.model.parameters.size for other in _before(problem, part.name)
+    )  # where this phase's parameters start among the numbers
+    directions = [
+        time_changes[None, :],
+        moved[collocation.point_states],
+        moved[collocation.point_controls],
+        change.numbers[offset : offset + p.size],
+        moved[point.transcription.parameter_places],
+    ]
+    derivative = _rate_derivative(problem, own)
+    change_of_f = evaluate_columns(derivative, times.size, times[None, :], x, u, p, q, *directions)
+    return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
+
+
+def _before(problem: Problem, phase: str) -> list[Phase]:
+    names = list(problem.phases)
+    return [problem.phases[n] for n in names[: names.index(phase)]]
+
+
+def _rate_derivative(problem: Problem, leg: Phase) -> Any:
+    """Return (t, x, u, p, q and their changes) -> change of dx/dt."""
+    key = ("rate derivative", leg.name)
+    if key not in problem.builds:
+        arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+        changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
+        rates = problem.bind(leg, leg.model.derivative())
+        outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
+        problem.builds[key] = ca.Function("rate_derivative", [*arguments, *changes], [outputs])
+    return problem.builds[key]

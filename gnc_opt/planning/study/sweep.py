@@ -1,0 +1,361 @@
+"""sweep: a family of problems solved over a grid of parameters, line by line, each from its neighbour."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solver import solve
+from gnc_opt.planning.transcription.mesh import MeshLike
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+Family: TypeAlias = Callable[..., Problem]
+Output: TypeAlias = Callable[[Solution], float]
+
+NOT_REACHED = "not reached"
+"""The ending of a point that an interrupt prevented."""
+
+MISTAKES = (NameError, AttributeError, TypeError, ImportError)
+"""What a function raises that is wrong at every point, and ends a sweep."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Solutions over a grid.
+
+    Attributes
+    ----------
+    grid : mapping of str to array
+        Values of each parameter, in the order of the axes.
+    solutions : array of Solution or None
+        One per point of the grid, shape (n_1, n_2, ...); None where there is none. They carry no problem: join it by
+        ``solution.with_problem(problem_of(...))``.
+    endings : array of str
+        How each point ended: the solver's status, or what prevented it.
+    outputs : mapping of str to array
+        Further quantities, NaN where there is no solution.
+    interrupted : bool
+        Whether Ctrl-C ended it before its time.
+
+    Examples
+    --------
+    >>> swept = go.sweep(lambda q: problem.with_initial(q=q), {"q": [1.0, 4.0]}, executor="serial")
+    >>> print(swept.solved, np.round(swept.objective, 4))
+    [ True  True] [2. 4.]
+    """
+
+    grid: Mapping[str, Array]
+    solutions: Any
+    endings: Any
+    outputs: Mapping[str, Array]
+    interrupted: bool = False
+
+    @property
+    def solved(self) -> Any:
+        """Which points have a solution, bool array of the grid's shape."""
+        return np.array([s is not None for s in self.solutions.flat]).reshape(self.solutions.shape)
+
+    @property
+    def objective(self) -> Array:
+        """The objectives, NaN where there is no solution."""
+        return self.array("objective")
+
+    def array(self, name: str) -> Array:
+        """Return "objective", "final_time" (of the last phase), "iterations", outputs or parameters of the grid."""
+        own: dict[str, Output] = {
+            "objective": lambda s: s.objective,
+            "final_time": lambda s: list(s.phases.values())[-1].final_time,
+            "iterations": lambda s: s.statistics.iterations,
+        }
+        if name in self.outputs:
+            return self.outputs[name]
+        if name in self.grid and name not in own:
+            axes = dict(zip(self.grid, np.meshgrid(*self.grid.values(), indexing="ij"), strict=True))
+            return np.asarray(np.where(self.solved, axes[name], np.nan))
+        if name not in own:
+            known = [*own, *self.outputs, *self.grid]
+            raise ArgumentError(f"the sweep has no quantity {shown(name)}: {did_you_mean(str(name), known)}")
+        values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
+        return np.array(values, dtype=float).reshape(self.solutions.shape)
+
+    def pareto(self, **senses: Literal["min", "max"]) -> list[dict[str, float]]:
+        """Return the points that no other one beats in all of the named quantities, in the order of the first.
+
+        Parameters
+        ----------
+        **senses : "min" or "max"
+            By quantity, see `array`: ``sweep.pareto(final_time="min", fuel="min")``; two or more.
+
+        Returns
+        -------
+        list of dict
+            Parameters and quantities of each point.
+        """
+        if len(senses) < 2 or any(sense not in ("min", "max") for sense in senses.values()):
+            raise ArgumentError(
+                f"pareto() got {shown(senses)}: name two quantities or more, each with 'min' or 'max'."
+            )
+        worth = np.stack([self.array(n).ravel() * (1 if s == "min" else -1) for n, s in senses.items()])
+        front = []
+        for i in np.flatnonzero(np.all(np.isfinite(worth), axis=0)):
+            better = np.all(worth <= worth[:, [i]], axis=0) & np.any(worth < worth[:, [i]], axis=0)
+            if not np.any(better):
+                front.append(int(i))
+        front.sort(key=lambda i: float(worth[0, i]))
+        points = list(itertools.product(*self.grid.values()))
+        return [
+            dict(zip(self.grid, map(float, points[i]), strict=True))
+            | {name: float(self.array(name).flat[i]) for name in senses}
+            for i in front
+        ]
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset of objective, final time, iterations, ending and outputs over the grid.
+
+        Raises
+        ------
+        GncOptError
+            xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise GncOptError('xarray is not installed: pip install "gnc_opt[data]".') from error
+        names = ["objective", "final_time", "iterations", *self.outputs]
+        data = {name: (tuple(self.grid), self.array(name)) for name in names}
+        data["ending"] = (tuple(self.grid), self.endings.astype(str))
+        return xarray.Dataset(data, coords=dict(self.grid))
+
+    def __repr__(self) -> str:
+        sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
+        return f"Sweep({sizes}, {int(np.sum(self.solved))} of {self.solutions.size} solved)"
+
+    def __str__(self) -> str:
+        total, good = self.solutions.size, int(np.sum(self.solved))
+        sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
+        lines = [f"sweep over {sizes}: {good} of {total} solved{', interrupted' if self.interrupted else ''}"]
+        if good:
+            objective = self.objective
+            lines.append(f"  objective    {np.nanmin(objective):.10g} to {np.nanmax(objective):.10g}")
+        points = itertools.product(*self.grid.values())
+        for point, ending, solution in zip(points, self.endings.flat, self.solutions.flat, strict=True):
+            if solution is None:
+                where = ", ".join(f"{name} = {value:g}" for name, value in zip(self.grid, point, strict=True))
+                lines.append(f"  unsolved     {where}: {ending}")
+        return "\n".join(lines)
+
+
+@one_thread()
+def sweep(
+    problem_of: Family,
+    grid: Mapping[str, Sequence[float]],
+    *,
+    outputs: Mapping[str, Output] | None = None,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    tol: float | None = None,
+    options: SolverOptions | None = None,
+    executor: Executor | Literal["serial"] | None = None,
+) -> Sweep:
+    """Solve a family of problems over a grid of parameters.
+
+    Lines along the last parameter are solved side by side; along a line every problem starts from its neighbour's
+    solution and, where that fails, from its own guess. A point without a solution costs only itself.
+
+    Parameters
+    ----------
+    problem_of : callable
+        Returns the problem for keyword arguments named as in ``grid``. Variations of one problem (`with_parameters` and
+        its like) are quickest; for executors of other processes it must be picklable, hence a function of a module.
+    grid : mapping of str to sequence of float
+    outputs : mapping of str to callable, optional
+        Further quantities of a solution, evaluated with its problem: ``{"peak": lambda s: ...}``.
+    mesh, tol, options
+        As in `solve`.
+    executor : concurrent.futures.Executor or "serial", optional
+        Default: one process per processor.
+
+    Returns
+    -------
+    Sweep
+        Ctrl-C ends it and returns the lines that were complete.
+
+    Raises
+    ------
+    ArgumentError
+        An empty grid, values that are no numbers, a function that does not take the grid's parameters, or outputs that
+        are no functions.
+    GncOptError
+        The family cannot be sent to the executor's processes.
+    NameError, AttributeError, TypeError, ImportError
+        Of a function that is wrong at every point; what else a function raises is the ending of its point.
+
+    Examples
+    --------
+    >>> swept = go.sweep(lambda q: problem.with_initial(q=q), {"q": [1.0, 4.0]}, tol=1e-6, executor="serial")
+    >>> print(np.round(swept.objective, 4))
+    [2. 4.]
+    """
+    from gnc_opt.workers import Shared, WorkerDied, WorkerPool
+
+    if not callable(problem_of):
+        raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")
+    axes = _read_grid(grid)
+    _check_arguments(problem_of, axes)
+    named = read_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
+    for name, output in named.items():
+        if not callable(output):
+            raise ArgumentError(
+                f"output '{name}' of sweep() is {shown(output)}: give a function of a solution."
+            )
+    line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
+    shared = Shared.picklable(
+        _Functions(problem_of, dict(named)),
+        "the family of problems, or an output,",
+        'define them with def at the top of a module, or use executor="serial"',
+    )
+    shape = tuple(values.size for values in axes.values())
+    solutions, endings = np.full(shape, None, dtype=object), np.full(shape, NOT_REACHED, dtype=object)
+    found = {name: np.full(shape, np.nan) for name in named}
+    starts = list(itertools.product(*list(axes.values())[:-1]))
+    with WorkerPool(shared, executor, "sweep()") as pool:
+        done = pool.run(line, list(enumerate(starts)), lambda _: None)
+        interrupted = pool.interrupted
+    for finished in done:
+        row, error = finished.item[0], finished.error
+        line_of = {name: array.reshape(-1, shape[-1])[row] for name, array in found.items()}
+        if isinstance(error, WorkerDied):
+            endings.reshape(-1, shape[-1])[row] = str(error)
+            continue
+        if error is not None:
+            raise error
+        for k, point in enumerate(finished.answer or ()):
+            solutions.reshape(-1, shape[-1])[row, k] = point.solution
+            endings.reshape(-1, shape[-1])[row, k] = point.ending
+            for name, value in point.outputs.items():
+                line_of[name][k] = value
+    return Sweep(axes, solutions, endings, found, interrupted)
+
+
+def _check_arguments(problem_of: Family, axes: Mapping[str, Array]) -> None:
+    """Raise `ArgumentError` if the family does not take the grid's parameters: at every point it would fail alike."""
+    try:
+        signature = inspect.signature(problem_of)
+    except ValueError:  # of a function that is not written in Python
+        return
+    try:
+        signature.bind(**dict.fromkeys(axes))
+    except TypeError as error:
+        raise ArgumentError(
+            f"the function of sweep() takes {signature} and the grid has {', '.join(axes)} ({error}): name its "
+            "arguments as in the grid."
+        ) from None
+
+
+def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
+    expect(grid, Mapping, "the grid of sweep()", 'write {"k": [1.0, 2.0]}')
+    axes = {}
+    for name, values in grid.items():
+        read_name(name, "parameter of sweep()")
+        axes[name] = read_numbers(values, f"the values of '{name}' in the grid of sweep()").reshape(-1)
+        if not axes[name].size or not np.all(np.isfinite(axes[name])):
+            raise ArgumentError(
+                f"the values of '{name}' in the grid of sweep() are {axes[name]}: give finite numbers."
+            )
+    if not axes:
+        raise ArgumentError('the grid of sweep() is empty: write {"k": [1.0, 2.0]}.')
+    return axes
+
+
+# --- what the workers do ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Point:
+    """How one point ended."""
+
+    solution: Solution | None
+    ending: str
+    outputs: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Functions:
+    """What the user defined."""
+
+    problem_of: Family
+    outputs: Mapping[str, Output]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Solve one line of the grid, each point from its neighbour."""
+
+    names: tuple[str, ...]
+    values: Array
+    mesh: MeshLike | Mapping[str, MeshLike] | None
+    tol: float | None
+    options: SolverOptions | None
+
+    def __call__(self, functions: _Functions, item: tuple[int, tuple[float, ...]]) -> list[_Point]:
+        return list(self._points(functions, item[1]))
+
+    def _points(self, functions: _Functions, fixed: tuple[float, ...]) -> Iterator[_Point]:
+        neighbour: Solution | None = None
+        for value in self.values:
+            arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))
+            try:
+                problem = expect(
+                    functions.problem_of(**arguments),
+                    Problem,
+                    "what the family of sweep() returned",
+                    "return the problem",
+                )
+                solution = self._solve(problem, neighbour)
+                if solution.status is Status.INTERRUPTED and not self._has_time_limit:
+                    raise KeyboardInterrupt
+                outputs = functions.outputs if solution.status.solved else {}
+                more = {name: float(output(solution)) for name, output in outputs.items()}
+            except GncOptError as error:  # a point of the grid that makes no sense
+                yield _Point(None, str(error), {})
+                continue
+            except MISTAKES:
+                raise
+            except Exception as error:  # of numbers in the user's functions, as a division by zero
+                yield _Point(None, f"{type(error).__name__}: {error}", {})
+                continue
+            if not solution.status.solved:
+                yield _Point(None, solution.status.value, {})
+                continue
+            neighbour = solution
+            yield _Point(replace(solution, problem=None), solution.status.value, more)
+
+    @property
+    def _has_time_limit(self) -> bool:
+        return self.options is not None and self.options.max_wall_time is not None
+
+    def _solve(self, problem: Problem, neighbour: Solution | None) -> Solution:
+        if neighbour is not None:
+            problem.check()
+            warm = solve_mesh(problem, guess=neighbour, mesh=self.mesh, options=self.options)
+            if warm.status.solved:
+                if self.tol is None:
+                    return warm
+                return solve(
+                    problem, mesh=self.mesh, guess=warm, tol=self.tol, options=self.options, throw=False
+                )
+        return solve(problem, mesh=self.mesh, tol=self.tol, options=self.options, throw=False)

@@ -1,0 +1,232 @@
+"""What held arcs mean for the program: bounds of its variables and rows, and rows that keep controls smooth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.arcs import ArcKind, Held, Junction, Kinds, Smooth
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.redundant_bounds import idle_bounds, kept_later, loose_bounds, one_way_states
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.quadrature import interpolation_matrix
+
+EASE = 0.1
+"""Share of its range by which an eased control may leave its bounds: enough to tell by how much its arc is too short,
+and near enough for H to bend as it does between the bounds."""
+
+
+def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
+    """Refuse arcs that are given for another number of segments."""
+    held, segments = leg.numbers.arcs, collocation.mesh.segments
+    for kinds in (held.controls, held.paths, held.states) if held else ():
+        if kinds and len(kinds[0]) != segments:
+            raise ProblemError(
+                f"arcs of {leg.where} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
+                "give one column per segment."
+            )
+
+
+def hold_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put the bounds of controls at the points of their arcs."""
+    _put(box, collocation.point_controls, _at_points(held.controls, collocation), bounds)
+
+
+def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put the bounds of path constraint rows at the points of their arcs."""
+    if held.paths:
+        _put(box, collocation.path_rows, _at_points(held.paths, collocation), bounds)
+
+
+def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
+    """Put the bounds of states at the start and the points of their arcs.
+
+    The state polynomial of a segment is fixed by its start and its points, so that the ends of the segments follow: a
+    bound there would be one too many. So would one at the start of a phase that is handed over on the bound.
+    """
+    if not held.states:
+        return
+    bounds, going_on = leg.numbers.states, _going_on(leg, held)
+    _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
+    for i, row in enumerate(held.states):
+        for k, kind in enumerate(row):
+            if kind is ArcKind.RELEASED:
+                inner = collocation.boundary_states[i, max(k, 1) : min(k + 2, len(row))]
+                box.lower[inner], box.upper[inner] = -np.inf, np.inf
+    for i, row in enumerate(held.states):
+        for k, kind in enumerate(row):
+            if not kind.at_limit:
+                continue
+            start, end = collocation.boundary_states[i, k : k + 2]
+            if k == 0 and i in going_on:
+                box.lower[start], box.upper[start] = -np.inf, np.inf
+            elif k == 0 or row[k - 1] is not kind:
+                box.lower[start] = box.upper[start] = _limits(bounds, kind)[i]
+            box.lower[end], box.upper[end] = -np.inf, np.inf
+
+
+def _going_on(leg: Phase, held: Held) -> set[int]:
+    """The states of a phase that the phase before hands over from an arc on the same bound."""
+    found = set()
+    for name in leg.model.states.names:
+        before, jump = leg.handed_over(name) or (None, np.zeros(0))
+        ours = range(leg.model.states.size)[leg.model.states.slice(name)]
+        if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
+            continue
+        theirs = before.numbers.arcs.states[before.model.states.slice(name)]
+        found |= {i for i, row in zip(ours, theirs, strict=True) if row[-1] is held.states[i][0]}
+    return found
+
+
+def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
+    """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
+    rising, falling = one_way_states(problem, leg)
+    if not np.any(rising | falling):
+        return
+    loose, kept = loose_bounds(leg), kept_later(problem, leg)
+    lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
+    first, last = slice(None, -1), slice(1, None)
+    for ways, handed, with_it, against_it in (
+        (rising, kept[0], upper, lower),
+        (falling, kept[1], lower, upper),
+    ):
+        for i in np.flatnonzero(ways):
+            boundaries, points = collocation.boundary_states[i], collocation.point_states[i]
+            for (limits, wider), idle in ((with_it, slice(None) if handed[i] else first), (against_it, last)):
+                limits[boundaries[idle]] = limits[points] = wider[i]
+
+
+def drop_idle(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
+    """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
+    sides = (box.lower, -np.inf), (box.upper, np.inf)
+    for (limits, none), idle in zip(sides, idle_bounds(problem, leg), strict=True):
+        limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
+
+
+def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put states on their bounds at junctions; what else holds there is for rows to say."""
+    for junction in held.junctions:
+        i = junction.constraint - collocation.n_paths
+        if i >= 0 and junction.conditions:
+            place = collocation.boundary_states[i, junction.boundary]
+            box.lower[place] = box.upper[place] = _limits(bounds, junction.kind)[i]
+
+
+def _limits(bounds: Interval, kind: ArcKind) -> Array:
+    return bounds.upper if kind is ArcKind.UPPER else bounds.lower
+
+
+def _at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
+    """The kind of every row at every point, an object array (n, N)."""
+    kinds_of = np.asarray(kinds, dtype=object).reshape(
+        len(kinds), collocation.mesh.segments
+    )  # a coast has none
+    return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
+
+
+def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
+    for kind in (ArcKind.LOWER, ArcKind.UPPER):
+        here = kinds == kind
+        limits = np.broadcast_to(_limits(bounds, kind)[:, None], kinds.shape)
+        box.lower[places[here]] = box.upper[places[here]] = limits[here]
+    released = places[kinds == ArcKind.RELEASED]
+    box.lower[released], box.upper[released] = -np.inf, np.inf
+    eased = kinds == ArcKind.EASED
+    room = np.broadcast_to(EASE * (bounds.upper - bounds.lower)[:, None], kinds.shape)[eased]
+    box.lower[places[eased]] -= room
+    box.upper[places[eased]] += room
+
+
+# --- junctions of state constraints -------------------------------------------------------------------------
+
+
+def junctions_of(leg: Phase) -> tuple[Junction, ...]:
+    """Return where state constraints of a phase meet their limits."""
+    return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
+
+
+def junction_orders(junction: Junction, n_paths: int) -> range:
+    """Return which derivatives have a row: that a state is on its bound needs none."""
+    return range(0 if junction.constraint < n_paths else 1, junction.conditions)
+
+
+def junction_rows(junction: Junction, n_paths: int) -> int:
+    """Return how many rows a junction has."""
+    return len(junction_orders(junction, n_paths)) + (junction.tangent != 0)
+
+
+def junction_values(junction: Junction, paths: Interval, order: int | None) -> Array:
+    """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
+    values = np.zeros(junction_rows(junction, paths.lower.size))
+    if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
+        values[0] = _limits(paths, junction.kind)[junction.constraint]
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """The controls of a segment and what they are at one of its ends.
+
+    Attributes
+    ----------
+    points : int array (m, n)
+        Variables; none, (m, 0), for a junction that says nothing of controls.
+    weights : array (n,)
+        Of the points, at the end.
+    """
+
+    points: Indices
+    weights: Array
+
+
+def controls_beside(collocation: PhaseCollocation, junction: Junction) -> Beside:
+    """Return the controls of the segment whose end at a junction is one where a constraint is tangent to its limit."""
+    places = collocation.point_controls
+    if not junction.tangent:
+        return Beside(places[:, :0], np.zeros(0))
+    segment = junction.boundary - (junction.tangent < 0)
+    points = slice(*collocation.mesh.offsets[segment : segment + 2])
+    rule = collocation.rules[segment]
+    return Beside(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
+
+
+# --- smooth controls ----------------------------------------------------------------------------------------
+
+
+def smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
+    """Return the controls of a phase that are one polynomial over several segments."""
+    return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
+
+
+def smooth_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
+    """Return the control variables of some segments (N,), and rows (N - degree - 1, N) that annihilate polynomials.
+
+    The rows are an orthonormal basis of what is orthogonal, over the points, to all polynomials in time of the degree.
+    """
+    mesh = collocation.mesh
+    points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
+    left = mesh.arc_starts[smooth.first]
+    right = mesh.arc_starts[smooth.last - 1] + mesh.arc_widths[smooth.last - 1]
+    places = 2 * (collocation.arc_fractions[points] - left) / (right - left) - 1
+    basis = np.linalg.qr(legendre.legvander(places, smooth.degree), mode="complete")[0]
+    return collocation.point_controls[smooth.control, points], basis[:, smooth.degree + 1 :].T
+
+
+def smooth_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
+    """Return rows, columns and values of all smoothness rows, numbered from ``first_row``."""
+    entries: list[Any] = []
+    for columns, values in rows:
+        numbers = first_row + np.arange(values.shape[0])
+        entries.append((np.repeat(numbers, columns.size), np.tile(columns, values.shape[0]), values.ravel()))
+        first_row += values.shape[0]
+    if not entries:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    stacked = [np.concatenate([e[i] for e in entries]) for i in range(3)]
+    return stacked[0], stacked[1], stacked[2]

@@ -1,0 +1,260 @@
+r"""Collocation of one phase: variables, constraint rows, and the constant matrices that join them.
+
+With :math:`\Delta` the duration of an arc (the phase, or its part between two movable mesh boundaries), segment k
+of width :math:`w_k` (a fraction of its arc) and the point values
+:math:`F_j = \Delta f(t_j, X_j, U_j)`, the rows of a segment are
+
+* LG: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, and for the end state
+  :math:`X_e - \sum_j e_j X_j = 0`, e_j being the state polynomial's basis at the segment's end. Given the
+  former this is Gauss quadrature of the dynamics, but its coefficients are constant.
+* LGR: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, the end state being a node of D.
+* LGL: :math:`X_i - X_1 - \tfrac{w_k}{2} \sum_j A_{ij} F_j = 0` for i = 2...n (Lobatto IIIA; n = 2 is the
+  trapezoidal rule, n = 3 Hermite-Simpson). The square D of LGL is singular, which leaves the costates of
+  the differential form undetermined; this integral form has none of that.
+
+Neighbouring segments share the state at their boundary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.planning.transcription.scheme import Family, Scheme, family_of
+
+
+@dataclass(frozen=True)
+class PhaseCollocation:
+    """Places of one phase's variables and rows in the program, and its constant matrices.
+
+    Attributes
+    ----------
+    scheme : {"LG", "LGR", "LGL"}
+    mesh : Mesh
+    n_states, n_controls, n_paths : int
+    first_variable, first_row : int
+        Where the phase starts in the vector of variables and of constraint rows.
+    """
+
+    scheme: Scheme
+    mesh: Mesh
+    n_states: int
+    n_controls: int
+    n_paths: int
+    first_variable: int
+    first_row: int
+
+    @property
+    def family(self) -> Family:
+        """What distinguishes the scheme from others."""
+        return family_of(self.scheme)
+
+    @cached_property
+    def rules(self) -> tuple[CollocationRule, ...]:
+        """The collocation rule of each segment."""
+        return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
+
+    def _spread(self, starts: Array, widths: Array) -> Array:
+        pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
+        return np.concatenate(pieces)
+
+    @cached_property
+    def fractions(self) -> Array:
+        """Collocation times as fractions of the phase on the mesh as given, shape (N,); for guesses."""
+        return self._spread(np.asarray(self.mesh.breaks), self.mesh.widths)
+
+    @cached_property
+    def arc_fractions(self) -> Array:
+        """Collocation times as fractions of their arcs, shape (N,)."""
+        return self._spread(self.mesh.arc_starts, self.mesh.arc_widths)
+
+    @cached_property
+    def point_arcs(self) -> Indices:
+        """The arc of each collocation point, shape (N,)."""
+        return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
+
+    @cached_property
+    def quadrature(self) -> Array:
+        """Quadrature weights as fractions of the arcs, shape (N,); they sum to 1 over each arc."""
+        widths = self.mesh.arc_widths
+        return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.rules)])
+
+    # --- variables --------------------------------------------------------------------------------
+
+    @cached_property
+    def _numbering(self) -> tuple[Indices, Indices, Indices, int]:
+        n, m, mesh = self.n_states, self.n_controls, self.mesh
+        starts, ends = self.family.starts_at_point, self.family.ends_at_point
+        degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.offsets)
+        # A segment's own variables: states and controls point by point, then the state at its end.
+        sizes = (n + m) * degrees - n * starts + n * (not ends)
+        places = self.first_variable + n + np.concatenate([[0], np.cumsum(sizes)])
+        within = np.arange(mesh.size) - np.repeat(offsets[:-1], degrees)
+        controls = np.repeat(places[:-1], degrees) + (n + m) * within + n * (not starts)
+        points = controls - n
+        inner = points[offsets[1:] - 1] if ends else places[1:] - n
+        boundary = np.concatenate([[self.first_variable], inner])
+        if starts:
+            points[offsets[:-1]] = boundary[:-1]
+        grids = (_grid(boundary, n), _grid(points, n), _grid(controls, m))
+        return *grids, int(places[-1]) - self.first_variable
+
+    @property
+    def boundary_states(self) -> Indices:
+        """Variables of the states at the segment boundaries, shape (n_states, K + 1)."""
+        return self._numbering[0]
+
+    @property
+    def point_states(self) -> Indices:
+        """Variables of the states at the collocation points, shape (n_states, N)."""
+        return self._numbering[1]
+
+    @property
+    def point_controls(self) -> Indices:
+        """Variables of the controls at the collocation points, shape (n_controls, N)."""
+        return self._numbering[2]
+
+    @property
+    def n_variables(self) -> int:
+        """Number of state and control variables of the phase."""
+        return self._numbering[3]
+
+    # --- rows -------------------------------------------------------------------------------------
+
+    @cached_property
+    def row_segments(self) -> Indices:
+        """Segment of each dynamics row, shape (n_dynamics_rows,)."""
+        return np.repeat(np.arange(self.mesh.segments), [self.n_states * c for c in self._row_counts])
+
+    @property
+    def _row_counts(self) -> list[int]:
+        """Vector-valued dynamics rows of each segment."""
+        return [n + self.family.extra_rows for n in self.mesh.degrees]
+
+    @property
+    def n_dynamics_rows(self) -> int:
+        """Number of scalar dynamics rows."""
+        return self.n_states * sum(self._row_counts)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of constraint rows of the phase: dynamics, then path constraints."""
+        return self.n_dynamics_rows + self.n_paths * self.mesh.size
+
+    @cached_property
+    def dynamics_rows(self) -> tuple[Indices, ...]:
+        """For each segment the rows of its dynamics, shape (n_states, rows of the segment)."""
+        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_counts)])
+        return tuple(
+            (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
+            for k, count in enumerate(self._row_counts)
+        )
+
+    @cached_property
+    def path_rows(self) -> Indices:
+        """Rows of the path constraints, shape (n_paths, N)."""
+        start = self.first_row + self.n_dynamics_rows
+        return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
+
+    def row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
+        """Return the name of every row, in order."""
+        labels = []
+        for k, count in enumerate(self._row_counts):
+            for i in range(count):
+                where = self.family.row_place(i, self.mesh.degrees[k])
+                place = f"phase {phase}, segment {k + 1}, {where}"
+                labels += [f"{s} defect, {place}" for s in states]
+        for k, j in self._segment_points():
+            labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
+        return labels
+
+    def variable_labels(self, phase: str, states: tuple[str, ...], controls: tuple[str, ...]) -> list[str]:
+        """Return the name of every variable of the phase, in order."""
+        labels = [""] * self.n_variables
+        for k, column in enumerate(self.boundary_states.T):
+            place = "start" if k == 0 else f"end of segment {k}"
+            for name, index in zip(states, column, strict=True):
+                labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
+        for (k, j), xs, us in zip(
+            self._segment_points(), self.point_states.T, self.point_controls.T, strict=True
+        ):
+            place = f"segment {k + 1}, point {j + 1}"
+            for name, index in zip((*states, *controls), (*xs, *us), strict=True):
+                labels[index - self.first_variable] = (
+                    labels[index - self.first_variable] or f"{name}, phase {phase}, {place}"
+                )
+        return labels
+
+    def _segment_points(self) -> list[tuple[int, int]]:
+        return [(k, j) for k, n in enumerate(self.mesh.degrees) for j in range(n)]
+
+    # --- constant matrices --------------------------------------------------------------------------
+
+    def state_matrix(self, k: int) -> Array:
+        """Coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
+        rule = self.rules[k]
+        return self.family.state_matrix(rule.differentiation, rule.end_values)
+
+    def dynamics_matrix(self, k: int) -> Array:
+        """Coefficients of the point values F_j in the rows of segment k, before -w_k/2: (rows, n)."""
+        return self.family.dynamics_matrix(self.rules[k].integration)
+
+    @cached_property
+    def linear(self) -> tuple[Indices, Indices, Array]:
+        """Entries (rows, variables, values) of the constant part of the dynamics rows."""
+        rows, columns, values = [], [], []
+        for k in range(self.mesh.segments):
+            nodes, matrix = self.segment_nodes(k), self.state_matrix(k)
+            i, j = np.nonzero(matrix)
+            rows.append(self.dynamics_rows[k][:, i].ravel())
+            columns.append(nodes[:, j].ravel())
+            values.append(np.tile(matrix[i, j], self.n_states))
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+    def segment_nodes(self, k: int) -> Indices:
+        """Variables of the states that the rows of segment k join, shape (n_states, nodes)."""
+        points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
+        return self.family.row_nodes(self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]])
+
+    def weights(self, n_outputs: int, dynamics: Indices, paths: Indices) -> tuple[Indices, Indices, Array]:
+        """Entries (rows, point outputs, values) by which point values enter the rows.
+
+        Parameters
+        ----------
+        n_outputs : int
+            Rows of the point function.
+        dynamics, paths : int arrays
+            Places of Delta f and of the path constraints among those rows.
+        """
+        rows, columns, values = [], [], []
+        for k in range(self.mesh.segments):
+            matrix = -0.5 * self.mesh.arc_widths[k] * self.dynamics_matrix(k)
+            i, j = np.nonzero(matrix)
+            rows.append(self.dynamics_rows[k][:, i].ravel())
+            point = self.mesh.offsets[k] + j
+            columns.append((dynamics[:, None] + n_outputs * point[None, :]).ravel())
+            values.append(np.tile(matrix[i, j], self.n_states))
+        rows.append(self.path_rows.ravel())
+        columns.append((paths[:, None] + n_outputs * np.arange(self.mesh.size)[None, :]).ravel())
+        values.append(np.ones(self.path_rows.size))
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+
+def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
+    """Assemble sparse entries (rows, columns, values) into a csc matrix."""
+    rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
+    matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
+    matrix.sum_duplicates()
+    return matrix
+
+
+def _grid(first: Indices, count: int) -> Indices:
+    """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
+    return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

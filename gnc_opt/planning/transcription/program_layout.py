@@ -1,0 +1,214 @@
+"""Numbering: which variables and rows the program of a problem has, where each stands and what it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.planning.problem.arcs import Junction
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.transcription.arc_constraints import (
+    junction_rows,
+    junctions_of,
+    smooth_controls,
+    smooth_rows,
+)
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scheme import Scheme
+
+
+@dataclass(frozen=True)
+class PhasePart:
+    """Where a phase lives in the program.
+
+    Attributes
+    ----------
+    collocation : PhaseCollocation
+    times : int array (n_arcs + 1,)
+        Places of initial time, movable mesh boundaries and final time in the extended variables; >= n_variables
+        where fixed.
+    """
+
+    name: str
+    collocation: PhaseCollocation
+    times: Indices
+
+
+class Numbering:
+    """The places and names of all variables and rows of a problem on given meshes.
+
+    Parameters
+    ----------
+    problem : Problem
+    meshes : mapping from phase name to Mesh
+    scheme : {"LG", "LGR", "LGL"}
+
+    Attributes
+    ----------
+    parts : mapping from phase name to PhasePart
+    parameter_places, integral_places : int array
+        Places of the free parameters, and of those integrals that are variables.
+    constraint_rows : int array
+        Rows of the boundary constraints.
+    junctions : list of (phase, Junction, int array)
+        Where state constraints meet their limits, with the rows of each.
+    n_variables, n_constraints : int
+
+    Notes
+    -----
+    Variables: per phase states and controls in time order; then free times, parameters, integrals.
+    Rows: per phase dynamics and path constraints; then smooth controls, junctions, durations, lengths of arcs, boundary
+    constraints, integrals.
+    """
+
+    def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
+        self.problem = problem
+        self.scheme = scheme
+        self.parts: dict[str, PhasePart] = {}
+        self._movable = {name: mesh.movable for name, mesh in meshes.items()}
+        self._direct, self._defined = problem.once("integrals of the end rows", self._sort_integrals)
+        self._place_phases(meshes)
+        self._place_end_rows()
+
+    # --- places -----------------------------------------------------------------------------------
+
+    def _sort_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
+        """Split integrals into those with constant coefficients in (cost, constraints) and the others."""
+        outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
+        direct: dict[tuple[str, str], Array] = {}
+        defined = []
+        for leg in self.problem.phases.values():
+            for label, (symbol, _) in leg.integrands.items():
+                coefficients = ca.jacobian(outputs, symbol)
+                if coefficients.is_constant():
+                    direct[leg.name, label] = np.asarray(ca.DM(coefficients).full()).ravel()
+                else:
+                    defined.append((leg.name, label))
+        return direct, defined
+
+    def _place_phases(self, meshes: Mapping[str, Mesh]) -> None:
+        variable = row = 0
+        collocations = {}
+        for name, leg in self.problem.phases.items():
+            collocation = PhaseCollocation(
+                self.scheme,
+                meshes[name],
+                leg.model.states.size,
+                leg.model.controls.size,
+                len(leg.path_labels),
+                variable,
+                row,
+            )
+            collocations[name] = collocation
+            variable += collocation.n_variables
+            row += collocation.n_rows
+        free_times = [
+            (name, anchor)
+            for name, collocation in collocations.items()
+            for anchor in collocation.mesh.anchors
+            if not self._is_fixed(name, anchor)
+        ]
+        time_place = {key: variable + i for i, key in enumerate(free_times)}
+        variable += len(free_times)
+        self.parameter_places = variable + np.arange(self.problem.parameters.size)
+        variable += self.problem.parameters.size
+        self.integral_places = variable + np.arange(len(self._defined))
+        self.n_variables = variable + len(self._defined)
+        self._time_labels = [
+            f"{'initial' if anchor == 0 else 'final' if anchor == meshes[name].segments else f'boundary {anchor}'} "
+            f"time, phase {name}"
+            for name, anchor in free_times
+        ]
+        self._smooth = [
+            smooth_rows(smooth, collocations[name])
+            for name, leg in self.problem.phases.items()
+            for smooth in smooth_controls(leg)
+        ]
+        self._first_smooth_row = row
+        self.junctions = self._place_junctions(row + sum(values.shape[0] for _, values in self._smooth))
+        self._first_end_row = row + sum(values.shape[0] for _, values in self._smooth)
+        self._first_end_row += sum(rows.size for *_, rows in self.junctions)
+        for k, (name, collocation) in enumerate(collocations.items()):
+            places = [
+                time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
+                for anchor in collocation.mesh.anchors
+            ]
+            self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
+
+    def _place_junctions(self, row: int) -> list[tuple[str, Junction, Indices]]:
+        """Phase, junction and rows of each junction of a state constraint."""
+        placed = []
+        for name, leg in self.problem.phases.items():
+            for junction in junctions_of(leg):
+                count = junction_rows(junction, len(leg.path_labels))
+                placed.append((name, junction, row + np.arange(count)))
+                row += count
+        return placed
+
+    def _is_fixed(self, name: str, anchor: int) -> bool:
+        if anchor in self._movable[name]:
+            return False
+        return time_is_fixed(self.problem.phases[name], min(anchor, 1))
+
+    def _place_end_rows(self) -> None:
+        self._durations = [
+            name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
+        ]
+        self._arcs = [
+            (name, arc)
+            for name, movable in self._movable.items()
+            if movable
+            for arc in range(len(movable) + 1)
+        ]
+        self._end_labels = [f"duration of phase {name}" for name in self._durations]
+        self._end_labels += [f"length of arc {arc + 1}, phase {name}" for name, arc in self._arcs]
+        self._end_labels += [f"constraint {label}" for label in self.problem.constraint_labels()]
+        self._end_labels += [f"integral {label}, phase {name}" for name, label in self._defined]
+        self.n_constraints = self._first_end_row + len(self._end_labels)
+        first = self._first_end_row + len(self._durations) + len(self._arcs)
+        self.constraint_rows = first + np.arange(len(self.problem.constraint_labels()))
+
+    # --- names ------------------------------------------------------------------------------------
+
+    @property
+    def end_rows(self) -> dict[str, int]:
+        """Rows of durations, arc lengths, boundary constraints and integrals, by their names."""
+        return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
+
+    @cached_property
+    def row_labels(self) -> tuple[str, ...]:
+        """The name of every constraint row."""
+        labels: list[str] = []
+        for name, part in self.parts.items():
+            leg = self.problem.phases[name]
+            labels += part.collocation.row_labels(name, leg.model.states.labels, leg.path_labels)
+        labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
+        for name, junction, rows in self.junctions:
+            leg = self.problem.phases[name]
+            what = (*leg.path_labels, *leg.model.states.labels)[junction.constraint]
+            labels += [f"junction of {what}, phase {name}, end of segment {junction.boundary}"] * rows.size
+        return (*labels, *self._end_labels)
+
+    @cached_property
+    def variable_labels(self) -> tuple[str, ...]:
+        """The name of every variable."""
+        labels: list[str] = []
+        for name, part in self.parts.items():
+            model = self.problem.phases[name].model
+            labels += part.collocation.variable_labels(name, model.states.labels, model.controls.labels)
+        labels += self._time_labels
+        labels += [f"parameter {label}" for label in self.problem.parameters.labels]
+        labels += [f"integral {label}, phase {name}" for name, label in self._defined]
+        return tuple(labels)
+
+
+def time_is_fixed(leg: Phase, end: int) -> bool:
+    """Whether the phase's initial (0) or final (1) time is a given number."""
+    return bool(leg.times()[end].fixed[0])

@@ -1,0 +1,273 @@
+"""Legendre quadrature and collocation on [-1, 1]: nodes, weights, differentiation and integration.
+
+Three families of points: ``LG`` (Gauss, no end), ``LGR`` (Radau, with -1) and ``LGL`` (Lobatto, both ends).
+The tables are computed in 50-digit decimal arithmetic and rounded once, so every entry is the float nearest
+to the exact one. In particular the matrices belong to the exact nodes, not to the nodes rounded to floats.
+
+Everything rests on one fact: P_0 ... P_{n-1} are orthogonal on the points under the quadrature's own sum,
+``sum_i w_i P_j(x_i) P_k(x_i) = g_k δ_jk``, with ``g_k`` the integral of P_k², save that Lobatto's last is
+``2/(n-1)``. Sources: Gautschi, *Orthogonal Polynomials* (2004); Berrut & Trefethen, *Barycentric Lagrange
+interpolation*, SIAM Review 46 (2004).
+"""
+
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from decimal import Context, Decimal, localcontext
+from functools import cache, lru_cache
+from numbers import Integral
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.planning.transcription.scheme import GAUSS, Numbers, Scheme, family_of
+
+MAX_POINTS = 64
+DIGITS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class CollocationRule:
+    """The tables of one collocation method on [-1, 1]; every array is read-only.
+
+    Attributes
+    ----------
+    scheme : {"LG", "LGR", "LGL"}
+        Family of the collocation points.
+    n : int
+        Number of collocation points, which is also the degree of the state polynomial.
+    points, weights : Array, shape (n,)
+        Collocation points, ascending, and their quadrature weights (they sum to 2).
+    state_nodes : Array, shape (n + 1,)
+        Nodes of the state polynomial, ascending: the points and -1 (LG), +1 (LGR), or the midpoint of the
+        widest gap (LGL; of two equal gaps the positive one). Lobatto's extra node only carries dense output.
+    differentiation : Array, shape (n, n + 1)
+        Values on ``state_nodes`` → derivative at ``points``.
+    end_values : Array, shape (n + 1,)
+        Values on ``state_nodes`` → value at +1 (a unit vector for LGR and LGL).
+    integration : Array, shape (n, n)
+        Values at ``points`` → integral of their interpolant from -1 to each point: the Butcher matrix on
+        [-1, 1] of Gauss, Radau (left end collocated) or Lobatto IIIA.
+    """
+
+    scheme: Scheme
+    n: int
+    points: Array
+    weights: Array
+    state_nodes: Array
+    differentiation: Array
+    end_values: Array
+    integration: Array
+
+    def integrate_to(self, tau: ArrayLike) -> Array:
+        """Values at ``points`` → integral of their interpolant from -1 to ``tau``, shape (len(tau), n)."""
+        at = np.atleast_1d(np.asarray(tau, dtype=float))
+        return np.asarray(_legendre_integrals(at, self.n) @ _float_modes(self.scheme, self.n))
+
+
+def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
+    """Tables of the ``n``-point method of a family; computed once, then shared.
+
+    Parameters
+    ----------
+    scheme : {"LG", "LGR", "LGL"}
+        Legendre-Gauss, Legendre-Gauss-Radau (with -1, without +1) or Legendre-Gauss-Lobatto (both ends).
+    n : int
+        Number of points, 1 to 64 (LGL: 2 to 64).
+
+    Raises
+    ------
+    ArgumentError
+        Unknown scheme, or a number of points that is not an integer in range.
+    """
+    return _rule(*_checked(scheme, n))
+
+
+def gauss_rule(n: int) -> CollocationRule:
+    """Return the ``n``-point Gauss rule, for quadratures. Errors as `collocation_rule`."""
+    return collocation_rule(GAUSS, n)
+
+
+def points(scheme: Scheme, n: int) -> Array:
+    """The ``n`` points of a family, ascending, shape (n,). Errors as `collocation_rule`."""
+    return _points_and_weights(*_checked(scheme, n))[0]
+
+
+def weights(scheme: Scheme, n: int) -> Array:
+    """The ``n`` quadrature weights of a family, shape (n,). Errors as `collocation_rule`."""
+    return _points_and_weights(*_checked(scheme, n))[1]
+
+
+def barycentric_weights(nodes: ArrayLike) -> Array:
+    """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),).
+
+    Raises
+    ------
+    ArgumentError
+        Nodes that are not one-dimensional, finite and distinct.
+    """
+    return _cached_barycentric_weights(_vector(nodes).tobytes())
+
+
+def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+    """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes)).
+
+    Each diagonal entry is minus the rest of its row, so constants differentiate to zero. Errors as
+    `barycentric_weights`.
+    """
+    x, w = _vector(nodes), barycentric_weights(nodes)
+    return np.asarray(interpolation_matrix(x, at) @ _square_differentiation(x, w))
+
+
+def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+    """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes)).
+
+    Second barycentric form; a row whose abscissa is a node is exactly a unit vector. Meant for abscissae in
+    or close to the span of the nodes. Errors as `barycentric_weights`.
+    """
+    return barycentric_basis(_vector(nodes), barycentric_weights(nodes), _vector(at))
+
+
+def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
+    """Return `interpolation_matrix` for nodes and abscissae that have been read, and the nodes' barycentric weights."""
+    gap = at[:, None] - x
+    nearest = np.min(np.abs(gap), axis=1, keepdims=True)
+    hit = gap == 0
+    gap[hit] = 1.0
+    basis = w * (nearest / gap)  # 0 all along a row with a hit
+    basis[hit] = 1.0
+    return np.asarray(basis / basis.sum(axis=1, keepdims=True))
+
+
+def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+    fewest = family_of(scheme).fewest
+    if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
+        remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
+        raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
+    return scheme, int(n)
+
+
+@cache
+def _rule(scheme: Scheme, n: int) -> CollocationRule:
+    x, _ = _decimal_points_and_weights(scheme, n)
+    with _many_digits():
+        nodes = family_of(scheme).state_nodes(x)
+        w = _reciprocal_products(nodes)
+        collocated = np.isin(nodes, x)
+        differentiation = _square_differentiation(nodes, w)[collocated]
+        integration = _legendre_integrals(x, n) @ _decimal_modes(scheme, n)
+        end_values = _values_at_one(nodes, w)
+    tables = map(_rounded, (nodes, differentiation, end_values, integration))
+    return CollocationRule(scheme, n, *_points_and_weights(scheme, n), *tables)
+
+
+@cache
+def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
+    x, w = _decimal_points_and_weights(scheme, n)
+    return _rounded(x), _rounded(w)
+
+
+@cache
+def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
+    with _many_digits():
+        symmetric = family_of(scheme).symmetric
+        x = _decimals(family_of(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
+        for _ in range(3):  # quadratic from about 1e-14: the third step reaches the last digit
+            x = _newton_step(scheme, n, x)
+        if symmetric:
+            x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
+        modes = _legendre(x, n - 1)
+        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family_of(scheme).square_norms(n)))
+
+
+def _newton_step(scheme: Scheme, n: int, x: Numbers) -> Numbers:
+    """Step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
+    modes = _legendre(x, n)
+    series = family_of(scheme).series(n)
+    value = sum(c * modes[k] for k, c in series.items())
+    slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
+    return np.asarray(x - value / slope)
+
+
+def _legendre(x: Numbers, degree: int) -> list[Numbers]:
+    """P_0 ... P_degree at ``x`` by the three-term recurrence; floats or Decimals."""
+    modes = [x * 0 + 1, x]
+    for k in range(1, degree):
+        modes.append(((2 * k + 1) * x * modes[k] - k * modes[k - 1]) / (k + 1))
+    return modes[: degree + 1]
+
+
+def _legendre_integrals(x: Numbers, n: int) -> Numbers:
+    """Integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
+    modes = _legendre(x, n)
+    return np.stack([x + 1] + [(modes[k + 1] - modes[k - 1]) / (2 * k + 1) for k in range(1, n)], axis=1)
+
+
+@cache
+def _decimal_modes(scheme: Scheme, n: int) -> Numbers:
+    """Values at the points → Legendre coefficients of their interpolant, shape (n, n)."""
+    x, w = _decimal_points_and_weights(scheme, n)
+    with _many_digits():
+        pairs = zip(_legendre(x, n - 1), family_of(scheme).square_norms(n), strict=True)
+        return np.stack([w * mode / norm for mode, norm in pairs])
+
+
+@cache
+def _float_modes(scheme: Scheme, n: int) -> Array:
+    return _rounded(_decimal_modes(scheme, n))
+
+
+def _reciprocal_products(x: Numbers) -> Numbers:
+    gap = x[:, None] - x
+    np.fill_diagonal(gap, 1)
+    return np.asarray(1 / gap.prod(axis=1))
+
+
+def _square_differentiation(x: Numbers, w: Numbers) -> Numbers:
+    """Values on ``x`` (barycentric weights ``w``) → derivative at the same nodes; floats or Decimals."""
+    gap = x[:, None] - x
+    np.fill_diagonal(gap, 1)
+    matrix = w / w[:, None] / gap
+    np.fill_diagonal(matrix, 0)
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return np.asarray(matrix)
+
+
+def _values_at_one(x: Numbers, w: Numbers) -> Numbers:
+    if x[-1] == 1:
+        return np.asarray(x == 1)
+    terms = w / (1 - x)
+    return np.asarray(terms / terms.sum())
+
+
+@lru_cache(maxsize=1024)
+def _cached_barycentric_weights(nodes: bytes) -> Array:
+    x = np.frombuffer(nodes)
+    if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
+        raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
+    with _many_digits():
+        w = _reciprocal_products(_decimals(x))
+        return _rounded(w / max(abs(w)))
+
+
+def _many_digits() -> AbstractContextManager[Context]:
+    return localcontext(Context(prec=DIGITS))
+
+
+def _decimals(values: Iterable[float]) -> Numbers:
+    return np.array([Decimal(float(value)) for value in values], dtype=object)
+
+
+def _rounded(values: Numbers) -> Array:
+    table = values.astype(float)
+    table.setflags(write=False)
+    return table
+
+
+def _vector(values: ArrayLike) -> Array:
+    vector = np.atleast_1d(np.asarray(values, dtype=float))
+    if vector.ndim != 1:
+        raise ArgumentError(f"expected a vector of nodes or abscissae, got an array of shape {vector.shape}")
+    return vector

@@ -1,0 +1,117 @@
+"""Automatic scaling from bounds, guess and the size of the dynamics.
+
+Variables are divided by typical magnitudes; dynamics rows by those of their state; other rows and the
+objective by the norm of their scaled gradient at and near the guess. Answers are returned in physical units and
+do not depend on any of this; the conditioning of the program does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.magnitudes import SAMPLES, magnitude_within, phase_magnitudes
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.transcription.transcription import Transcription
+
+NEARBY = 0.1
+"""How far from the guess, in typical magnitudes, gradients are looked at besides at the guess itself.
+
+A guess may by chance be stationary, as the perfect track of a tracking cost is: the gradient there is rounding,
+and its inverse no scale. Results are insensitive to the distance (0.01 to 1)."""
+
+MOST_ROOM = 10.0
+"""Scaled distance from a limit that the guess has at most.
+
+Where a row has hardly a slope at the guess, as the square of a control that is next to nothing there, the inverse of
+that slope is no scale: before the limit is met it is many times as steep, and no step of a solver is short enough."""
+
+_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Magnitudes by which the program is divided.
+
+    Attributes
+    ----------
+    variables : array (n_variables,)
+        scaled variable = physical variable / variables.
+    rows : array (n_constraints,)
+        scaled row = physical row * rows.
+    objective : float
+        scaled objective = physical objective * objective.
+    """
+
+    variables: Array
+    rows: Array
+    objective: float
+
+
+def scale_variables(
+    transcription: Transcription, problem: Problem, start: Array, *, overridden: bool = True
+) -> Array:
+    """Return the typical magnitude of every variable, shape (n_variables,), as the user says or as found."""
+    scales = np.ones(transcription.n_variables)
+    for name, part in transcription.parts.items():
+        states, controls = phase_magnitudes(problem.phases[name], overridden=overridden)
+        collocation = part.collocation
+        scales[collocation.boundary_states] = states[:, None]
+        scales[collocation.point_states] = states[:, None]
+        scales[collocation.point_controls] = controls[:, None]
+        span = max(abs(start_phase(problem.phases[name], SAMPLES).times[1]), 1e-3)
+        free_times = part.times[part.times < transcription.n_variables]
+        scales[free_times] = span
+    for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
+        scales[places] = magnitude_within(interval, np.abs(start[places]))
+    return scales
+
+
+def scale_rows(
+    transcription: Transcription, problem: Problem, start: Array, scales: Array
+) -> tuple[Array, float]:
+    """Return row scales (n_constraints,) and the objective's scale.
+
+    Parameters
+    ----------
+    start, scales : array (n_variables,)
+        The guess and the typical magnitudes of the variables, physical.
+    """
+    gradient, nonzeros, room = _derivatives(transcription, problem, start)
+    rows, columns = transcription.constraints.jacobian_pattern
+    norms = np.zeros(transcription.n_constraints)
+    np.maximum.at(norms, rows, nonzeros * scales[columns])
+    factors = 1.0 / np.maximum(np.where(norms > 0, norms, 1.0), room / MOST_ROOM)
+    steepest = float(np.max(gradient * scales))
+    for part in transcription.parts.values():
+        state_scales = scales[part.collocation.boundary_states[:, 0]]
+        for place in part.collocation.dynamics_rows:
+            factors[place] = 1.0 / state_scales[:, None]
+    return factors, 1.0 / steepest if steepest > 0 else 1.0
+
+
+def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array, Array]:
+    """Largest magnitudes, at and near the guess, of objective gradient and Jacobian nonzeros, and the rows' room."""
+    box = transcription.variable_interval(problem)
+    usual = scale_variables(transcription, problem, start, overridden=False)
+    size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
+    offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
+    gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
+    limits, room = transcription.row_interval(problem), np.zeros(transcription.n_constraints)
+    for point in (start, start + offset):
+        inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
+        values, slope, jacobian = transcription.evaluate(problem, inside)
+        gradient, nonzeros = np.maximum(gradient, _size(slope)), np.maximum(nonzeros, _size(jacobian))
+        room = np.maximum(room, _finite(np.minimum(values - limits.lower, limits.upper - values)))
+    return gradient, nonzeros, room
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _size(values: Array) -> Array:
+    return np.where(np.isfinite(values), np.abs(values), 0.0)

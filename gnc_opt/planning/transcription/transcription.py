@@ -1,0 +1,437 @@
+"""Transcription: an optimal control problem as a sparse nonlinear program with named rows and columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.errors import unknown_name
+from gnc_opt.planning.nlp.program import NlpProblem
+from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.problem.arcs import Junction
+from gnc_opt.planning.problem.expressions import parameter_arguments
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.redundant_bounds import reachable_bounds
+from gnc_opt.planning.problem.state_constraints import constraint_order
+from gnc_opt.planning.transcription.arc_constraints import (
+    check_segments,
+    controls_beside,
+    drop_idle,
+    hold_controls,
+    hold_paths,
+    hold_states,
+    junction_orders,
+    junction_values,
+    junctions_of,
+    loosen_one_way,
+    meet_limits,
+    smooth_controls,
+    smooth_entries,
+)
+from gnc_opt.planning.transcription.collocation import weight_matrix
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.program_layout import Numbering, PhasePart, time_is_fixed
+from gnc_opt.planning.transcription.scheme import Scheme
+from gnc_opt.tolerances import SHORTEST
+
+
+@dataclass(frozen=True)
+class _Symbols:
+    """MX symbols of the program: scaled variables x and parameters p, and the pieces of p."""
+
+    x: Any
+    p: Any
+    models: dict[str, Any]
+    times: Any
+    scales: Any
+    row_scales: Any
+    objective_scale: Any
+
+
+KEPT = 8
+"""Programs that a problem keeps for re-use: refining makes many, each with a solver of many megabytes."""
+
+
+class Transcription(Numbering):
+    """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
+
+    Parameters
+    ----------
+    problem : Problem
+    meshes : mapping from phase name to Mesh
+    scheme : {"LG", "LGR", "LGL"}
+
+    Attributes
+    ----------
+    built : dict
+        What has been built on this program and goes with it: solvers, derivatives.
+    """
+
+    def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
+        super().__init__(problem, meshes, scheme)
+        self.built: dict[Any, Any] = {}
+        phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
+        junctions = [self._junction_block(*placed) for placed in self.junctions]
+        self.program = SeparableProgram(self._linear(), (*phase_blocks, *junctions, self._end_block()))
+        self.objective, self.constraints = (
+            self.program.rows(0, 1),
+            self.program.rows(1, 1 + self.n_constraints),
+        )
+
+    # --- blocks -----------------------------------------------------------------------------------
+
+    def _phase_blocks(self, leg: Phase) -> list[PointBlock]:
+        """Dynamics and path constraints; integrals apart, so that an objective made of them needs no dynamics."""
+        collocation = self.parts[leg.name].collocation
+        n_states, n_paths = leg.model.states.size, len(leg.path_labels)
+        rows, columns, values = collocation.weights(
+            n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
+        )
+        blocks = [self._point_block(leg, "dynamics", [(rows + 1, columns, values)])]
+        entries = self._integral_entries(leg)
+        if entries:  # integrals may be declared only to be read
+            blocks.append(self._point_block(leg, "integrals", entries))
+        return blocks
+
+    def _point_block(
+        self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
+    ) -> PointBlock:
+        """Rates times the duration, and other functions, at all collocation points.
+
+        Times that are fixed numbers are data: there is no need to differentiate with respect to them.
+        """
+        part = self.parts[leg.name]
+        collocation = part.collocation
+        n_points = collocation.mesh.size
+        end_places = np.stack([part.times[collocation.point_arcs], part.times[collocation.point_arcs + 1]])
+        is_free = np.any(end_places < self.n_variables, axis=1)
+        free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+        fixed_times = [self._symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
+        parameter_places = np.tile(self.parameter_places[:, None], (1, n_points))
+        variables = np.vstack(
+            [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
+        )
+        data = ca.vertcat(
+            ca.MX(ca.DM(collocation.arc_fractions.reshape(1, -1))),
+            *fixed_times,
+            ca.repmat(self._symbols.models[leg.name], 1, n_points),
+        )
+        function = self.problem.once(
+            ("point", leg.name, of, *free.tolist()), lambda: self._point_function(leg, of, free, fixed)
+        )
+        weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
+        return PointBlock(function, variables.astype(np.int64), data, weights)
+
+    def _point_function(
+        self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
+    ) -> PointFunction:
+        """The same on any mesh: by states, controls, those ends of the arc that are free, and free parameters."""
+        t, x, u, p = leg.model.arguments()
+        ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
+        span = ends[1] - ends[0]
+        rates, others = (
+            (leg.model.derivative(), leg.path_expression())
+            if of == "dynamics"
+            else (leg.integrand_expression(), ca.SX(0, 1))
+        )
+        outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
+        return PointFunction.build(
+            "point",
+            ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(fraction, ends[fixed.tolist()], p),
+            ca.substitute(outputs, t, ends[0] + fraction * span),
+        )
+
+    def _integral_entries(self, leg: Phase) -> list[Any]:
+        collocation = self.parts[leg.name].collocation
+        entries = []
+        for place, label in enumerate(leg.integrands):
+            columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
+            for row, coefficient in self._integral_rows(leg.name, label):
+                entries.append((np.full(columns.size, row), columns, coefficient * collocation.quadrature))
+        return entries
+
+    def _integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
+        """Rows (0 is the objective) and coefficients by which an integral enters the program."""
+        if (phase, label) in self._direct:
+            coefficients = self._direct[phase, label]
+            rows = np.concatenate([[0], 1 + self.constraint_rows])
+            return [(int(rows[i]), float(coefficients[i])) for i in np.flatnonzero(coefficients)]
+        row = self.n_constraints - len(self._defined) + self._defined.index((phase, label))
+        return [(1 + row, -1.0)]
+
+    def _junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
+        """A state constraint and its derivatives at a mesh boundary."""
+        leg, part = self.problem.phases[name], self.parts[name]
+        mesh = part.collocation.mesh
+        t, x, u, p = leg.model.arguments()
+        segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
+        arc = int(mesh.segment_arcs[segment])
+        found = constraint_order(self.problem, leg, junction.constraint)
+        orders = junction_orders(junction, len(leg.path_labels))
+        outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
+        beside = controls_beside(part.collocation, junction)
+        points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
+        if junction.tangent:
+            last = found.derivatives[-1]
+            outputs = ca.vertcat(outputs, ca.substitute(last, u, points @ beside.weights))
+        fraction = float(mesh.arc_starts[segment]) if junction.boundary < mesh.segments else 1.0
+        time = ends[0] + fraction * (ends[1] - ends[0])
+        places = part.times[[arc, arc + 1]]
+        free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
+        function = PointFunction.build(
+            "junction",
+            ca.vertcat(x, ca.vec(points), ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(ends[fixed.tolist()], p),
+            ca.substitute(outputs, t, time),
+        )
+        states = part.collocation.boundary_states[:, junction.boundary]
+        variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_places])
+        data = ca.vertcat(
+            self._symbols.times[(places[fixed] - self.n_variables).tolist()], self._symbols.models[name]
+        )
+        weights = weight_matrix(
+            1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
+        )
+        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+
+    def _end_block(self) -> PointBlock:
+        """The cost and the end rows as one function of end points, parameters and integrals."""
+        places = [
+            place
+            for part in self.parts.values()
+            for place in (
+                part.collocation.boundary_states[:, 0],
+                part.collocation.boundary_states[:, -1],
+                part.times,
+            )
+        ]
+        variables = np.concatenate([*places, self.parameter_places, self.integral_places])
+        arcs = [len(boundaries) for boundaries in self._movable.values()]
+        function = self.problem.once(("end rows", *arcs, *self._durations), self._end_function)
+        rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
+        weights = weight_matrix(
+            1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
+        )
+        data = ca.vertcat(*self._symbols.models.values())
+        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+
+    def _end_function(self) -> PointFunction:
+        """The same on any mesh with so many movable boundaries."""
+        phases = self.problem.phases.values()
+        arguments: list[Any] = []
+        arc_lengths: list[Any] = []
+        for leg in phases:
+            inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
+            times = ca.vertcat(leg.initial_time, inner, leg.final_time)
+            arguments += [leg.ends("initial"), leg.ends("final"), times]
+            arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
+        defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
+        arguments += [self.problem.parameter_symbols(), *defined]
+        outputs = ca.vertcat(
+            self.problem.sense * self.problem.cost,
+            *[self.problem.phases[name].duration for name in self._durations],
+            *arc_lengths,
+            self.problem.constraint_expression(),
+            *defined,
+        )
+        for name, label in self._direct:
+            outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
+        for leg in phases:
+            outputs = self.problem.bind(leg, outputs)
+        data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
+        return PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
+
+    def _linear(self) -> Any:
+        entries = [part.collocation.linear for part in self.parts.values()]
+        entries.append(smooth_entries(self._smooth, self._first_smooth_row))
+        rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
+        return scipy.sparse.coo_array(
+            (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
+        )
+
+    # --- the program as CasADi functions ------------------------------------------------------------
+
+    @cached_property
+    def _symbols(self) -> _Symbols:
+        models = {
+            name: ca.MX.sym(f"{name}_parameters", leg.model.parameters.size)
+            for name, leg in self.problem.phases.items()
+        }
+        others = (
+            ca.MX.sym("fixed_times", 2 * len(models)),
+            ca.MX.sym("scales", self.n_variables),
+            ca.MX.sym("row_scales", self.n_constraints),
+            ca.MX.sym("objective_scale"),
+        )
+        # Not one symbol that is split: each function then copies only the pieces that it uses.
+        return _Symbols(
+            ca.MX.sym("x", self.n_variables), ca.vertcat(*models.values(), *others), models, *others
+        )
+
+    @cached_property
+    def nlp(self) -> NlpProblem:
+        """The scaled program with its sparse derivatives, ready for a solver."""
+        s = self._symbols
+        arguments = s.scales * s.x, s.times
+        sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
+        multipliers = ca.vertcat(s.objective_scale * sigma, s.row_scales * lam)
+        f, gradient = self.objective.values_and_jacobian(*arguments)
+        g, jacobian = self.constraints.values_and_jacobian(*arguments)
+        hessian = self.program.hessian(*arguments, multipliers)
+        n, m = self.n_variables, self.n_constraints
+        _, columns = self.objective.jacobian_pattern
+        scaled = gradient * s.objective_scale * s.scales[columns.tolist()]
+        gradient = ca.densify(_sparse(n, 1, columns, 0 * columns, scaled))
+        rows, columns = self.constraints.jacobian_pattern
+        # vec: of a vector of one entry CasADi picks a row.
+        scaled = jacobian * ca.vec(s.row_scales[rows.tolist()]) * s.scales[columns.tolist()]
+        jacobian = _sparse(m, n, rows, columns, scaled)
+        rows, columns = self.program.hessian_pattern
+        hessian = _sparse(n, n, rows, columns, hessian * s.scales[rows.tolist()] * s.scales[columns.tolist()])
+        point, names = [s.x, s.p], ["x", "p"]
+        return NlpProblem(
+            x=s.x,
+            p=s.p,
+            f=s.objective_scale * self.objective.values(*arguments),
+            g=s.row_scales * self.constraints.values(*arguments),
+            grad_f=ca.Function(
+                "nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]
+            ),
+            jac_g=ca.Function("nlp_jac_g", point, [s.row_scales * g, jacobian], names, ["g", "jac_g_x"]),
+            hess_lag=ca.Function(
+                "nlp_hess_l",
+                [*point, sigma, lam],
+                [hessian],
+                [*names, "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
+            ),
+        )
+
+    def evaluate(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
+        """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros, all physical."""
+        ones = np.ones(self.n_variables), np.ones(self.n_constraints)
+        p = self.parameter_vector(problem, *ones, 1.0)
+        (_, gradient), (g, jacobian) = self.nlp.grad_f(x, p), self.nlp.jac_g(x, p)
+        return g.full().ravel(), gradient.full().ravel(), np.asarray(jacobian.nonzeros())
+
+    # --- numbers ----------------------------------------------------------------------------------
+
+    def numbers(self, problem: Problem) -> Array:
+        """Model parameters and fixed times of a problem."""
+        models = [leg.model.parameter_values for leg in problem.phases.values()]
+        return np.concatenate([*models, self.fixed_times(problem)])
+
+    def parameter_vector(
+        self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
+    ) -> Array:
+        """Stack the program's parameters: model parameters, fixed times and scales."""
+        return np.concatenate([self.numbers(problem), scales, row_scales, [objective_scale]])
+
+    def fixed_times(self, problem: Problem) -> Array:
+        """Initial and final time of each phase where fixed, else 0, shape (2 * n_phases,)."""
+        times = [leg.times()[end] for leg in problem.phases.values() for end in (0, 1)]
+        return np.asarray([t.lower[0] if t.fixed[0] else 0.0 for t in times])
+
+    def variable_interval(self, problem: Problem) -> Interval:
+        """Bounds of all variables, in physical units."""
+        box = free(self.n_variables)
+        for name, part in self.parts.items():
+            self._put_phase_bounds(box, problem, problem.phases[name], part)
+        q = problem.parameter_interval()
+        box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
+        return box
+
+    def _put_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
+        collocation, numbers = part.collocation, leg.numbers
+        controls = numbers.controls if numbers.turns is None else numbers.turns.around(numbers.controls)
+        for places, bounds in (
+            (collocation.boundary_states, numbers.states),
+            (collocation.point_states, numbers.states),
+            (collocation.point_controls, controls),
+        ):
+            box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
+        loosen_one_way(box, problem, leg, collocation)
+        drop_idle(box, problem, leg, collocation)
+        check_segments(leg, collocation)
+        if numbers.arcs is not None:
+            hold_controls(box, numbers.arcs, reachable_bounds(problem, leg), collocation)
+        for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
+                               (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
+            # Not max and min: a value that rounding puts beyond a bound must not cross it.
+            lower, upper = box.lower[places], box.upper[places]
+            box.lower[places], box.upper[places] = (
+                np.clip(values.lower, lower, upper),
+                np.clip(values.upper, lower, upper),
+            )
+        if numbers.arcs is not None:
+            hold_states(box, leg, numbers.arcs, collocation)
+            meet_limits(box, numbers.arcs, numbers.states, collocation)
+        for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
+            if place < self.n_variables:
+                box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
+
+    def row_interval(self, problem: Problem) -> Interval:
+        """Bounds of all rows, in physical units."""
+        box = Interval(np.zeros(self.n_constraints), np.zeros(self.n_constraints))
+        for name, part in self.parts.items():
+            paths = problem.phases[name].path_interval()
+            rows = part.collocation.path_rows
+            box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
+            held = problem.phases[name].numbers.arcs
+            if held is not None:
+                hold_paths(box, held, paths, part.collocation)
+        for i, name in enumerate(self._durations):
+            duration = problem.phases[name].numbers.duration
+            box.lower[self._first_end_row + i] = duration.lower[0]
+            box.upper[self._first_end_row + i] = duration.upper[0]
+        for name, junction, rows in self.junctions:
+            leg = problem.phases[name]
+            order = constraint_order(self.problem, leg, junction.constraint).order
+            values = junction_values(junction, leg.path_interval(), order)
+            box.lower[rows] = box.upper[rows] = values
+        first = self._first_end_row + len(self._durations)
+        arcs = slice(first, first + len(self._arcs))
+        box.lower[arcs], box.upper[arcs] = SHORTEST, np.inf
+        ends = problem.constraint_interval()
+        box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
+        return box
+
+    def duration_multiplier(self, phase: str, lam_g: Array) -> float:
+        """Return the multiplier of a phase's duration row, 0 if it has none."""
+        if phase not in self._durations:
+            return 0.0
+        return float(lam_g[self._first_end_row + self._durations.index(phase)])
+
+
+def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> Transcription:
+    """Return the transcription of a problem, re-using an earlier one of the same structure and meshes."""
+    for name in meshes:
+        if name not in problem.phases:
+            raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
+    fixed = tuple(time_is_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
+    held = tuple((smooth_controls(leg), junctions_of(leg)) for leg in problem.phases.values())
+    key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
+    builds = problem.builds
+    built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
+    builds[key] = built  # the last one used is the last in the order
+    programs = [k for k, value in builds.items() if isinstance(value, Transcription)]
+    for old in programs[:-KEPT]:
+        del builds[old]
+    return built
+
+
+def _sparse(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
+    """Build an MX matrix from column-major (row, column) places and its nonzeros."""
+    starts = np.searchsorted(columns, np.arange(n_columns + 1))
+    pattern = ca.Sparsity(n_rows, n_columns, starts.tolist(), rows.tolist())
+    return ca.MX(pattern, nonzeros)

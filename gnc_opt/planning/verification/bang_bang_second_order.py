@@ -1,0 +1,423 @@
+r"""Second-order sufficient conditions of a bang-bang solution.
+
+For controls that sit on their bounds everywhere, the control problem is one of finitely many unknowns
+:math:`\theta`, one for every switch of every control (module `induced`). A first-order point is a strict local
+minimum if (Maurer & Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular
+and Bang-Bang Control, SIAM 2012, ch. 5-7)
+
+* every switching function vanishes only where its control switches, and crosses zero there with a slope of the right
+  sign (strict bang-bang property),
+* the gradient of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` vanishes, with multipliers of the right
+  signs,
+* its Hessian is positive definite on the directions that keep the active conditions: those at a limit with a
+  multiplier. One at a limit without a multiplier restricts directions to a half-space only.
+
+Where several controls switch at one time the problem is smooth only as long as their order stays. The Hessian then
+has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control
+Optim. 49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more
+conditions than one, being positive everywhere is sufficient only, and CANNOT TELL the answer where it is not.
+
+Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what
+these differ by estimates their error.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, inner_switches
+from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, Unknowns
+from gnc_opt.planning.problem.functions import EndGradients
+from gnc_opt.planning.solution.quality import worst_index
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.verification.critical_cone import aimed_gradient
+from gnc_opt.planning.verification.goh import straight
+from gnc_opt.planning.verification.normality import normality_of_switches
+from gnc_opt.tolerances import AT_LIMIT, BESIDE, RANK, TINY
+
+OWN = 1e-4
+"""Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
+
+ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
+"""Multipliers above these, in shares of H and of the cost, are those of active constraints."""
+
+EXACT = 1e-9
+"""Share of the terms that the Hessian is made of below which its eigenvalues are rounding."""
+
+WEAK = 1e-6
+"""Multipliers below this share of the cost may be zero: their conditions restrict directions to a half-space only."""
+
+MOST_ORDERS = 120
+"""Orders of simultaneous switches that are tried."""
+
+SLACK = 1e-6
+"""A direction may break a half-space condition by this share and still counts as keeping it."""
+
+
+def strict_switches(samples: list[PhaseSamples]) -> Condition:
+    """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
+    meaning = (
+        "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
+        "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
+        "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function beside "
+        f"it has the wrong sign by more than {GRAZES:.0e} of H; what is less is zero within the errors of costates."
+    )
+    worst = min(filter(None, map(_worst_crossing, samples)), default=None)
+    touched = next(filter(None, map(_touched, samples)), "")
+    name, least = "strict switches", np.inf if worst is None else worst.slope
+    if touched and (worst is None or not worst.wrong):
+        return Condition(name, Result.CANNOT_TELL, 0.0, 0.0, touched, meaning, sufficient=True)
+    if worst is None:
+        return Condition(name, Result.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
+    result = Result.FAIL if worst.wrong else Result.PASS if least > GRAZES else Result.CANNOT_TELL
+    return Condition(name, result, -least, -GRAZES, worst.where, meaning, sufficient=True)
+
+
+@dataclass(frozen=True, order=True)
+class _Crossing:
+    """How a switching function passes through zero at a switch; the worst one is the least.
+
+    Attributes
+    ----------
+    harmless : bool
+        Whether it has the wrong sign nowhere beside the switch by more than `GRAZES` of H.
+    slope : float
+        The smaller one of both sides, with the sign that it should have, in shares of H per phase.
+    where : str
+    """
+
+    harmless: bool
+    slope: float
+    where: str
+
+    @property
+    def wrong(self) -> bool:
+        """Whether it violates a necessary condition."""
+        return self.slope < -GRAZES and not self.harmless
+
+
+def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
+    """The worst crossing of a phase, or None without a switch."""
+    leg = s.leg
+    times, channels = inner_switches(s)
+    if not times.size:
+        return None
+    neighbours = np.searchsorted(leg.breaks, times)
+    steps = BESIDE * np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
+    beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
+    at = beside, leg.x(beside), leg.flown(beside), leg.lam(beside), leg.path_multiplier(beside)
+    values = aimed_gradient(s, *at)
+    values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
+    slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
+    unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
+    falls = np.sign(leg.flown(times, "left") - leg.flown(times))[channels, np.arange(times.size)]
+    signed = np.min(falls * slopes * unit, axis=0)
+    found = []
+    for slope, t, i in zip(signed, times, channels, strict=True):
+        where = f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
+        offence = _offence_beside(s, int(i), times[channels == i], float(t))
+        if np.isnan(slope) or np.isnan(offence):
+            found.append(_Crossing(False, -np.inf, where))
+        elif slope < -GRAZES and offence <= GRAZES:
+            found.append(_Crossing(True, float(slope), f"{where}: the wrong sign by {offence:.1e} of H only"))
+        else:
+            found.append(_Crossing(bool(slope >= -GRAZES), float(slope), where))
+    return min(found)
+
+
+def _offence_beside(s: PhaseSamples, i: int, own: Array, time: float) -> float:
+    """The most by which a switching function has the wrong sign between the switches before and after one, of H."""
+    before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
+    near = (s.times >= before) & (s.times <= after)
+    bounds = s.leg.control_bounds
+    side = np.sign(s.u[i, near] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
+    return float(np.max(side * _switching(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale))
+
+
+def _switching(s: PhaseSamples) -> Array:
+    return aimed_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
+
+
+def _touched(s: PhaseSamples) -> str:
+    """Where a switching function touches zero along a bang arc, or nothing."""
+    times, channels = inner_switches(s)
+    worth = np.abs(_switching(s)) * s.control_scale[:, None] / s.hamiltonian_scale
+    bounds, on_bound = s.leg.control_bounds, _on_bound(s)
+    affine = np.all(straight(s), axis=1) | np.all(on_bound, axis=1)
+    for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
+        own = times[channels == i], s.times[~on_bound[i]]
+        ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
+        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > OWN * s.span
+        here = worth[i]
+        lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < GRAZES)
+        touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
+        if touching.size:
+            return f"{s.place(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
+    return ""
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """What the induced problem says for one order of its switches; numbers are dimensionless.
+
+    Attributes
+    ----------
+    offence : float
+        Largest component of the Lagrangian's gradient, or multiplier of the wrong sign.
+    offence_error : float
+        Estimated error of the gradient.
+    where : str
+        Of the offence.
+    least : float
+        Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
+    error : float
+        Its estimated error.
+    freedom : int
+        Directions that are left.
+    attained : bool
+        Whether the direction of the smallest eigenvalue keeps all one-sided conditions.
+    """
+
+    offence: float
+    offence_error: float
+    where: str
+    least: float
+    error: float
+    freedom: int
+    attained: bool
+
+    @property
+    def result(self) -> Result:
+        """Whether the form is positive definite."""
+        if self.least > self.error:
+            return Result.PASS
+        return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
+
+
+def by_switches(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> list[Condition]:
+    """Judge the conditions of the induced problem, in any order of its switches, its gradient and its Hessian."""
+    switches = {s.leg.name: Switches.of(s) for s in samples}
+    pieces = {name: found.pieces(next(found.orders())) for name, found in switches.items()}
+    unknowns = Unknowns.of(solution, samples, switches)
+    first = InducedProblem.of(solution, samples, ends, unknowns, pieces)
+    return [normality_of_switches(first), *second_order(solution, samples, ends, tolerance, first)]
+
+
+def second_order(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    tolerance: float,
+    first: InducedProblem | None = None,
+) -> list[Condition]:
+    """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite.
+
+    That of the first order of the switches may be known.
+    """
+    names = ("induced gradient", "second order")
+    meanings = (
+        "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change "
+        "the cost at first order (largest derivative by an integration of its own, in shares of the largest "
+        "switching function, of H or of the cost): a failure means a switch in the wrong place, or a multiplier of the "
+        "wrong sign.",
+        "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
+        "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
+        "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
+        "A negative one means that the cost falls along its direction; within the error, that it may.",
+    )
+    reason = obstacle(samples)
+    switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
+    if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
+        reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
+    if reason:
+        return [
+            Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)
+        ]
+    unknowns = Unknowns.of(solution, samples, switches)
+    every = itertools.product(*(s.orders() for s in switches.values()))
+    found = [
+        _judge(
+            solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches,
+            None if k else first,
+        )
+        for k, orders in enumerate(every)
+    ]  # fmt: skip
+    off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
+    gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
+    if off.where == NOT_FLOWN or tolerance < off.offence <= tolerance + off.offence_error:
+        gradient = Result.CANNOT_TELL
+    worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
+    place = f"{worst.freedom} degrees of freedom"
+    if worst.freedom == 0:
+        place = "as many conditions as switch times, nothing is left to vary"
+    elif len(found) > 1:
+        place += f", {len(found)} orders of simultaneous switches"
+    if worst.result is Result.CANNOT_TELL:
+        small = abs(worst.least) <= worst.error
+        place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
+        place = NOT_FLOWN if worst.where == NOT_FLOWN else place
+    phases = ", ".join(s.leg.name for s in samples)
+    value = 0.0 if worst.freedom == 0 else -worst.least
+    place = f"phase {phases}: {place}"
+    return [
+        Condition(names[0], gradient, off.offence, tolerance, off.where, meanings[0], sufficient=True),
+        Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
+    ]
+
+
+def _judge(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    unknowns: Unknowns,
+    orders: dict[str, tuple[int, ...]],
+    switches: dict[str, Switches],
+    coarse: InducedProblem | None = None,
+) -> SecondOrder:
+    """Judge the induced problem for one order of the switches of every phase; on the coarser grid it may be known."""
+    pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
+    coarse = coarse or InducedProblem.of(solution, samples, ends, unknowns, pieces, 1)
+    fine = InducedProblem.of(solution, samples, ends, unknowns, pieces, 2)
+    if not (coarse.finite and fine.finite):
+        return SecondOrder(np.nan, np.nan, NOT_FLOWN, np.nan, np.nan, unknowns.scale.size, False)
+    free, conditions = unknowns.free, fine.conditions
+    gradient, jacobian = _extrapolated(fine.gradient, coarse.gradient), conditions.jacobian
+    jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)
+    cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
+    at_lower, at_upper = conditions.active
+    active, rows, norms, multipliers = least_squares(gradient, jacobian, fine)
+    sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
+    precedences = _precedences(unknowns, orders, switches)[:, free]
+    residual, pushes = _explained(gradient[free] + rows.T @ multipliers, precedences)
+    wrong = np.maximum(-sides * multipliers, 0.0) / cost
+    shares = np.concatenate([np.abs(residual) / unknowns.worth[free], wrong])
+    labels = [*np.array(unknowns.labels)[free], *(conditions.labels[k] for k in active)]
+    place = int(np.argmax(shares)) if shares.size else -1
+    offence = float(shares[place]) if shares.size else 0.0
+    every = np.zeros(conditions.values.size)
+    every[active] = multipliers / norms
+    gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
+    offence_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
+    # A condition without a multiplier, or an order without one, only restricts directions to one side.
+    strong = (sides == 0) | (np.abs(multipliers) > WEAK * cost)
+    kept = np.vstack([rows[strong], precedences[pushes > WEAK * cost]])
+    sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK * cost]])
+    null = _null_space(kept)
+    if not null.shape[1]:
+        return SecondOrder(
+            offence, offence_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
+        )
+    (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
+    hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
+    reduced = null.T @ hessian @ null
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+    error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
+    error += EXACT + offence
+    keeps = sided @ (null @ vectors[:, 0])
+    attained = bool(np.all(keeps >= -SLACK) or np.all(keeps <= SLACK))
+    least = float(eigenvalues[0]) / (size + cost)
+    return SecondOrder(offence, offence_error, labels[place], least, error, null.shape[1], attained)
+
+
+def least_squares(
+    gradient: Array, jacobian: Array, induced: InducedProblem
+) -> tuple[Indices, Array, Array, Array]:
+    """Return the multipliers nearest to the solution's that leave least of the gradient.
+
+    Returns
+    -------
+    active : int array (k,)
+        Conditions that are at a limit and that unknowns can change.
+    rows : array (k, n_free)
+        Their gradients by the free unknowns, of length 1.
+    norms : array (k,)
+        What these have been divided by.
+    multipliers : array (k,)
+        Of the conditions divided by the norms.
+    """
+    free, conditions = induced.unknowns.free, induced.conditions
+    at_lower, at_upper = conditions.active
+    norms = np.linalg.norm(jacobian[:, free], axis=1)
+    # What only given unknowns could change is no condition on the others.
+    told = norms > RANK * np.linalg.norm(jacobian, axis=1)
+    active = np.flatnonzero((at_lower | at_upper) & told)
+    rows = jacobian[np.ix_(active, free)] / norms[active, None]
+    guess = conditions.multipliers[active] * norms[active]
+    step = np.linalg.lstsq(rows.T, -(gradient[free] + rows.T @ guess), rcond=RANK)[0]
+    return active, rows, norms[active], guess + step
+
+
+def _extrapolated(fine: Array, coarse: Array) -> Array:
+    """Richardson's extrapolation from two grids."""
+    return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
+
+
+def _precedences(
+    unknowns: Unknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
+) -> Array:
+    """Combinations of the unknowns that must not be negative for the order of the switches to hold (k, n)."""
+    rows = [np.zeros((0, unknowns.scale.size))]
+    for name, order in orders.items():
+        own = switches[name].precedences(order)
+        block = np.zeros((own.shape[0], unknowns.scale.size))
+        block[:, unknowns.places[name][: own.shape[1]]] = own
+        rows.append(block)
+    return np.vstack(rows)
+
+
+def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
+    """What the order of simultaneous switches leaves of a gradient, and how much each precedence pushes.
+
+    Where controls act on each other, a switch is worth something else before than after another one.
+    """
+    if not precedences.size:
+        return residual, np.zeros(precedences.shape[0])
+    pushes = scipy.optimize.nnls(precedences.T, residual)[0]
+    return residual - precedences.T @ pushes, pushes
+
+
+def _null_space(rows: Array) -> Array:
+    """An orthonormal basis (n, d) of the directions that change none of the rows."""
+    _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), TINY)))
+    return np.asarray(basis[rank:].T)
+
+
+def is_bang_bang(samples: list[PhaseSamples]) -> bool:
+    """Whether every control sits on a bound all along."""
+    return bool(samples) and all(np.all(_on_bound(s)) for s in samples)
+
+
+def _on_bound(s: PhaseSamples) -> Mask:
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    return at_lower | at_upper
+
+
+def obstacle(samples: list[PhaseSamples]) -> str:
+    """Why the induced problem says nothing, or nothing."""
+    for s in samples:
+        if not s.has_length:
+            return f"phase {s.leg.name} has no length"
+        on_bound = _on_bound(s)
+        if not np.all(on_bound):
+            i, j = worst_index((~on_bound).astype(float))
+            return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
+        if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > ACTIVE_PATH * s.hamiltonian_scale:
+            return f"phase {s.leg.name}: an active path constraint"
+        worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
+        if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+            return f"phase {s.leg.name}: an active state bound"
+        jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
+        if np.max(jumps, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+            return f"phase {s.leg.name}: a state constraint that is touched"
+    return ""

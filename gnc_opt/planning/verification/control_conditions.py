@@ -1,0 +1,257 @@
+"""Pontryagin's minimum principle: the control minimises the Hamiltonian, along the flown control.
+
+Offences are first-order or actual gains in H that are left, in shares of what the terms of H amount to along the
+phase. The module `costates` states the principle and its sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.optimality.active_set import left, left_free
+from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, without_switches
+from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, coupled_gains, limits
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST
+
+CLEARLY_INSIDE = 1e-2
+"""A control this far from both bounds, relative to the range, is between them on purpose."""
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """dH/du vanishes where a control is between its bounds."""
+    worst = NOTHING
+    for s in samples:
+        loss, on_bound = _offences(s)
+        offence = np.where(on_bound, 0.0, np.minimum(loss / s.control_worth[:, None], _miss(s)))
+        worst = worst.or_worse(_worst_control(s, lasting(s.times, offence)))
+    return judge(
+        "stationarity",
+        worst,
+        tolerance,
+        "Where a control is strictly between its bounds, dH/du (with path multipliers) must vanish (first-order gain "
+        "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A "
+        "bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
+    )
+
+
+def _miss(s: PhaseSamples) -> Array:
+    """Share of its range by which each control misses the minimum of H; infinite where H does not curve upwards.
+
+    Where H curves strongly, a large slope means only that the minimum is slope / curvature away.
+    """
+    slope = np.abs(s.control_gradient) * (s.control_span / s.control_worth)[:, None]
+    curvature = _curvature(s)
+    return np.divide(slope, curvature, out=np.full_like(slope, np.inf), where=curvature > 0)
+
+
+def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """Each control on a bound sits on the right one for its switching function."""
+    worst = NOTHING
+    for s in samples:
+        loss, on_bound = _offences(s)
+        worst = worst.or_worse(_worst_control(s, np.where(on_bound, loss / s.joint_worth, 0.0)))
+    return judge(
+        "control signs",
+        worst,
+        tolerance,
+        "A control on its lower bound needs a switching function dH/du >= 0, on its upper bound <= 0 (first-order gain "
+        "in H that is left). A wrong sign means a switch in the wrong place, or an arc that is missing.",
+    )
+
+
+def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
+    if not loss.size:
+        return NOTHING
+    i, j = worst_index(loss)
+    return Worst(float(loss[i, j]), s.place(j, s.leg.controls.labels[i]))
+
+
+def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Condition:
+    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere.
+
+    Its loss is the integral of H less its least value: what the cost changes to first order if the control is
+    replaced, in ``unit``.
+    """
+    meaning = (
+        "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
+        "(share of H's scale that could be gained)."
+    )
+    worst, searched, loss = NOTHING, False, 0.0
+    for s in samples:
+        if s.leg.controls.size:
+            gain, lost, here = _largest_gain(s, tolerance)
+            worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
+    if searched:
+        meaning += (
+            f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
+            f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
+        )
+    found = judge("minimum principle", worst, tolerance, meaning)
+    return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
+
+
+def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, float, bool]:
+    """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
+    apart = _separable_gain(s)
+    elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scattered_controls(s), s.lam)
+    gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
+    others, searched = coupled_gains(s, tolerance)
+    own = np.zeros_like(gain)
+    for other in others:
+        gain = gain + np.interp(s.times, other.times, other.gain)
+        own = np.maximum(own, np.interp(s.times, other.times, other.share))
+    share = np.maximum(gain / (s.joint_worth + gain), own)
+    share = np.where(np.isnan(s.hamiltonian), np.inf, share)
+    j = int(np.argmax(share))
+    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
+
+
+def _separable_gain(s: PhaseSamples) -> Array:
+    """What H loses at most by other values of its separable controls: each goes where its slope says."""
+    apart = s.functions.separable_controls
+    lower, upper = (limit[apart, None] for limit in limits(s))
+    slope, u = s.control_gradient[apart], s.u[apart]
+    return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
+
+
+def _scattered_controls(s: PhaseSamples) -> Array:
+    """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
+    lower, upper = limits(s)
+    shares = np.outer(1 + np.arange(s.u.shape[0]), _GOLDEN * np.arange(s.u.shape[1])) % 1.0
+    other = lower[:, None] + (upper - lower)[:, None] * shares
+    return np.where(s.functions.separable_controls[:, None], other, s.u)
+
+
+def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]) -> Condition:
+    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form).
+
+    Parameters
+    ----------
+    samples : list of PhaseSamples
+    tolerance : float
+    singular : sequence of bool array (m, n_samples)
+        Where controls are, phase by phase, as `undetermined` tells.
+    """
+    name = "Legendre-Clebsch"
+    meaning = (
+        "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
+        "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
+    )
+    found = [_least_curvature(s) for s in samples]
+    vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
+    # Where the form vanishes since H is affine in controls, the generalised condition judges; here, the others.
+    found = [
+        _least_curvature(s, ~here) if affine else told
+        for s, here, told, affine in zip(samples, singular, found, vanishing, strict=True)
+    ]
+    places = [(value, place) for value, place in found if place is not None]
+    if not places:
+        nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
+        return Condition(name, Result.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
+    least, place = min(places, key=lambda item: item[0])
+    result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
+    return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
+
+
+def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
+    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long.
+
+    Of controls between their bounds, among some (m, n_samples).
+    """
+    unit = s.control_span / np.sqrt(s.control_worth)
+    scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
+    least = np.full(s.times.size, np.inf)
+    for j, basis in enumerate(left_free(s, _inside(s) & among, unit)):
+        if basis.size:
+            reduced = basis.T @ scaled[:, :, j] @ basis
+            finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
+            least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
+    j = least_for_long(s.times, least)
+    return float(least[j]), s.place(j) if least[j] < np.inf else None
+
+
+def singular_arcs(
+    samples: list[PhaseSamples],
+    tolerance: float,
+    singular: Sequence[Mask],
+    told: Sequence[Mask] = (),
+) -> Condition:
+    """Every control between its bounds is determined, by H or by the second derivative of its switching function.
+
+    Parameters
+    ----------
+    samples : list of PhaseSamples
+    tolerance : float
+    singular : sequence of bool array (m, n_samples)
+        Where controls are, phase by phase, as `undetermined` tells.
+    told : sequence of bool array (m, n_samples)
+        Where the second derivative of the switching function does; by default nowhere.
+    """
+    meaning = (
+        "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
+        "second derivative of the switching function must determine it (value: share of the phase along which it does "
+        "not). Arcs of higher order are beyond the sufficient conditions known, and joined to bang arcs by chattering "
+        "only."
+    )
+    total, place = 0.0, "nowhere"
+    for k, (s, here) in enumerate(zip(samples, singular, strict=True)):
+        beyond = here & ~told[k] if told else here
+        lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
+        if lengths.size and lengths.max() > total:
+            i = int(np.argmax(lengths))
+            total = float(lengths[i])
+            j = int(np.flatnonzero(beyond[i])[0])
+            place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
+    result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
+    return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
+
+
+def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
+    """Where controls are between their bounds, and H or constraints do not determine them.
+
+    Returns
+    -------
+    singular : bool array (m, n_samples)
+        H neither slopes nor curves, and active constraints leave a direction free.
+    inside : bool array (m, n_samples)
+        Between the bounds, and active constraints leave all directions free.
+    """
+    loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
+    inside = _inside(s)
+    some, whole = left(s, inside, unit, tolerance)
+    singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
+    return without_switches(s.times, singular), inside & whole
+
+
+def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
+    """First-order loss in H of each control, cost per second, and whether it sits on a bound."""
+    bounds, scale = s.leg.control_bounds, s.control_span
+    gradient = s.control_gradient
+    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * s.control_scale)
+    room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale[:, None]))
+    room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
+    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
+    return loss, at_lower | at_upper
+
+
+def _curvature(s: PhaseSamples) -> Array:
+    """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
+    return np.asarray(
+        np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_worth)[:, None]
+    )
+
+
+def _inside(s: PhaseSamples) -> Mask:
+    """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
+    return without_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))

@@ -1,0 +1,275 @@
+r"""The variations of a solution that its active limits leave free, on its mesh.
+
+Directions of vectors that vanish: nothing depends on them, they do not vary, and a push begins where it pays.
+
+With a magnitude s and a direction n, :math:`H = H_0 + s\,(c + \sigma \cdot n)`. Where s = 0 any n will do; a push
+would begin along :math:`-\sigma`, and the switching function of s is :math:`c - |\sigma|` (Lawden's primer vector,
+Optimal Trajectories for Space Navigation, 1963), whatever the direction that was stored.
+
+Where arcs on path constraints begin: held there as along the arc, which a program's rows do not say.
+
+In the critical cone the variation of a path constraint without controls vanishes along an arc on which it pushes, and
+by continuity where the arc begins. A program of Gauss collocation has rows at its points only, and leaves a segment
+one variation that vanishes at all of them, the Legendre polynomial: which leads beyond the limit between the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
+from gnc_opt.planning.optimality.program_point import WEAK, ProgramLimits, ProgramPoint
+from gnc_opt.planning.solution.phase_solution import piecewise
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.transcription.collocation import PhaseCollocation
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.tolerances import AT_LIMIT, TINY
+
+SURELY = 0.99
+"""A collocation point between samples that are idle by this share is so itself."""
+
+
+def lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
+    """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
+    layout = s.leg.controls
+    for vector in s.leg.composed_controls:
+        if not isinstance(vector, VectorControl):
+            continue
+        places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
+        if not np.array_equal(np.sort(np.concatenate(places)), group):
+            continue
+        bends = s.functions.functions["switching"].jac_sparsity(0, 2)
+        limited = s.functions.functions["paths"].jac_sparsity(0, 2)
+        curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
+        across = {(int(i), int(j)) for i in places[0] for j in places[1]}
+        rows = {
+            s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
+        }
+        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length}:
+            return vector
+    return None
+
+
+def aimed_gradient(s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array) -> Array:
+    """Return d(H + mu.c)/du (m, n_times), by a magnitude that is zero as if its direction were the best."""
+    gradient = s.functions.control_gradient(times, x, u, lam, mu)
+    for vector in filter(None, (lone_vector(s, group) for group in s.functions.coupled_controls)):
+        magnitude, direction = (s.leg.controls.slice(part) for part in vector.parts)
+        at = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
+        if not at.size:
+            continue
+        pushing = u[:, at].copy()
+        pushing[magnitude] = 1.0
+        sigma = s.functions.switching(times[at], x[:, at], pushing, lam[:, at])[direction]
+        along = np.sum(sigma * pushing[direction], axis=0)
+        gradient[magnitude, at] -= along + np.linalg.norm(sigma, axis=0)
+    return gradient
+
+
+def without_idle_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+    """Return the cone with directions held where their magnitude is: the length of what is held is no row of it.
+
+    Angles that do nothing while another control is held are held, too.
+    """
+    strong = cone.strong.copy()
+    for s in samples:
+        collocation = cone.point.transcription.parts[s.leg.name].collocation
+        places, times = (
+            collocation.point_controls,
+            s.leg.initial_time + s.leg.duration * collocation.fractions,
+        )
+        for i in np.flatnonzero(np.any(s.idle, axis=1)):
+            alone = np.interp(times, s.times, s.idle[i]) > SURELY
+            strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
+        for vector in s.leg.composed_controls:
+            if not isinstance(vector, VectorControl):
+                continue
+            magnitude, direction = (
+                collocation.point_controls[s.leg.controls.slice(part)] for part in vector.parts
+            )
+            size = cone.point.x[magnitude[0]] * cone.point.scaling.variables[magnitude[0]]
+            scale = s.control_scale[s.leg.controls.slice(vector.magnitude)][0]
+            idle = strong[magnitude[0]] & (size <= AT_LIMIT * scale)
+            length = collocation.path_rows[s.leg.path_labels.index(vector.length)]
+            strong[direction[:, idle]] = True
+            strong[cone.point.x.size + length[idle]] = False
+    return replace(cone, strong=strong)
+
+
+def held_from_their_start(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+    """Return the cone with its path constraints held where their arcs begin, too."""
+    point = cone.point
+    found = []
+    for s in samples:
+        part = point.transcription.parts[s.leg.name]
+        rows, starts = np.nonzero(_begins(cone, s, part))
+        if not rows.size:
+            continue
+        breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
+        at = breaks, s.leg.x(breaks), s.leg.flown(breaks)
+        places, gradients = path_gradients_at_boundaries(point.transcription, part, s.functions, at)
+        values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
+        lines = np.tile(np.arange(rows.size), places.shape[0])
+        shape = rows.size, point.x.size
+        found.append(
+            scipy.sparse.csc_array((values.ravel(), (lines, places[:, starts].ravel())), shape=shape)
+        )
+    return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
+
+
+def _begins(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
+    """At which boundaries (n_paths, K) an arc begins: held at all points of the segment, and not of the one before."""
+    collocation = part.collocation
+    held = cone.strong[cone.point.x.size :][collocation.path_rows]
+    along = np.zeros((collocation.n_paths, collocation.mesh.segments + 1), dtype=bool)
+    for row in s.pure_paths:
+        along[row, 1:] = np.logical_and.reduceat(held[row], collocation.mesh.offsets[:-1])
+    return np.asarray(along[:, 1:] & ~along[:, :-1])
+
+
+BEYOND = 1e-2
+"""A variation beyond an active limit by more than this share of its own largest leaves it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CriticalCone:
+    """The variations of a point that are free to first order.
+
+    Attributes
+    ----------
+    point : ProgramPoint
+    strong, weak : bool array (n_variables + n_constraints,)
+        Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
+    unit : sparse (n_variables, n_variations) or None
+        Scaled variables per variation of size 1, if it is not one for each (module `goh`).
+    further : sparse (n, n_variables) or None
+        What is held beside rows of the program (module `arc_starts`).
+    """
+
+    point: ProgramPoint
+    strong: Mask
+    weak: Mask
+    unit: Any = None
+    further: Any = None
+
+    @classmethod
+    def of(cls, point: ProgramPoint) -> CriticalCone:
+        """Tell from the gradient of the Lagrangian which limits push.
+
+        Along an arc on a limit the variation of what is limited vanishes, by continuity at the arc's ends too: a
+        node at the limit is held where it shares a segment with one that is pushed there. The push of a control comes
+        to zero at the ends of its arcs, which move with the times; on its nodes next to them it may be as small as any.
+        """
+        strong, weak = [], []
+        for limits, values, multipliers, lines in (
+            (point.variables, point.x, point.multiplier_densities[0], _variable_lines(point)),
+            (point.rows, point.values, point.multiplier_densities[1], _path_lines(point)),
+        ):
+            told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
+            doubtful = told.weak(values, multipliers)
+            held = told.active & ~doubtful
+            _close_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
+            strong.append(held)
+            weak.append(doubtful)
+        return cls(point, np.concatenate(strong), np.concatenate(weak))
+
+    def admits(self, direction: Array, samples: list[PhaseSamples]) -> bool:
+        """Whether a direction stays within the limits: weakly active ones at the nodes, active ones between them."""
+        point = self.point
+        changes = np.concatenate([direction, point.jacobian @ direction])[self.weak]
+        values = np.concatenate([point.x, point.values])[self.weak]
+        lower, upper = (
+            np.concatenate([getattr(limits.box, side) for limits in (point.variables, point.rows)])[self.weak]
+            for side in ("lower", "upper")
+        )
+        outwards = np.where(values - lower < upper - values, -changes, changes)
+        between = [self._outwards_between(s, direction) for s in samples]
+        return bool(np.all(np.concatenate([outwards, *between]) <= BEYOND))
+
+    def _outwards_between(self, s: PhaseSamples, direction: Array) -> Array:
+        """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
+        part = self.point.transcription.parts[s.leg.name]
+        change = direction * self.point.scaling.variables
+        breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
+        dx = s.sample(_through_nodes(breaks, part.collocation, change))
+        rules = part.collocation.rules
+        du = s.sample(piecewise(breaks, rules, change[part.collocation.point_controls]))
+        by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
+        by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
+        dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
+        paths = s.functions.paths(s.times, s.x, s.u)
+        worst = []
+        for values, changes, box, scale in (
+            (s.x, dx, s.leg.state_bounds, s.state_scale),
+            (paths, dc, s.leg.path_bounds, s.path_scale),
+        ):
+            at_lower, at_upper = box.near(values, AT_LIMIT * scale)
+            free = ~box.fixed[:, None]
+            beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
+            largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), TINY)
+            worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
+        return np.concatenate(worst)
+
+
+def _variable_lines(point: ProgramPoint) -> list[Indices]:
+    """Variables of each state along each segment, start and end included, and of each control at its points."""
+    parts: list[PhasePart] = list(point.transcription.parts.values())
+    return [
+        row
+        for part in parts
+        for k in range(part.collocation.mesh.segments)
+        for row in (
+            *_nodes(part.collocation, k),
+            *_at_points(part.collocation, part.collocation.point_controls, k),
+        )
+    ]
+
+
+def _path_lines(point: ProgramPoint) -> list[Indices]:
+    """Rows of each path constraint along each segment."""
+    parts: list[PhasePart] = list(point.transcription.parts.values())
+    return [
+        row
+        for part in parts
+        for k in range(part.collocation.mesh.segments)
+        for row in _at_points(part.collocation, part.collocation.path_rows, k)
+    ]
+
+
+def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask) -> None:
+    """Hold, in place, what is at the same limit as a pushed node of its line."""
+    for line in lines:
+        if not (np.any(pushed[line]) and np.any(doubtful[line])):
+            continue
+        limits = values[line[pushed[line]]]
+        same = np.any(np.abs(values[line][:, None] - limits) <= 2 * WEAK, axis=1) & doubtful[line]
+        held[line[same]], doubtful[line[same]] = True, False
+
+
+def _at_points(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
+    """Those of all places (n, n_points) that lie in a segment."""
+    return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
+
+
+def _nodes(collocation: PhaseCollocation, k: int) -> Indices:
+    """Variables of the states at the start, the points and the end of a segment, each once (n_states, nodes)."""
+    points = _at_points(collocation, collocation.point_states, k)
+    start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
+    family = collocation.family
+    middle = points[:, int(family.starts_at_point) : points.shape[1] - int(family.ends_at_point)]
+    return np.asarray(np.hstack([start, middle, end]))
+
+
+def _through_nodes(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
+    """Return the polynomials through the varied states at the start, the points and the end of each segment."""
+    values = tuple(change[_nodes(collocation, k)] for k in range(collocation.mesh.segments))
+    nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
+    return PiecewisePolynomial(breaks, nodes, values)

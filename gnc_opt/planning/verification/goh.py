@@ -1,0 +1,268 @@
+r"""Goh's variables: controls along singular arcs, varied by what they amount to.
+
+Where H is affine in controls :math:`u_S`, the second variation does not curve in :math:`v = \delta u_S` but, by Goh's
+transformation, in
+
+.. math:: y(t) = \int_{t_0}^t v \,ds, \qquad h = y(t_f), \qquad
+          \gamma = \int y^2\,dt + h^2 + \text{squares of all else that varies}.
+
+Along arcs of the first order that meet the strengthened generalised Legendre-Clebsch condition it is a Legendre form in
+:math:`(y, h)`, and where it is positive a strict minimum follows, with growth of the cost by :math:`\gamma` (Goh, SIAM
+J. Control 4, 1966; Aronna, Bonnans, Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are
+bang elsewhere; Aronna, Discrete Contin. Dyn. Syst. S 11(6), 2018, beside others that H determines). y is continuous
+over bang arcs and may jump where a singular arc begins or ends, which is what moving that time does: these times do not
+vary besides. Neither does h count here: where the end feels it, the form has to curve in it by itself (`open_end`).
+
+On a mesh, y is a polynomial of a degree less by two than that of the states: of controls that alternate faster
+quadrature would see the wrong curvature. Arcs are cut narrow at their ends, so that y can as good as jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Indices, Mask
+from gnc_opt.planning.optimality.active_set import left_free
+from gnc_opt.planning.optimality.kkt import unit_variations, variation_weights
+from gnc_opt.planning.optimality.switches import inner_switches
+from gnc_opt.planning.problem.functions import end_function
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.program_layout import PhasePart
+from gnc_opt.planning.transcription.quadrature import differentiation_matrix, points, weights
+from gnc_opt.planning.verification.control_conditions import undetermined
+from gnc_opt.planning.verification.critical_cone import CriticalCone
+from gnc_opt.planning.verification.singular_arcs import COUPLED, CROSS, TOO_LARGE, singular_arcs
+from gnc_opt.tolerances import AT_LIMIT, RANK
+
+CUTS = (1e-2, 0.1), (0.9, 0.99)
+"""Where the first and the last segment of a singular arc are cut, in shares of their widths."""
+
+LEAST_DEGREE = 6
+"""Collocation points that a segment of a singular arc has at least."""
+
+OMITTED = 2
+"""By how much the degree of y is less than that of the states."""
+
+_RADAU = ((points, -1.0), (weights, 1.0))
+
+
+def straight(s: PhaseSamples) -> Mask:
+    """Where H does not curve upwards in a control (n_controls, n_samples)."""
+    # A control that rests at zero has no size, but what it could do to the flight.
+    unit = np.maximum(s.control_scale, s.control_span)
+    curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
+    return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
+
+
+def singular_samples(s: PhaseSamples) -> Mask:
+    """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
+    lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    singular = straight(s) & ~(lower | upper | s.idle)
+    if not np.any(singular):
+        return singular
+    bases = left_free(s, ~(lower | upper), s.control_span)
+    left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
+    return np.asarray(singular & left)
+
+
+def singular_segments(s: PhaseSamples) -> Mask:
+    """Segments (n_controls, K) along which a control is singular."""
+    singular, inside = singular_samples(s), s.weights > 0
+    rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
+    return np.stack(rows, axis=1) & s.has_length
+
+
+def cut(mesh: Mesh, singular: Mask) -> Mesh:
+    """Return a mesh whose runs of singular segments (K,) are narrow at their ends."""
+    breaks, degrees, movable = [0.0], [], []
+    beside = np.concatenate([[False], singular, [False]])
+    for k, degree in enumerate(mesh.degrees):
+        if k in mesh.movable:
+            movable.append(len(breaks) - 1)
+        begins, ends = singular[k] and not beside[k], singular[k] and not beside[k + 2]
+        inner = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
+        breaks += [mesh.breaks[k] + share * mesh.widths[k] for share in inner] + [mesh.breaks[k + 1]]
+        degrees += [max(degree, LEAST_DEGREE) if singular[k] else degree] * (len(inner) + 1)
+    return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
+
+
+def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+    """Return the cone with controls varied by their integrals where they are singular and nothing holds them.
+
+    The times at which only such an arc begins or ends do not vary.
+    """
+    strong, blocks = cone.strong.copy(), []
+    squares = variation_weights(cone.point.transcription)
+    itself = np.ones(squares.size, dtype=bool)
+    for s in samples:
+        part = cone.point.transcription.parts[s.leg.name]
+        singular = _singular_and_free(cone, s)
+        strong[_junctions(s, part, singular)] = True
+        for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
+            if singular[i, -1]:
+                last = part.collocation.boundary_states[_moved_at_once(s, i), -1]
+                squares[last] = 0.5 * part.collocation.mesh.widths[-1]
+            block, places = _integrated(squares.size, part, i, singular[i])
+            itself[places] = False
+            blocks.append(block)
+    if not blocks:
+        return cone
+    own = unit_variations(squares)[:, np.flatnonzero(itself)]
+    unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
+    return replace(cone, strong=strong, unit=unit)
+
+
+def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:
+    """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
+    part = cone.point.transcription.parts[s.leg.name]
+    singular = singular_segments(s)
+    if np.any(singular):
+        singular &= ~_not_affine(cone.point.problem, s)
+    return singular[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
+
+
+def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
+    """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little.
+
+    There H only flattens out, as where a control loses its grip on the flight near a free end, or couples its control
+    with one that it determines: what it is in their integrals would grow without end on ever finer meshes.
+    """
+    found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
+    for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
+        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
+        if arc.order == 0 and arc.why and not unknown:
+            for i in arc.channels:
+                found[i, s.segments[slice(*arc.samples)]] = True
+    return found
+
+
+def _coarse(mesh: Mesh, fine: Mesh) -> Indices:
+    """The segment of a mesh in which each one of a finer mesh lies."""
+    middles = 0.5 * (np.asarray(fine.breaks[:-1]) + np.asarray(fine.breaks[1:]))
+    return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
+
+
+def _free(cone: CriticalCone, part: PhasePart) -> Mask:
+    """Segments (n_controls, K) along which neither a control nor a state or path constraint is held."""
+    collocation, n = part.collocation, cone.point.x.size
+    inner = ~np.isin(collocation.point_states, collocation.boundary_states)
+    others = np.any(cone.strong[:n][collocation.point_states] & inner, axis=0)
+    others |= np.any(cone.strong[n:][collocation.path_rows], axis=0)
+    held = cone.strong[:n][collocation.point_controls] | others
+    return ~np.logical_or.reduceat(held, collocation.mesh.offsets[:-1], axis=1)
+
+
+def _junctions(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
+    """Variables of the times at which singular arcs begin or end, and no control jumps from bound to bound."""
+    movable, switches = s.leg.mesh.movable, inner_switches(s)[0]
+    beside = np.any(singular, axis=0)
+    found = [
+        part.times[k]
+        for k, (boundary, own) in enumerate(zip(part.collocation.mesh.movable, movable, strict=True), 1)
+        if (beside[boundary - 1] or beside[boundary]) and s.leg.breaks[own] not in switches
+    ]
+    return np.array(found, dtype=int)
+
+
+def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
+    r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
+
+    Neither cost and conditions on the end nor what the integrands have of the control may depend on what it moves by h
+    at the end (in coordinates that straighten out its vector field, h is then nowhere); or the form must curve in h by
+    itself, :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free. Where that is negative,
+    a push just before the end gains, and the flight is no minimum; if it is zero, higher orders tell.
+    """
+    channels = np.flatnonzero(_singular_and_free(cone, s)[:, -1])
+    if not channels.size or not _felt(cone.point.problem, s, channels):
+        return "", np.inf
+    point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
+    last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
+    at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
+    numbers = s.functions.weights, s.functions.p, s.functions.q
+    slopes = _mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
+    by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
+    mixed = span[:, None] * slopes[channels] @ by_control
+    by_control = by_control / point.scaling.variables[last, None]
+    ends = point.hessian[last][:, last] / point.scaling.objective
+    form = by_control.T @ ends @ by_control + 0.5 * (mixed + mixed.T)
+    rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
+    kept = np.vstack([point.jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]])
+    left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
+    flown = s.hamiltonian_scale * s.span
+    least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
+    if least > AT_LIMIT * flown:
+        return "", np.inf
+    how = "curves downwards" if least < -AT_LIMIT * flown else "does not curve"
+    label = s.leg.controls.labels[channels[0]]
+    return (
+        f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and {how} in that",
+        least / max(flown, s.cost_magnitude),
+    )
+
+
+def _felt(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
+    """Whether anything at the end but the costates depends on the states that controls move."""
+    moved = np.concatenate([_moved_at_once(s, i) for i in map(int, channels)])
+    ends, final = end_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
+    depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
+    # Vector fields of several controls need not have coordinates that straighten out all of them.
+    slopes = _mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
+    depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
+    limited = np.isfinite(s.leg.final_bounds.lower) | np.isfinite(s.leg.final_bounds.upper)
+    return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
+
+
+def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
+    """Derivatives of H by controls and states, and those of the integrands alone.
+
+    A function of (t, x, u, lam, weights, p, q).
+    """
+
+    def build() -> Any:
+        slope = s.functions.functions["switching"]
+        t, x, u, lam, mu, *numbers = (ca.SX.sym("v", slope.size1_in(i)) for i in range(8))
+        none = np.zeros(mu.shape)
+        mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
+        return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
+
+    return problem.once(("mixed derivatives", s.leg.name), build)
+
+
+def _moved_at_once(s: PhaseSamples, control: int) -> Indices:
+    """States in whose rates a control appears."""
+    moves = s.functions.functions["rates"].jac_sparsity(0, 2)
+    return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
+
+
+def _integrated(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
+    """Variations y of a control of a phase (n, n_variations), and the variables that they stand for.
+
+    y is measured by the integral of its square, over bang arcs as well.
+    """
+    collocation, count = part.collocation, 0
+    mesh, entries, squares = collocation.mesh, [], []
+    segments = np.flatnonzero(singular)
+    for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
+        # Radau's rule, turned so that it has the segment's end.
+        nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
+        slopes = (
+            2 / mesh.widths[k] * differentiation_matrix(np.append(-1.0, nodes), collocation.rules[k].points)
+        )
+        places = collocation.point_controls[control, mesh.offsets[k] : mesh.offsets[k + 1]]
+        columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at first
+        slopes = slopes[:, int(count == 0) :]
+        entries.append((np.repeat(places, columns.size), np.tile(columns, places.size), slopes.ravel()))
+        count += nodes.size
+        squares.append(0.5 * mesh.widths[k] * shares)
+        squares[-1][-1] += mesh.breaks[following] - mesh.breaks[k + 1]
+    rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
+    block = scipy.sparse.csc_array((values, (rows, columns)), shape=(n, count))
+    return block @ scipy.sparse.diags_array(1 / np.sqrt(np.concatenate(squares))), np.unique(rows)

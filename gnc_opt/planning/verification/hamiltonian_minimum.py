@@ -1,0 +1,373 @@
+"""The least Hamiltonian over the admissible controls: told where H is affine or convex, searched for elsewhere.
+
+Controls that H and the path constraints do not couple are searched apart, group by group: their gains add up. Of a
+vector control in which H is affine the least is known in closed form. A group of which H is a convex quadratic
+function, under affine constraints, has no minimum but the nearest. In any other group `POINTS` controls are tried
+along the phase, and Newton's method descends from the best of them, from some others and from the flown control. The
+points are a Kronecker lattice that goes on from one time to the next: what lasts meets points everywhere (its gaps in
+one dimension: Slater, Proc. Cambridge Philos. Soc. 63, 1967).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.planning.optimality.cost_scale import lasting
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.critical_cone import lone_vector
+from gnc_opt.tolerances import RANK, TINY
+
+POINTS = 2**15
+"""Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
+
+_MOST_TIMES = 400
+_MOST_STARTS = 50
+_BEYOND = 0.05
+"""Share of the range by which the lattice goes beyond each bound, to be clipped: minima are often on bounds."""
+
+_LEAST_BEND = 1e-3
+"""Curvature, as a share of the slope, below which a step goes across the range."""
+
+_KEPT = 8
+_NEWTON_STEPS = 12
+_STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
+_QUADRATIC = 1e-9
+"""Share of H's terms by which a quadratic function may be missed."""
+
+_ON_LIMIT = 1e-9
+"""A control this far beyond the limit of a path constraint, relative to its value, is on it."""
+
+_PROGRESS = 1e-6
+"""Share of the least worth below which a descent ends."""
+
+_RESTORATIONS = 5
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What other controls of a group gain in H.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+    gain : array (n_times,)
+        Cost per second.
+    share : array (n_times,)
+        The gain beside what half the range is worth in H in the direction of the better control.
+    """
+
+    times: Array
+    gain: Array
+    share: Array
+
+
+def limits(s: PhaseSamples) -> tuple[Array, Array]:
+    """Bounds of the controls; where there is none, half a turn, or well, beyond the values that occur."""
+    bounds, half = s.leg.control_bounds, 0.5 * s.turns
+    reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
+    least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
+    most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
+    lower = np.where(np.isfinite(bounds.lower), bounds.lower, least)
+    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, most)
+
+
+def lattice(n: int, dimensions: int) -> Array:
+    """Return n points of [0, 1)^d, any stretch of which fills it evenly (dimensions, n).
+
+    Multiples of powers of the root of x^(d + 1) = x + 1, the golden ratio for one dimension.
+    """
+    root = 2.0
+    for _ in range(50):
+        root = (1.0 + root) ** (1.0 / (dimensions + 1))
+    return np.outer(root ** -np.arange(1.0, dimensions + 1), 0.5 + np.arange(n)) % 1.0
+
+
+def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
+    """Return the gain of every group of controls in which H is not affine, and whether any had to be searched."""
+    chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
+    gains, searched = [], False
+    for group in s.functions.coupled_controls:
+        search = _Search(s, group, chosen)
+        vector = lone_vector(s, group)
+        if vector is not None:
+            gains.append(search.lasting(search.aligned(vector)))
+        elif not search.only_one_minimum:
+            gains.append(search.everywhere(tolerance))
+            searched = True
+        else:
+            gains.append(search.lasting(search.nearest()))
+    return gains, searched
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Controls of one group at some samples, by their shares of the range (group, n); the others are as flown."""
+
+    s: PhaseSamples
+    group: Indices
+    chosen: Indices
+
+    @cached_property
+    def _box(self) -> tuple[Array, Array]:
+        lower, upper = (limit[self.group, None] for limit in limits(self.s))
+        return lower, upper - lower
+
+    @cached_property
+    def _flown(self) -> Array:
+        lower, span = self._box
+        flown = self.s.u[np.ix_(self.group, self.chosen)]
+        return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
+
+    @cached_property
+    def _room(self) -> Array:
+        """Room that path constraints leave: their limits, or the flown value if that is beyond (n_paths, n) each."""
+        s, bounds = self.s, self.s.leg.path_bounds
+        values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
+        slack = _ON_LIMIT * (s.path_scale[:, None] + np.abs(values))
+        return np.stack(
+            [
+                np.minimum(bounds.lower[:, None], values) - slack,
+                np.maximum(bounds.upper[:, None], values) + slack,
+            ]
+        )
+
+    def _at(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+        """Return times, states and all controls."""
+        columns, (lower, span) = self.chosen[at], self._box
+        u = self.s.u[:, columns]
+        u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
+        return self.s.times[columns], self.s.x[:, columns], u
+
+    def value(self, shares: Array, at: Indices) -> Array:
+        """H (n,), infinite where controls are not admissible."""
+        s, (times, x, u) = self.s, self._at(shares, at)
+        value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
+        admissible = np.isfinite(value)
+        if np.any(s.functions.mixed_paths):
+            least, most = self._room[:, :, at]
+            paths = s.functions.paths(times, x, u)
+            inside = (paths >= least) & (paths <= most)
+            admissible &= np.all(inside | ~s.functions.mixed_paths[:, None], axis=0)
+        return np.where(admissible, value, np.inf)
+
+    def _restored(self, shares: Array, at: Indices) -> Array:
+        """Controls beyond a path constraint's limit, moved to it the shortest way (Gauss-Newton)."""
+        functions = self.s.functions
+        if not np.any(functions.mixed_paths):
+            return shares
+        shares, off = shares.copy(), np.arange(at.size)
+        for _ in range(_RESTORATIONS):
+            times, x, u = self._at(shares[:, off], at[off])
+            paths = functions.paths(times, x, u)
+            beyond = np.where(
+                functions.mixed_paths[:, None], np.clip(paths, *self._room[:, :, at[off]]) - paths, 0
+            )
+            there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
+            if not np.any(there):
+                break
+            off, beyond = off[there], beyond[:, there]
+            rows = self._path_slopes(shares[:, off], at[off])
+            inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
+            shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
+        return shares
+
+    def _path_slopes(self, shares: Array, at: Indices) -> Array:
+        """Derivatives of the path constraints by shares of the range (n, n_paths, group)."""
+        jacobian = self.s.functions.path_control_jacobian(*self._at(shares, at))[:, self.group] * self._box[1]
+        return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
+
+    def slopes(self, shares: Array, at: Indices, mu: Array | None = None) -> tuple[Array, Array]:
+        """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite.
+
+        The gradient is that of H, the Hessian that of H + mu c.
+        """
+        s, group, (times, x, u) = self.s, self.group, self._at(shares, at)
+        lam, span = s.lam[:, self.chosen[at]], self._box[1]
+        gradient = s.functions.switching(times, x, u, lam)[group] * span
+        mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
+        hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
+        bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
+        return np.nan_to_num(gradient, posinf=0, neginf=0), np.nan_to_num(bends, posinf=0, neginf=0)
+
+    @cached_property
+    def only_one_minimum(self) -> bool:
+        """Whether H is a convex quadratic function of the controls, under affine constraints, steps aside."""
+        if not self.s.functions.quadratic_in(self.group):
+            return False
+        every = np.arange(self.chosen.size)
+        gradient, bends = self.slopes(self._flown, every)
+        sizes = np.linalg.eigvalsh(bends)
+        if np.any(sizes[:, 0] < -_QUADRATIC * np.max(np.abs(sizes))):
+            return False
+        move = lattice(every.size, self.group.size) - self._flown
+        _, _, u = self._at(self._flown + move, every)
+        s = self.s
+        value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
+        first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
+        base = s.hamiltonian[self.chosen]
+        terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
+        return bool(np.all(np.abs(value - base - first - second) <= _QUADRATIC * terms))
+
+    def nearest(self) -> Array:
+        """Return the minima that descents from the flown controls reach (group, n_times)."""
+        return self.descend(self._flown, np.arange(self.chosen.size))[0]
+
+    def aligned(self, vector: VectorControl) -> Array:
+        """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form.
+
+        H = H_0 + s (c + sigma . n) with the magnitude s and the direction n is least where n points against sigma, at
+        the lower limit of s if c > |sigma|, else at the upper one (Lawden, Optimal Trajectories for Space Navigation,
+        1963).
+        """
+        s, layout = self.s, self.s.leg.controls
+        magnitude, direction = (layout.slice(part) for part in vector.parts)
+        times, x, u = self._at(self._flown, np.arange(self.chosen.size))
+        flown = u[direction].copy()
+        u[magnitude], u[direction] = 1.0, 0.0
+        slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
+        strength = np.linalg.norm(slope[direction], axis=0)
+        u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
+        least, most = (limit[magnitude, None] for limit in limits(s))
+        u[magnitude] = np.where(slope[magnitude] > strength, least, most)
+        lower, span = self._box
+        away = u[self.group] - lower
+        return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
+
+    def everywhere(self, tolerance: float) -> Gain:
+        """Search among all controls; what gains is followed to all times."""
+        shares, at = self._points()
+        value = self.value(shares, at)
+        per_time = at.size // self.chosen.size
+        first = np.arange(self.chosen.size) * per_time
+        best = first + np.argmin(value.reshape(-1, per_time), axis=1)
+        some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
+        starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
+        lowest, low = self.descend(
+            np.concatenate([shares[:, starts], self._flown[:, some]], axis=1),
+            np.concatenate([at[starts], some]),
+        )
+        found = np.concatenate([shares[:, best], lowest], axis=1)
+        when = np.concatenate([at[best], at[starts], some])
+        values = np.concatenate([value[best], low])
+        gain, share = self._gain(found, values, when)
+        if np.max(share, initial=0.0) <= tolerance:
+            most = np.zeros((2, self.chosen.size))
+            for row, values in zip(most, (gain, share), strict=True):
+                np.maximum.at(row, when, values)
+            return Gain(self.s.times[self.chosen], *most)
+        order = np.argsort(-share)[: max(1, when.size // 4)]
+        kept = found[:, order[:: max(1, order.size // _KEPT)]]
+        return self.lasting(self._followed(kept, shares[:, best]))
+
+    def _points(self) -> tuple[Array, Indices]:
+        """Half of the points anywhere, the others differ from the flown control in one channel only."""
+        n, k = self.chosen.size, self.group.size
+        at = np.repeat(np.arange(n), max(1, POINTS // n))
+        shares = np.clip((1 + 2 * _BEYOND) * lattice(at.size, k) - _BEYOND, 0.0, 1.0)
+        if k > 1:
+            single = np.arange(1, at.size, 2)
+            moved = (single // 2) % k
+            line = self._flown[:, at[single]]
+            line[moved, np.arange(single.size)] = shares[0, single]
+            shares[:, single] = line
+        return shares, at
+
+    def _followed(self, kept: Array, best: Array) -> Array:
+        """Return the minima that descents reach from the least, at every time, of some controls."""
+        every = np.arange(self.chosen.size)
+        trials = np.stack([self._flown, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
+        lowest = np.argmin([self.value(w, every) for w in trials], axis=0)
+        return self.descend(trials[lowest, :, every].T, every)[0]
+
+    def lasting(self, better: Array) -> Gain:
+        """What these controls (group, n_times) gain, averaged over what is brief."""
+        every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
+        gain, share = self._gain(better, self.value(better, every), every)
+        return Gain(times, *lasting(times, np.stack([gain, share])))
+
+    def _gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+        """What controls with these values of H gain, and its share."""
+        gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
+        gain = np.maximum(gain, 0.0)
+        return gain, gain / (self._worth(better - self._flown[:, at]) + gain)
+
+    def _worth(self, moves: Array) -> Array:
+        """What moves (group, n), as long as half of what controls span, are worth in H at most along the phase.
+
+        By slope or curvature in the direction of the move: a stiff combination of the controls does not count where
+        the move leaves it alone.
+        """
+        s, group = self.s, self.group
+        half = 0.5 * s.control_span[group, None]
+        physical = moves * self._box[1]
+        length = np.max(np.abs(physical) / half, axis=0)
+        direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
+        costs = s.cost_slope[np.ix_(group, self.chosen)]
+        states = s.switching[np.ix_(group, self.chosen)] - costs
+        bends = s.control_hessian[np.ix_(group, group, self.chosen)]
+        with np.errstate(invalid="ignore"):  # roots bend infinitely at zero
+            curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
+        worth = np.fmax(np.fmax(np.abs(costs.T @ direction), np.abs(states.T @ direction)), np.abs(curved))
+        return np.asarray(np.maximum(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), s.least_worth))
+
+    def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+        """Return controls that Newton's method reaches within the bounds, downwards only, and H there.
+
+        Negative curvature is taken with the opposite sign, so that saddles and maxima are left.
+        """
+        shares = self._restored(shares.copy(), at)
+        value = self.value(shares, at)
+        active = np.arange(at.size)
+        for _ in range(_NEWTON_STEPS):
+            step, here = self._step(shares[:, active], at[active]), np.tile(at[active], len(_STEP_LENGTHS))
+            trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
+            trials = self._restored(np.clip(trials, 0.0, 1.0), here)
+            values = self.value(trials, here).reshape(-1, active.size)
+            lowest = np.argmin(values, axis=0)
+            reached = values[lowest, np.arange(active.size)]
+            lower = reached < value[active] - _PROGRESS * self.s.least_worth
+            if not np.any(lower):
+                break
+            shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]
+            value[active[lower]] = reached[lower]
+            active = active[lower]
+        return shares, value
+
+    def _step(self, shares: Array, at: Indices) -> Array:
+        """Newton's step (group, n) along the bounds and path constraints that H pushes against."""
+        gradient, bends = self.slopes(shares, at)
+        blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
+        free = np.where(blocked, 0.0, 1.0).T
+        tangent = free[:, :, None] * np.eye(free.shape[1])
+        if np.any(self.s.functions.mixed_paths):
+            rows, mu = self._active_paths(shares, at, gradient, free)
+            tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
+            bends = self.slopes(shares, at, mu)[1]
+        sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
+        pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
+        steepest = np.max(np.abs(pull), axis=1)
+        sizes = np.abs(sizes)
+        floor = np.maximum(_QUADRATIC * np.max(sizes, axis=1), _LEAST_BEND * steepest)
+        step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
+        return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
+
+    def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
+        """Derivatives (n, n_paths, group) and multipliers (n_paths, n) of path constraints that H pushes against."""
+        functions = self.s.functions
+        paths = functions.paths(*self._at(shares, at))
+        least, most = self._room[:, :, at]
+        near = 2.0 * _ON_LIMIT * (self.s.path_scale[:, None] + np.abs(paths))
+        at_least, at_most = paths <= least + near, paths >= most - near
+        active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
+        rows = self._path_slopes(shares, at) * free[:, None, :]
+        mu = np.zeros_like(paths)
+        for _ in range(2):  # a limit from which H pulls away is left
+            held = np.where(active.T[:, :, None], rows, 0.0)
+            mu = -np.einsum("nij,in->jn", np.linalg.pinv(held, rcond=RANK), gradient)
+            active &= (at_least & (mu <= 0)) | (at_most & (mu >= 0))
+        return np.where(active.T[:, :, None], rows, 0.0), np.where(active, mu, 0.0)

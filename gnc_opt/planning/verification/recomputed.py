@@ -1,0 +1,253 @@
+"""What is judged: the trajectory and multipliers of a solution, and every other number from its problem."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.functions import EndGradients, end_gradients
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.extract import model_parameters
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Condition
+from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.tolerances import TINY
+
+_EXACT = (
+    "parameters",
+    *("state_bounds", "control_bounds", "path_bounds", "initial_bounds", "final_bounds"),
+    *("initial_time_bounds", "final_time_bounds", "duration_bounds"),
+)
+"""What a phase's solution keeps of its problem, word for word."""
+
+_DUAL = (
+    *("lam", "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers"),
+    *("control_multipliers", "state_impulses", "time_multipliers", "duration_multiplier", "integral_weights"),
+    *("parameter_multipliers", "constraint_multipliers"),
+)
+"""What only a solution with costates has."""
+
+
+def from_problem(solution: Solution) -> Solution:
+    """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
+
+    Times, states, controls, costates, multipliers and free parameters are the solution's own. Integrals are
+    quadratures along the flown control, their weights gradients of cost and constraints at the trajectory's ends.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or one with other phases, variables or constraints.
+    """
+    problem = solution.need_problem("verify")
+    _refuse_other_sizes(problem, solution)
+    stated = {name: _stated(problem, solution, name) for name in problem.phases}
+    judged = replace(
+        solution,
+        maximised=problem.sense < 0,
+        phases=stated,
+        free_parameters=problem.parameters,
+        constraint_labels=problem.constraint_labels(),
+    )
+    measured = {
+        name: replace(leg, integrals=_integrals(PhaseSamples.of(leg, judged.functions(name))))
+        for name, leg in stated.items()
+    }
+    weights = ends_of(replace(judged, phases=measured)).integrals
+    weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
+    return replace(judged, phases=weighed)
+
+
+def ends_of(solution: Solution) -> EndGradients:
+    """Return cost, boundary constraints and their gradients at the trajectory's own ends."""
+    problem = solution.need_problem("verify")
+    ends: dict[str, list[Any]] = {}
+    for name, leg in solution.phases.items():
+        first, last = leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left")
+        ends[name] = [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
+    return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+
+
+def missing_number(stored: Solution, told: bool) -> Worst:
+    """Return the first number that is not finite, as an endless offence, or nothing.
+
+    Parameters
+    ----------
+    told : bool
+        Whether there are costates; where not, their numbers may be missing.
+    """
+    worst = _missing(stored, "", told)
+    for name, leg in stored.phases.items():
+        worst = worst.or_worse(_missing(leg, f"phase {name}, ", told))
+    return worst
+
+
+def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance: float) -> Condition:
+    """What the solution keeps of its problem is the problem's, and no number is missing.
+
+    Parameters
+    ----------
+    stored, judged : Solution
+        As it is, and by `from_problem`.
+    missing : Worst
+        By `missing_number`, or `costates_kept_twice` where that is worse.
+    """
+    worst = missing
+    if stored.maximised != (judged.need_problem("verify").sense < 0):
+        worst = worst.or_worse(Worst(np.inf, "whether the objective is maximised"))
+    for name, leg in judged.phases.items():
+        for what in _EXACT:
+            for a, b in zip(_vectors(stored.phases[name], what), _vectors(leg, what), strict=True):
+                off = float(np.max(_difference(a, b), initial=0.0))
+                if off > worst.value:
+                    worst = Worst(off, f"phase {name}, {what}")
+    return judge(
+        "stored numbers",
+        worst,
+        tolerance,
+        "The numbers stored with the trajectory must be finite, limits and model parameters those of the problem, and "
+        "costates at segment ends and points those of their polynomials (relative); a failure means that the solution "
+        "is another problem's, or has been changed.",
+    )
+
+
+def costates_kept_twice(samples: list[PhaseSamples]) -> Worst:
+    """The worst difference between costates at segment boundaries and points and their polynomials, as of the cost.
+
+    Those at the points of other schemes than Gauss's are of lower order than the polynomials, and not compared.
+    """
+    worst = NOTHING
+    for s in samples:
+        leg, worth = s.leg, s.state_scale / max(s.cost_scale, TINY)
+        kept = [
+            ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
+            ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
+        ]
+        if leg.scheme == "LG":
+            kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
+        for what, values, polynomial in kept:
+            off = np.abs(values - polynomial) * worth[:, None]
+            i, k = worst_index(np.nan_to_num(off))  # a missing one is told as missing
+            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
+            worst = worst.or_worse(Worst(float(off[i, k]), place))
+    return worst
+
+
+def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
+    """Whether there are costates to judge, all zero only where they may be.
+
+    They may where an integral has a weight, and where the cost is as good as independent of the end points.
+
+    Parameters
+    ----------
+    amount : float
+        What the cost amounts to (module `magnitude`).
+    """
+    values = [v for s in samples for v in s.leg.lam.values]
+    if any(np.any(np.isfinite(v) & (v != 0)) for v in values):
+        return True
+    if not all(np.all(np.isfinite(v)) for v in values):
+        return False
+    weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
+    return weighed or all(_worth_of_ends(s, ends) <= NEGLIGIBLE * amount for s in samples)
+
+
+def _worth_of_ends(s: PhaseSamples, ends: EndGradients) -> float:
+    """The most that the cost changes when an end value or time of a phase changes by its magnitude."""
+    name = s.leg.name
+    states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
+    times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))
+    return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
+
+
+def _stated(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+    leg, stored = problem.phases[name], solution.phases[name]
+    initial_time, final_time = leg.times()
+    return replace(
+        stored,
+        states=leg.model.states,
+        controls=leg.model.controls,
+        model_parameters=leg.model.parameters,
+        path_labels=leg.path_labels,
+        integral_labels=tuple(leg.integrands),
+        integral_weights=np.zeros(len(leg.integrands)),
+        parameters=model_parameters(problem, leg, solution.parameter_values),
+        state_bounds=leg.numbers.states,
+        control_bounds=leg.numbers.controls,
+        path_bounds=leg.path_interval(),
+        initial_bounds=leg.numbers.initial,
+        final_bounds=leg.numbers.final,
+        initial_time_bounds=initial_time,
+        final_time_bounds=final_time,
+        duration_bounds=leg.numbers.duration,
+    )
+
+
+def _refuse_other_sizes(problem: Problem, solution: Solution) -> None:
+    found = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
+    asked = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
+    found["boundary constraints"] = solution.constraint_multipliers.size
+    asked["boundary constraints"] = len(problem.constraint_labels())
+    if found["phases"] == asked["phases"]:
+        for name, leg in problem.phases.items():
+            stored, model = solution.phases[name], leg.model
+            found[f"sizes of phase '{name}'"] = [
+                *(stored.states.size, stored.controls.size, stored.parameters.size),
+                *(len(stored.path_labels), stored.integrals.size),
+            ]
+            asked[f"sizes of phase '{name}'"] = [
+                *(model.states.size, model.controls.size, model.parameters.size),
+                *(len(leg.path_labels), len(leg.integrands)),
+            ]
+    for what, value in asked.items():
+        if found[what] != value:
+            raise ProblemError(
+                f"the solution of '{solution.problem_name}' does not fit problem '{problem.name}': {what} are "
+                f"{found[what]} instead of {value}; judge it by the problem that was solved."
+            )
+
+
+def _integrals(s: PhaseSamples) -> Array:
+    if not s.leg.integrals.size:
+        return s.leg.integrals
+    return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
+
+
+def _missing(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:
+    """The first number of a solution or of a phase that is not finite."""
+    for field in fields(owner):
+        value = getattr(owner, field.name)
+        if field.name in _DUAL and not told:
+            continue
+        if isinstance(value, PiecewisePolynomial):
+            for k, piece in enumerate(value.values):
+                if not np.all(np.isfinite(piece)):
+                    left, right = value.breaks[k : k + 2]
+                    segment = f"segment {k + 1} ({left:.6g} to {right:.6g} s)"
+                    return Worst(float("inf"), f"{place}{segment}, {field.name} is not finite")
+        elif isinstance(value, (float, np.ndarray)) and not np.all(np.isfinite(value)):
+            return Worst(float("inf"), f"{place}{field.name} is not finite")
+    return NOTHING
+
+
+def _vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+    value = getattr(leg, name)
+    return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
+
+
+def _difference(a: Array, b: Array) -> Array:
+    """|a - b| in shares of the larger one; endless where just one is infinite or a number is missing."""
+    if a.shape != b.shape:
+        return np.array([np.inf])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
+    return np.where(a == b, 0.0, np.where(np.isfinite(shares), shares, np.inf))

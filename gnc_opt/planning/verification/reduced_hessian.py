@@ -1,0 +1,351 @@
+r"""Second order on the solution's mesh: curvature of the Lagrangian along what the active limits leave free.
+
+At a local minimum of the transcribed program with multipliers :math:`\lambda` (Nocedal & Wright, Numerical
+Optimization, 2006, theorems 12.5 and 12.6)
+
+.. math:: d^T \nabla^2 \mathcal L\, d \ge 0 \quad\text{for all } d \text{ in the critical cone}:
+          \quad \nabla g_C\, d = 0, \quad d_P = 0,
+
+rows C and variables P being those on their limits; > 0 for all of them but zero is sufficient. A limit whose
+multiplier vanishes (weakly active) need only be kept from one side: the cone lies between the space where it binds
+and the one where it does not. All variables take part: controls, free parameters, free times, every phase, links and
+integrals.
+
+The least curvature is that of variations of size 1,
+
+.. math:: |d|^2 = \int \Big(\frac{\delta x}{x}\Big)^2 + \Big(\frac{\delta u}{u}\Big)^2
+          + \text{squares of varied ends, times and parameters}
+
+in shares of their magnitudes, in which the second variation of a regular problem is bounded below (Maurer &
+Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is found by Lanczos' method on
+:math:`(\nabla^2\mathcal L + \sigma)^{-1}`, restricted to the null space by one sparse factorisation (Golub & Van
+Loan, Matrix Computations, 2013, sec. 10.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.optimality.active_set import with_touches
+from gnc_opt.planning.optimality.cost_scale import state_variations
+from gnc_opt.planning.optimality.kkt import FOUND, NullSpace, lanczos, quadratic
+from gnc_opt.planning.optimality.program_point import ProgramPoint
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scaling import scale_variables
+from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.planning.verification.critical_cone import (
+    CriticalCone,
+    held_from_their_start,
+    without_idle_directions,
+)
+from gnc_opt.planning.verification.goh import (
+    cut,
+    in_gohs_variables,
+    open_end,
+    singular_samples,
+    singular_segments,
+    straight,
+)
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING, VANISHED, magnitude
+
+POINTS = 30
+"""Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
+
+UPWARDS, DOWNWARDS = 1e-6, 1e-4
+"""Curvature, in shares of the Hessian's middle row, from which it is told from none: above what is left of first-order
+errors, those of the mesh between active limits included."""
+
+DOWNWARDS_SINGULAR = 1e-2
+"""The same where a control is singular: there quadrature may take a control that alternates from node to node for one
+that gains something."""
+
+CANCELLED = 1e-6
+"""Curvature that is less than this share of its own terms is what they leave when they cancel."""
+
+SHIFT = 0.1
+"""The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
+
+STEEP = 1e4
+"""Curvatures beyond this, in shares of the middle row, are looked for by themselves: their inverses vanish."""
+
+STEPS = 80
+"""Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
+
+STEP = 0.1
+"""Step, in shares of the magnitudes, for which the gain is told."""
+
+LEAST_GAIN = 1e-9
+"""Gain of such a step, in shares of the cost, below which it is rounding, whatever it is in shares of the middle row:
+that one is next to nothing where controls are idle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """The least curvature of the Lagrangian on a linear space of variations.
+
+    Attributes
+    ----------
+    value : float
+        In shares of the Hessian's middle row (the median of their sizes); NaN if nothing is left to vary.
+    share : float
+        In shares of the terms that add up to it.
+    direction : array (n_variables,)
+        Scaled, its largest component 1.
+    gain : float
+        What a step of `STEP` along it takes from the minimised cost, physical.
+    least_gain : float
+        What that is at least if it is no rounding, physical.
+    """
+
+    value: float
+    share: float
+    direction: Array
+    gain: float
+    least_gain: float = 0.0
+
+    @property
+    def upwards(self) -> bool:
+        """Whether it is told to be positive."""
+        return self.value > UPWARDS and self.share > CANCELLED
+
+    def downwards(self, steep: float) -> bool:
+        """Whether it is told to be negative, by more than ``steep`` and by what gains something."""
+        return self.value < -steep and self.share < -CANCELLED and self.gain >= self.least_gain
+
+
+def critical_cone(
+    solution: Solution,
+    samples: Sequence[PhaseSamples] = (),
+    rounding: float = 0.0,
+    sizes: Callable[[PhaseSamples], tuple[Array, Array]] | None = None,
+) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it.
+
+    Parameters
+    ----------
+    solution : Solution
+    samples : sequence of PhaseSamples
+        Of its phases.
+    rounding : float
+        Costs below this are that (`rounding_of_cost`).
+    sizes : callable, optional
+        Variations of 1 in the states (n,) and in the controls (m,) of a phase: `flown_spans` or `visible_spans`;
+        default: the magnitudes of the program.
+    """
+    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
+    meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
+
+    def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
+        found = scale_variables(transcription, problem, x)
+        if sizes is None:
+            return found
+        for s in samples:
+            part = transcription.parts[s.leg.name]
+            states, controls = sizes(s)
+            for places in (part.collocation.boundary_states, part.collocation.point_states):
+                found[places] = states[:, None]
+            found[part.collocation.point_controls] = controls[:, None]
+            found[part.times[part.times < transcription.n_variables]] = s.span
+        return found
+
+    cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+    if sizes is not flown_spans:
+        return cone
+    return held_from_their_start(in_gohs_variables(without_idle_directions(cone, samples), samples), samples)
+
+
+def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return what states and controls move along a phase."""
+    return state_variations(s), s.control_span
+
+
+def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return the same, or 1 for states that do not move, and for controls that move none.
+
+    Where constraints alone single out a trajectory, as x' = u^2 does between equal ends, what moves is rounding.
+    """
+    slopes = np.abs(s.functions.input_jacobian(s.times, s.x, s.u))
+    moved = s.span * s.control_span * np.max(slopes, axis=(0, 2), initial=0.0)
+    return magnitude(s.state_scale), np.where(moved > VANISHED, s.control_span, 1.0)
+
+
+def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
+    """Return the cost below which differences are rounding: the share `NEGLIGIBLE` of what it amounts to."""
+    return NEGLIGIBLE * max((s.cost_magnitude for s in samples), default=0.0)
+
+
+def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
+    """No variation that keeps the active limits lowers the cost to second order."""
+    name = "second order"
+    meaning = (
+        "Along every variation of controls, times and parameters that keeps what is active, the cost must curve "
+        "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
+        "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
+    )
+
+    def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
+        return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
+
+    steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
+    beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
+    if least < -DOWNWARDS:
+        return judged(Result.FAIL, -least, beyond)
+    rest = cone.unit, cone.further
+    free = least_curvature(cone.point, cone.strong, *rest)
+    if np.isnan(free.value) or free.upwards:
+        jumping = "" if solution.structure else _jumping_control(samples)
+        beyond = jumping or beyond
+        told = Result.CANNOT_TELL if beyond else Result.PASS
+        if np.isnan(free.value):
+            return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)
+        return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
+    # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
+    bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
+    for found in (free, bound):
+        admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
+        if found.downwards(steep) and any(admitted):
+            place = _place(cone.point, solution, found.direction)
+            return judged(Result.FAIL, -found.value, place + _gained(found))
+    place = _place(cone.point, solution, free.direction)
+    return judged(Result.CANNOT_TELL, -free.value, place + _doubt(free, steep))
+
+
+def _gained(curvature: Curvature) -> str:
+    return f": a step of {100 * STEP:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
+
+
+def _doubt(curvature: Curvature, steep: float) -> str:
+    if curvature.downwards(steep):
+        return ": limits that are only just active, or the values between the nodes, may forbid to go there"
+    if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
+        return f"{_gained(curvature)}, which is rounding"
+    return f": flat (what is between -{steep:.0e} and {UPWARDS:.0e} is not told from zero)"
+
+
+def _rich(mesh: Mesh) -> Mesh:
+    """Return a mesh with room for variations, where that of a solution that is simple has none."""
+    least = -(-POINTS // mesh.segments)
+    return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
+
+
+def _with_room(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+    """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
+    singular = np.any(singular_segments(s), axis=0)
+    if not np.any(singular) or with_touches(solution).phases[s.leg.name].numbers.arcs is not None:
+        return mesh
+    return cut(mesh, singular)
+
+
+def _jumping_control(samples: list[PhaseSamples]) -> str:
+    """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
+    for s in samples:
+        lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+        open_to_both = straight(s)
+        changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
+            s.times[1:], _variable_times(s)
+        )
+        jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
+        jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.fixed
+        if np.any(jumps):
+            label = s.leg.controls.labels[int(np.argmax(jumps))]
+            return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
+    return ""
+
+
+def _variable_times(s: PhaseSamples) -> Array:
+    """Segment boundaries that are variables, at which a control may switch."""
+    return np.asarray(s.leg.breaks[list(s.leg.mesh.movable)])
+
+
+def _partly_singular(s: PhaseSamples) -> bool:
+    """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
+    return bool(np.any(singular_samples(s) & ~singular_segments(s)[:, s.segments]))
+
+
+def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+    """Return where along time a direction is largest."""
+    size = np.abs(direction)
+    for name, part in point.transcription.parts.items():
+        leg, places = solution.phases[name], part.collocation.point_controls
+        if places.size and np.max(size[places]) >= np.max(size):
+            i, j = np.unravel_index(np.argmax(size[places]), places.shape)
+            time = leg.initial_time + part.collocation.fractions[j] * leg.duration
+            return f"phase {name}, t = {time:.6g} s, {leg.controls.labels[i]}"
+    return point.variables.labels[int(np.argmax(size))]
+
+
+def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
+    """Return the least curvature of the Lagrangian where some variables and rows do not vary.
+
+    Parameters
+    ----------
+    point : ProgramPoint
+    held : bool array (n_variables + n_constraints,)
+    unit, further : sparse, optional
+        As of `NullSpace`.
+    """
+    space = NullSpace.of(point, held, unit, further)
+    hessian = space.in_shares(point.hessian)
+    plain = hessian if unit is None else NullSpace.of(point, held).in_shares(point.hessian)
+    sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
+    # The one row of a parameter far from its origin, however large, is not what variations are worth.
+    typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
+    typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
+    # Integrals of variations have steep rows of their own, whatever the variations themselves are worth.
+    steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
+    direction = _least_direction(space, hessian / typical, steep)
+    if direction is None:
+        return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
+    curvature, share = quadratic(hessian, direction)
+    whole = space.variables(direction)
+    # What is varied by its integral may have peaks of any height; they count where nothing else varies.
+    single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
+    largest = float(np.max(peaks[single], initial=0.0))
+    if largest <= ROUNDING * np.max(peaks):
+        largest = float(np.max(peaks))
+    gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
+    least = LEAST_GAIN / NEGLIGIBLE * point.rounding / point.scaling.objective
+    return Curvature(curvature / typical, share, whole / largest, gain, least)
+
+
+def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0.
+
+    What is downwards and steep is looked for by itself.
+    """
+    n = hessian.shape[0]
+    if n == 0:
+        return None
+    if steep and (found := _steep_direction(space, hessian)) is not None:
+        return found
+    inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
+    start = inverse(np.random.default_rng(0).standard_normal(n))
+    values, vectors = lanczos(inverse, start, STEPS)
+    if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
+        return None
+    # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
+    downwards = values < -FOUND * np.max(np.abs(values))
+    chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
+    direction = inverse(chosen)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
+    """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
+    project = space.projection
+    start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
+    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, STEPS)
+    if not values.size or values[0] > -max(STEEP, FOUND * float(np.max(np.abs(values)))):
+        return None
+    direction = project(vectors[:, 0])
+    return np.asarray(direction / np.linalg.norm(direction))

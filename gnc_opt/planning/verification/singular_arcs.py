@@ -1,0 +1,259 @@
+r"""Singular arcs: Goh's condition and the generalised Legendre-Clebsch condition.
+
+Where controls :math:`u_S` are between their bounds and H is affine in them, their switching functions
+:math:`\phi = \partial H/\partial u_S` vanish along the whole arc with all their time derivatives. The first of these in
+which :math:`u_S` appears, the 2k-th for controls that appear together, gives the order k of the arc, and a minimum asks
+for (Kelley, Kopp & Moyer, in Leitmann, Topics in Optimization, 1967; Krener, SIAM J. Control Optim. 15(2), 1977)
+
+.. math:: \frac{\partial}{\partial u_S}\frac{d^j\phi}{dt^j} = 0 \text{ for } j < 2k, \qquad
+          K = (-1)^k \frac{\partial}{\partial u_S}\frac{d^{2k}\phi}{dt^{2k}} \ge 0;
+
+for j = 1 this is Goh's condition. K > 0 is the strengthened form. Derivatives are symbolic, along
+:math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant on their bounds, or move so
+that their :math:`\partial H/\partial u` stays zero. They are made dimensionless by H, the ranges of the controls and
+powers of the arc's length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.tolerances import TINY
+
+MOST_ORDER = 3
+"""Orders of singular arcs that are looked for."""
+
+MOST_INSTRUCTIONS = 200_000
+"""Size of the derivatives of a switching function beyond which no further one is taken."""
+
+CROSS = 1e-10
+"""Curvature of H along a coupling, in shares of H, below which it is what is left of stationarity."""
+
+OWN_DECAY = 1e3
+"""Where H only flattens out in a control, time derivatives of its switching function contain those of the curvature:
+what they tell of the arc is larger than the curvature by more than this."""
+
+TOO_LARGE = "the switching function has too large a derivative of order"
+
+COUPLED = "coupled in H with a control that H determines"
+
+NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
+
+
+@dataclass(frozen=True)
+class SingularArc:
+    """What the generalised Legendre-Clebsch condition says of one arc.
+
+    Attributes
+    ----------
+    place : str
+    order : int
+        k; 0 if it has not been found.
+    least : float
+        Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
+    why : str
+        Why nothing can be told (or what fails, by a coupling), or empty.
+    channels : tuple of int
+        Its controls.
+    samples : (int, int)
+        First sample, and the one after the last.
+    """
+
+    place: str
+    order: int
+    least: float
+    why: str = ""
+    channels: tuple[int, ...] = field(default=(), compare=False)
+    samples: tuple[int, int] = field(default=(0, 0), compare=False)
+
+
+def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
+    """Goh's and the strengthened generalised Legendre-Clebsch condition hold along every singular arc."""
+    name = "generalised Legendre-Clebsch"
+    meaning = (
+        "Along a singular arc the controls must not appear in an odd time derivative of their switching functions, and "
+        "in the first even one, the 2k-th, with (-1)^k times a positive definite matrix (value: its smallest "
+        "eigenvalue, reversed, in shares of H over the arc's length): a negative one means that quick pulses "
+        "to and fro lower the cost."
+    )
+    if not arcs:
+        return Condition(name, Result.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
+    worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
+    if worst.least < -tolerance:
+        result = Result.FAIL
+    else:
+        result = Result.CANNOT_TELL if worst.why or not worst.least > tolerance else Result.PASS
+    what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
+    return Condition(
+        name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True
+    )
+
+
+def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
+    """Where the second derivatives of the switching functions determine controls (m, n_samples), on arcs of a phase."""
+    found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
+    for arc in arcs:
+        found[list(arc.channels), slice(*arc.samples)] = (
+            arc.order == 1 and not arc.why and arc.least > tolerance
+        )
+    return found
+
+
+def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
+    """Whether singular arcs of a control are of second order, whatever the trajectory.
+
+    Then they meet arcs on its bounds by ever faster switches, or without a jump (McDanell & Powers, SIAM J. Control
+    9(2), 1971), and a few bangs come close to both: what their switching function is wrong by falls with the fourth
+    power of their length.
+    """
+    key = ("derivatives of switching functions", s.leg.name, (channel,), ())
+    alone = np.array([channel]), np.zeros(0, dtype=int)
+    derivatives: Derivatives = problem.once(key, lambda: Derivatives(s, *alone))
+    contained = (j for j in range(5) if derivatives.contains_controls(j))
+    return next(contained, 0) > 2
+
+
+def singular_arcs(
+    problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
+) -> list[SingularArc]:
+    """Judge the arcs of a phase along which controls are between their bounds without curvature of H.
+
+    Parameters
+    ----------
+    singular, inside : bool array (m, n_samples)
+        As `controls.undetermined` tells.
+    """
+    singular = singular & inside
+    kinds = np.vstack([singular, inside])
+    changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
+    found = []
+    for first, last in pairwise([0, *changes, s.times.size]):
+        channels = np.flatnonzero(singular[:, first])
+        if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
+            regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
+            found.append(_judge(problem, s, channels, regular, np.arange(first, last), tolerance))
+    return found
+
+
+def _judge(
+    problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
+) -> SingularArc:
+    labels = ", ".join(s.leg.controls.labels[i] for i in channels)
+    first, last = s.times[here[[0, -1]]]
+    place = f"phase {s.leg.name}, {labels} from {first:.6g} s to {last:.6g} s"
+    arc = partial(
+        SingularArc, place, channels=tuple(channels.tolist()), samples=(int(here[0]), int(here[-1]) + 1)
+    )
+    key = (
+        "derivatives of switching functions",
+        s.leg.name,
+        tuple(channels.tolist()),
+        tuple(regular.tolist()),
+    )
+    derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
+    if derivatives.coupled:
+        least = _along_both(s, channels, regular, here)
+        bends = (
+            f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
+        )
+        return arc(0, least, COUPLED + (bends if least < -CROSS else ""))
+    flat = 0.0
+    for j in range(2 * MOST_ORDER + 1):
+        function = derivatives.by_controls(j)
+        if function is None:
+            return arc(0, 0.0, f"{TOO_LARGE} {j}")
+        matrices = _evaluated(s, channels, here, function) * (last - first) ** j
+        size = float(np.max(np.abs(matrices), initial=0.0))
+        flat = size if j == 0 else flat
+        if size <= tolerance:
+            continue
+        if size <= OWN_DECAY * flat:
+            return arc(0, 0.0, NOT_AFFINE)
+        if j % 2:
+            return arc(0, -size)
+        signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
+        least = float(np.min(np.linalg.eigvalsh(signed)))
+        return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
+    return arc(0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
+
+
+def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H.
+
+    A matrix with zeros on its diagonal is not positive where it couples: the least of u v + v^2 / 2 is -u^2 / 2.
+    """
+    unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
+    hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
+    cross = hessian[:, regular[:, None], channels]
+    own = hessian[:, regular[:, None], regular]
+    schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(own, hermitian=True) @ cross
+    return float(np.min(np.linalg.eigvalsh(schur)))
+
+
+def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
+    """Matrices (n_samples, m, m) at samples of an arc, over ranges of controls and in shares of H."""
+    numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
+    at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
+    flat = evaluate_columns(function, here.size, *at, numbers)
+    scale = s.control_scale[channels]
+    matrices = flat.T.reshape(here.size, channels.size, channels.size)
+    return np.asarray(matrices * np.outer(scale, scale) / max(s.hamiltonian_scale, TINY))
+
+
+class Derivatives:
+    """Time derivatives of switching functions along an extremal, differentiated by their own controls.
+
+    ``coupled`` says that controls which H determines depend on singular ones, so that these are not the right ones.
+    """
+
+    def __init__(self, s: PhaseSamples, channels: Indices, regular: Indices) -> None:
+        functions = s.functions.functions
+        sizes = [functions["hamiltonian"].size1_in(i) for i in range(8)]
+        t, x, u, lam = (ca.SX.sym("v", n) for n in sizes[:4])
+        weights, p, q = (ca.SX.sym("v", n) for n in sizes[5:])
+        arguments = (t, x, u, lam, np.zeros(sizes[4]), weights, p, q)
+        hamiltonian = functions["hamiltonian"](*arguments)
+        self._inputs = [t, x, u, lam, ca.vertcat(weights, p, q)]
+        self._own = u[channels.tolist()]
+        self._along = ca.vertcat(t, x, lam)
+        self._rates = ca.vertcat(1, functions["rates"](*arguments), -ca.gradient(hamiltonian, x))
+        slopes = ca.gradient(hamiltonian, u)
+        self._values = [slopes[channels.tolist()]]
+        self._functions: dict[int, Any] = {}
+        determined, slope = u[regular.tolist()], slopes[regular.tolist()]
+        self.coupled = ca.jacobian(slope, self._own).nnz() > 0
+        if regular.size:  # dH/du = 0 of those determines how they move
+            drift = ca.jtimes(slope, self._along, self._rates)
+            self._rates = ca.vertcat(self._rates, -ca.solve(ca.jacobian(slope, determined), drift))
+            self._along = ca.vertcat(self._along, determined)
+
+    def by_controls(self, j: int) -> Callable[..., Any] | None:
+        """The derivative of the j-th time derivative by the controls, row by row; None if it has become too large."""
+        if j not in self._functions:
+            matrix = ca.vec(ca.densify(ca.jacobian(self._derivative(j), self._own)).T)
+            function = ca.Function("by_controls", self._inputs, [matrix])
+            self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
+        found: Callable[..., Any] | None = self._functions[j]
+        return found
+
+    def contains_controls(self, j: int) -> bool:
+        """Whether the j-th time derivative depends on the controls anywhere."""
+        return bool(ca.jacobian(self._derivative(j), self._own).nnz() > 0)
+
+    def _derivative(self, j: int) -> Any:
+        while len(self._values) <= j:
+            self._values.append(ca.jtimes(self._values[-1], self._along, self._rates))
+        return self._values[j]

@@ -1,0 +1,135 @@
+r"""What the theorems suppose: dynamics and integrands that are differentiable where the trajectory runs.
+
+Where a flight crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
+:math:`\partial g/\partial x`, so that H is continuous (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section
+3.7): between two phases that meet there, linkages and the condition g = 0 bring that multiple along. Inside of a phase
+neither the program nor the conditions here know of it. Along a flight that rests on a kink, gradients are any out of a
+set, of which one is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.problem.kinks import Kinks, kinks_of
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.tolerances import AT_LIMIT, TINY, magnitude
+
+NAME = "smoothness"
+
+_MEANING = (
+    "Dynamics and integrands must be differentiable along the flight. Where they jump with a state, costates jump as "
+    "well, which no condition here allows for: let a phase end there, with the state on the jump as a final value, and "
+    "link() the next one to it. Where the flight rests on a kink, gradients are any out of a set: hold it there by a "
+    "constraint."
+)
+
+_NEAR = 1e-9
+"""Share of a phase by which both sides of a jump are looked at."""
+
+_BISECTIONS = 60
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """The worst that a flight meets: how large, where, whether it is a jump that is crossed, and one of states."""
+
+    value: float
+    where: str
+    jump: bool
+    of_states: bool = True
+
+
+def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
+    """Return the first jump that a flight crosses inside a phase, else a kink on which it rests; None without any."""
+    rests = None
+    for s in samples:
+        kinks = kinks_of(problem, problem.phases[s.leg.name])
+        if kinks is None:
+            continue
+        values = _arguments(s, kinks, s.times_within, s.x, s.u)
+        for i, row in enumerate(values):
+            signed = np.flatnonzero(row)  # a sample on the surface itself is on neither side
+            for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
+                found = _jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                if found is not None:
+                    return found
+        rest = _rest(s, kinks, values)
+        rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
+    return rests
+
+
+def smoothness(found: Roughness | None, fails: bool) -> Condition:
+    """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
+    if found is None:
+        return Condition(NAME, Result.PASS, 0.0, 0.0, "no jump is crossed", _MEANING)
+    sufficient = not found.jump and not fails
+    return Condition(NAME, Result.CANNOT_TELL, found.value, 0.0, found.where, _MEANING, sufficient=sufficient)
+
+
+def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
+    """A failure of what supposes smoothness tells nothing where there is none.
+
+    The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
+    """
+    compares_values = condition.name == "minimum principle" and not found.of_states
+    if condition.result is not Result.FAIL or compares_values:
+        return condition
+    return replace(
+        condition,
+        result=Result.CANNOT_TELL,
+        where=f"{condition.where}; not smooth: {found.where}",
+        loss=None,
+        unit="",
+    )
+
+
+def _arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
+    numbers = s.functions.p, s.functions.q
+    return evaluate_columns(kinks.arguments, times.size, times[None], x, u, *numbers)
+
+
+def _jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
+    """What dx/dt and integrands jump by where an argument changes its sign between two times."""
+    left, right = between
+
+    def at(time: float) -> float:
+        times = np.array([time])
+        return float(_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
+
+    rising = at(right - _NEAR * s.span) > at(left + _NEAR * s.span)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (left + right)
+        left, right = (left, middle) if (at(middle) > 0) == rising else (middle, right)
+    sides = np.clip(np.array([left - _NEAR * s.span, right + _NEAR * s.span]), *s.leg.breaks[[0, -1]])
+    x, u = s.leg.x(sides), np.repeat(s.leg.flown(sides)[:, :1], 2, axis=1)
+    rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
+    integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
+    size = float(np.max(np.append(rates, abs(integrands) / max(s.cost_scale, TINY)), initial=0.0))
+    if not size > tolerance:
+        return None
+    return Roughness(
+        size, f"{s.place_at(float(right))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
+    )
+
+
+def _rest(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
+    """The longest time for which an argument stays at zero, if that is no passing."""
+    sizes = magnitude(np.max(np.abs(values), axis=1, initial=0.0))
+    at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
+    lengths = np.sum(at_zero * s.weights, axis=1) / s.span
+    long = lengths > SMEARED
+    if not np.any(long):
+        return None
+    of_states = bool(np.any(long & kinks.of_states))  # these are worse
+    i = int(np.argmax(np.where(kinks.of_states == of_states, lengths, 0.0)))
+    j = int(np.argmax(at_zero[i]))
+    where = f"from {s.place(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
+    return Roughness(float(lengths[i]), where, False, of_states)

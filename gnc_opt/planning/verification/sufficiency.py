@@ -1,0 +1,358 @@
+r"""Costs that cannot be less: what they are made of is as small as it can be.
+
+A sum of squares is not negative. With the least value of every integrand, times the duration, and of the cost of these
+and of the ends, for states and controls within their bounds, interval arithmetic (module `ranges`) bounds the cost from
+below. A flight that reaches that bound is a global minimum, whatever its costates say: they vanish there,
+:math:`\partial L/\partial x = 0` as well, and what is left of them is rounding. It may be one of many.
+
+Whether a convex problem has one solution only.
+
+Let :math:`\delta = (\delta x, \delta u)` be the difference of two solutions of a convex problem (module `convex`). All
+mixtures of the two are solutions as well, so that the cost is constant along them: where its integrands are quadratic
+with Hessian H, :math:`H \delta = 0` at almost all times. With :math:`\dot{\delta x} = A \delta x + B \delta u` and
+:math:`\delta x = 0` at the start, :math:`\delta` is an input and a state of a linear system with the output
+:math:`H \delta`. If that system is left invertible, no input but zero has the output zero, and the two are the same.
+For constant A, B, H it is if the pencil
+
+.. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
+
+has full column rank for some s (H. L. Trentelman, A. A. Stoorvogel & M. Hautus, Control Theory for Linear Systems,
+2001, section 8.2). A phase starts from :math:`\delta x = 0` if its initial states are given, or if end conditions lead
+over to them from phases of which there is one solution only.
+
+A control on its bound whose switching function vanishes at isolated times only is the same in all solutions: the first
+order already costs what differs from it, :math:`\int |\partial H/\partial u_i|\,|\delta u_i|\,dt`. Its column of B
+falls out, and with all of them the phase has one solution whatever A is.
+
+Convex problems: their first-order conditions suffice for a global minimum.
+
+With fixed times, dynamics, path constraints and end conditions that are affine in states, controls and
+parameters, and a convex cost, every extremal is a global minimum (O. L. Mangasarian, Sufficient conditions for the
+optimal control of nonlinear systems, SIAM J. Control 4, 1966, 139-152). Nothing curves downwards then, although
+the program on a mesh whose boundaries move is not convex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.cost_scale import BRIEF, SMEARED, Magnitudes, lasting_longer
+from gnc_opt.planning.optimality.switches import GRAZES
+from gnc_opt.planning.problem.constraints import make_constraint
+from gnc_opt.planning.problem.expressions import parameter_arguments
+from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.kinks import has_kinks
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING
+
+_FULL = 1e-9
+"""Least singular value of matrices of full rank, rows and columns scaled to one."""
+
+_ANYWHERE = 0.73 + 0.41j
+"""A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
+
+
+def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
+    """Whether a problem is convex and cannot have two solutions, as far as constant matrices tell.
+
+    Parameters
+    ----------
+    determined : mapping from phase names to bool array (m,)
+        Controls that are the same in all solutions (`determined_by_slope`); by default none.
+    """
+    if not is_convex(problem) or problem.parameters.size:
+        return False
+    legs = list(problem.phases.values())
+    points = [leg.ends(end) for leg in legs for end in ("initial", "final")]
+    conditions = problem.constraint_expression()
+    rows = _numbers(ca.jacobian(conditions, ca.vertcat(*points)))
+    if rows is None:
+        return False
+    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    of_ends = np.ones(
+        conditions.numel(), dtype=bool
+    )  # what depends on integrals says nothing of the ends alone
+    of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
+    equal = rows[problem.constraint_interval().fixed & of_ends]
+    same = np.concatenate([_uniqueness_given(leg) for leg in legs])
+    waiting, places = legs, _places(legs)
+    while waiting:
+        settled = [leg for leg in waiting if _starts_alike(equal, same, places[leg.name][0])]
+        if not settled or not all(
+            _left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
+        ):
+            return False
+        for leg in settled:
+            same[np.concatenate(places[leg.name])] = True
+        waiting = [leg for leg in waiting if leg not in settled]
+    return True
+
+
+def _uniqueness_given(leg: Phase) -> Mask:
+    """Which initial and final states of a phase are numbers."""
+    return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
+
+
+def _places(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+    """Where initial and final states of each phase are among all of them."""
+    found, at = {}, 0
+    for leg in legs:
+        n = leg.model.states.size
+        found[leg.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
+        at += 2 * n
+    return found
+
+
+def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
+    """Whether equations between states at ends leave all solutions the same start of a phase."""
+    left = initial[~same[initial]]
+    others = np.setdiff1d(np.flatnonzero(~same), left)
+    rows = equal[~np.any(equal[:, others] != 0, axis=1)]
+    return left.size == 0 or _full_column_rank(rows[:, left])
+
+
+def determined_by_slope(s: PhaseSamples) -> Mask:
+    """Which controls are on their bounds all along, with switching functions that vanish for `BRIEF` at most (m,).
+
+    A zero of any order at one time is no longer; one that lasts leaves a control open there.
+    """
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    opens = lasting_longer(s.times, ~(worth > GRAZES), BRIEF)
+    between = lasting_longer(s.times, ~(at_lower | at_upper), SMEARED)
+    return np.asarray(~np.any(opens | between, axis=1))
+
+
+def _left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
+    _, x, u, p = leg.model.arguments()
+    if determined is not None:
+        u = u[np.flatnonzero(~determined).tolist()]
+        if u.is_empty():
+            return True
+    rates = leg.model.derivative()
+    z = ca.vertcat(x, u)
+    curved = ca.SX(z.numel(), z.numel())
+    for symbol, integrand in leg.integrands.values():
+        hessian = ca.hessian(integrand, z)[0]
+        if hessian.nnz():
+            curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
+    values = leg.model.parameter_values
+    parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
+    a, b, h = (_numbers(ca.substitute(part, p, ca.DM(values))) for part in parts)
+    if a is None or b is None or h is None:
+        return False
+    s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
+    pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
+    return _full_column_rank(pencil)
+
+
+def _full_column_rank(matrix: Array) -> bool:
+    for axis in (1, 0):
+        sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
+        matrix = matrix / np.where(sizes > 0, sizes, 1.0)
+    if matrix.shape[0] < matrix.shape[1]:
+        return False
+    return bool(scipy.linalg.svdvals(matrix)[-1] > _FULL)
+
+
+def _numbers(expression: Any) -> Array | None:
+    """The numbers of an expression, or None if it depends on something."""
+    simple = ca.simplify(expression)
+    return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
+
+
+def is_convex(problem: Problem) -> bool:
+    """Whether a problem is convex in its trajectory, as far as constant Hessians tell."""
+    return all(map(_fixed_times, problem.phases.values())) and _ends(problem) and _along(problem)
+
+
+def _fixed_times(leg: Phase) -> bool:
+    return all(bool(time.fixed[0]) for time in leg.times())
+
+
+def _along(problem: Problem) -> bool:
+    """Whether dynamics and path constraints are affine along every phase."""
+    for leg in problem.phases.values():
+        _, x, u, _ = leg.model.arguments()
+        z = ca.vertcat(x, u, problem.parameter_symbols())
+        rows = problem.bind(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
+        if not _affine(rows, z):
+            return False
+    return True
+
+
+def _ends(problem: Problem) -> bool:
+    """Whether end conditions are affine, and the cost is convex, in end points, parameters and integrals."""
+    legs = problem.phases.values()
+    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    points = [value for leg in legs for value in (leg.ends("initial"), leg.ends("final"))]
+    z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
+    conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
+    for leg in legs:
+        conditions, cost = problem.bind(leg, conditions), problem.bind(leg, cost)
+    if not _affine(conditions, z) or not _convex(cost, z):
+        return False
+    for leg in legs:
+        _, x, u, _ = leg.model.arguments()
+        along = ca.vertcat(x, u, problem.parameter_symbols())
+        for symbol, integrand in leg.integrands.values():
+            expression = problem.bind(leg, integrand)
+            if _affine(expression, along):
+                continue
+            weight = ca.jacobian(cost, symbol)
+            grows = (
+                weight.is_constant() and float(ca.DM(weight)) >= 0 and not ca.depends_on(conditions, symbol)
+            )
+            if not grows or not _convex(expression, along):
+                return False
+    return True
+
+
+def _affine(expression: Any, z: Any) -> bool:
+    return not any(ca.which_depends(expression, z, 2, True)) if expression.numel() else True
+
+
+def _convex(expression: Any, z: Any) -> bool:
+    """Whether the Hessian of a scalar expression is constant and positive semidefinite, and it has no kinks."""
+    hessian = ca.hessian(expression, z)[0]
+    if not hessian.is_constant() or has_kinks(expression):
+        return False
+    values = np.linalg.eigvalsh(ca.DM(hessian).full())
+    return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
+
+
+def least_cost(problem: Problem) -> float:
+    """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
+    return float(_least(problem, [problem.sense * problem.cost])[0])
+
+
+def _least(problem: Problem, expressions: Sequence[Any]) -> Array:
+    """Return what expressions of the ends are at least."""
+    q, boxes = problem.parameter_interval(), []
+    for leg in problem.phases.values():
+        p = _given(leg)
+        ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
+        boxes += [*ends, *leg.times(), _integrals(problem, leg, q), p]
+    return ranges_of(_of_ends(problem, expressions), [*boxes, q]).lower
+
+
+def reaches_least_cost(
+    solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
+) -> bool:
+    """Whether the cost is at its least possible value but for rounding, and so are its costates.
+
+    Where the first derivatives of a cost with second derivatives are within the share ``tolerance`` of what it amounts
+    to, the cost is within the square of that.
+
+    Parameters
+    ----------
+    solution : Solution
+        With all that its problem tells (`from_problem`).
+    cost : float
+        As the problem states it.
+    amount : float
+        What the cost amounts to (module `magnitude`).
+    """
+    problem = solution.need_problem("verify")
+    above = problem.sense * cost - least_cost(problem)
+    worths = [np.max(np.abs(s.lam_polynomial) * s.state_scale[:, None], initial=0.0) for s in samples]
+    near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
+    return bool(near and np.all(_above_least(solution) <= tolerance**2))
+
+
+def _above_least(solution: Solution) -> Array:
+    """Return how far each term of the cost is above its least value, in shares of what it amounts to.
+
+    Each is a boundary constraint of a problem of its own, which the verdict's yardsticks are taken of.
+    """
+    problem = solution.need_problem("verify").clone()
+    terms = list(_addends(problem.sense * problem.cost))
+    for leg in problem.phases.values():
+        for symbol, integrand in list(leg.integrands.values()):
+            shares = [leg.integral(part) for part in _addends(integrand)]
+            terms = [
+                part
+                for term in terms
+                for part in _addends(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+            ]
+    problem.constraints = {
+        f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
+        for k, term in enumerate(terms)
+    }
+    problem.changed()
+    none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
+    apart = replace(
+        solution,
+        problem=problem,
+        phases={
+            k: replace(v, integrals=none[k], integral_weights=none[k]) for k, v in solution.phases.items()
+        },
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=np.zeros(len(terms)),
+        constraint_multipliers=np.zeros(len(terms)),
+    )
+    apart = from_problem(apart)
+    amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
+    return np.asarray((ends_of(apart).constraints - _least(problem, terms)) / amounts)
+
+
+def _addends(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+    """Yield what a sum is made of, multiplied out where a factor is a number."""
+    if expression.op() in (ca.OP_ADD, ca.OP_SUB):
+        first, second = (expression.dep(k) for k in range(2))
+        yield from _addends(first, factor)
+        yield from _addends(second, -factor if expression.op() == ca.OP_SUB else factor)
+    elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
+        yield from _addends(expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor)
+    elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
+        yield from _addends(expression.dep(1), factor * float(expression.dep(0)))
+    elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
+        yield from _addends(expression.dep(0), factor * float(expression.dep(1)))
+    elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
+        yield from _addends(expression.dep(0), factor / float(expression.dep(1)))
+    else:
+        yield factor * expression
+
+
+def _given(leg: Phase) -> Interval:
+    return Interval(leg.model.parameter_values, leg.model.parameter_values)
+
+
+def _integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
+    """Between which values the integrals of a phase lie."""
+    (initial, final), numbers = leg.times(), leg.numbers
+    times = Interval(initial.lower, final.upper)
+    integrands = leg.once("integrands by all", lambda: _integrands(problem, leg))
+    rates = ranges_of(integrands, [times, numbers.states, numbers.controls, _given(leg), q])
+    least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
+    most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
+    spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
+    rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
+    return ranges_of(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
+
+
+def _integrands(problem: Problem, leg: Phase) -> Any:
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
+
+
+def _of_ends(problem: Problem, expressions: Sequence[Any]) -> Any:
+    column, arguments = ca.vertcat(*expressions), []
+    legs = problem.phases.values()
+    for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
+        column = problem.bind(leg, column)
+        arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+        arguments += [leg.integral_symbols(), parameters]
+    return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

@@ -1,0 +1,391 @@
+"""verify_trajectory: judge a trajectory that another tool has found.
+
+Samples of controls as a problem was stated, in those that it is solved in: parts, magnitudes and directions.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.environment import one_thread
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.optimality.multiplier_estimate import estimate
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit
+from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning.problem.check import check_unused_controls
+from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.solution.extract import extract_phases, model_parameters
+from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.unwrap import unwound
+from gnc_opt.planning.solution.verdict import Result, Verdict
+from gnc_opt.planning.transcription.scheme import GAUSS
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification.engine import TOLERANCE, verify
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL
+
+
+def restated_samples(
+    problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
+) -> dict[str, Samples]:
+    """Return samples of a problem as those of ``restated(problem)``, of which q are the first parameters."""
+    return {name: _of_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
+
+
+def _of_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
+    if leg.restatement is None:
+        return own
+    stated = leg.restatement.model
+    arguments = [*stated.arguments(), problem.parameter_symbols()]
+    values = ca.densify(problem.bind(leg, leg.restatement.values))
+    function = ca.Function("restated", arguments, [values])
+    p = model_parameters(problem, problem.phases[leg.name], q)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u = evaluate_columns(function, own.t.size, own.t[None], own.x, own.u, p, q)
+    controls = leg.model.controls
+    for vector in leg.vectors:
+        size, direction = u[controls.slice(vector.magnitude)][0], controls.slice(vector.direction)
+        lost = size <= AT_LIMIT * np.max(size)
+        u[direction] = _held(np.where(lost, np.nan, u[direction]))
+    return replace(own, u=u)
+
+
+def _held(directions: Array) -> Array:
+    """Directions (n, n_times) that go on where there are none: as they were before, at first as they will be."""
+    known = np.flatnonzero(np.all(np.isfinite(directions), axis=0))
+    if not known.size:
+        return np.repeat(np.eye(directions.shape[0])[:, :1], directions.shape[1], axis=1)
+    before = np.searchsorted(known, np.arange(directions.shape[1]), side="right") - 1
+    return np.asarray(directions[:, known[np.maximum(before, 0)]])
+
+
+PARTS = (2, 4)
+"""Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
+change faster than the states."""
+
+NEARER = 1e-7, 1e-9
+"""Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
+push though there is room. Beside a touch, many of fine samples are nearer than what is known of foreign ones."""
+
+Values = Any
+"""Arrays (n, n_times) in the model's order, or a mapping from names to them; of several phases a mapping of those."""
+
+
+@one_thread()
+def verify_trajectory(
+    problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = TOLERANCE
+) -> Verdict:
+    """Judge a trajectory from any tool, known at samples and without multipliers, by all that `verify` asks.
+
+    What rests on a kink of its cost or on a norm at zero, as a coast of least fuel does, is judged in the controls that
+    `solve` would use: parts, magnitudes and directions.
+
+    The samples are joined by polynomials (module `trajectory_fit`), costates and multipliers are those that explain
+    the trajectory best (module `multipliers`): least squares of adjoint equation, stationarity, transversality. If
+    no multipliers explain it, the verdict fails where they do not.
+
+    Parameters
+    ----------
+    problem : Problem
+    t : array (n_times,), s
+        Not decreasing; where a control jumps, give the time twice, with the values before and after it. A jump
+        between two samples is placed where the states tell. Several phases: a mapping from their names.
+    x, u : array (n_states, n_times), (n_controls, n_times), or a mapping from names to (n_times,) or (size, n_times)
+        States and controls. Several phases: a mapping from their names to such.
+    p : array (n_parameters,) or mapping from names, optional
+        Of the problem's free parameters; needed if it has any.
+    tol : float
+        Tolerance of every condition. Samples allow no more than their interpolation errors, of the third order in
+        the sampling interval for controls and of the fourth for states.
+
+    Returns
+    -------
+    Verdict
+        With ``estimated`` true: multipliers are estimates, so that a wrong sign of one may be the estimate's where
+        multipliers are not unique.
+
+    Raises
+    ------
+    ProblemError
+        Wrong sizes, missing or unknown names, times that decrease, numbers that are not finite, a control that nothing
+        depends on.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import gnc_opt as go
+    >>> cart = go.Model("cart")
+    >>> q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+    >>> cart.ode({q: v, v: a})
+    >>> problem = go.Problem("rest to rest")
+    >>> leg = problem.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> problem.minimize(leg.integral(a**2))
+    >>> t = np.linspace(0.0, 1.0, 41)
+    >>> x = {"q": 3 * t**2 - 2 * t**3, "v": 6 * t - 6 * t**2}
+    >>> go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t}).ok
+    True
+    """
+    expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
+    q = _parameters(problem, p)
+    check_unused_controls(problem)
+    samples = _unwound(problem, _read_phases(problem, t, x, u), q)
+    verdict, twin = _judged(problem, samples, q, tol), restated(problem)
+    if verdict.minimum or twin is problem or _beyond_turns(problem, twin, samples):
+        return verdict
+    other = _judged_restated(problem, twin, samples, q, tol)
+    prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
+    return verdict if prefers_stated else other
+
+
+def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
+    verdict = verify(_solution(problem, samples, q), tol=tol)
+    for near in NEARER if verdict["complementarity"].result is Result.FAIL else ():
+        other = verify(_solution(problem, samples, q, near=near), tol=tol)
+        if not other.failed:
+            return replace(other, estimated=True)
+    for parts in PARTS:
+        if verdict["adjoint equation"].result is not Result.FAIL:
+            break
+        verdict = verify(_solution(problem, samples, q, parts), tol=tol)
+    return replace(verdict, estimated=True)
+
+
+def _judged_restated(
+    problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """As a default call judges it: along controls without norms and kinks (`gnc_opt.planning.problem.reformulation`)."""
+    samples = restated_samples(problem, twin, stated, q)
+    q = _with_added(twin, samples, q)
+    return _judged(twin, _unwound(twin, samples, q), q, tol)
+
+
+def _beyond_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+    """Whether angles leave bounds of a whole turn, which are no limits to a twin."""
+    for name, leg in twin.phases.items():
+        if leg.numbers.turns is not None:
+            box, u = problem.phases[name].numbers.controls, stated[name].u
+            slack = AT_LIMIT * leg.numbers.turns.periods
+            if np.any(u < (box.lower - slack)[:, None]) or np.any(u > (box.upper + slack)[:, None]):
+                return True
+    return False
+
+
+def _with_added(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
+    """Parameters and those in place of kinks at the ends, as small as their constraints allow."""
+    added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
+    if not added:
+        return q
+    none = np.append(q, np.zeros(len(added)))
+    q, at_zero = none.copy(), _solution(twin, samples, none)
+    rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
+    for name in added:
+        missing = [-rows[label] for label in twin.constraints[name].labels]
+        q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
+    priced = abs(_solution(twin, samples, q).objective - at_zero.objective)
+    return q if priced > EQUAL * abs(at_zero.objective) else none  # else it is rounding, on the kink
+
+
+# --- a solution with estimated multipliers ----------------------------------------------------------------
+
+
+def _solution(
+    problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int = 1, near: float = ACTIVE
+) -> Solution:
+    fitted: dict[str, FittedPhase] = {}
+    for name in problem.phases:
+        fitted[name] = fit(samples[name], _functions(problem, name, q).rates).split(parts)
+    transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
+    iterate = estimate(transcription, problem, fitted, q, near)
+    phases, gradients = extract_phases(transcription, problem, iterate)
+    phases = {name: _with_trajectory(leg, fitted[name]) for name, leg in phases.items()}
+    return Solution(
+        problem_name=problem.name,
+        status=Status.ACCEPTABLE,
+        objective=gradients.cost,
+        maximised=problem.sense < 0,
+        phases=phases,
+        free_parameters=problem.parameters,
+        parameter_values=q,
+        parameter_multipliers=iterate.lam_x[transcription.parameter_places],
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=gradients.constraints,
+        constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
+        violations=(),
+        statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
+        provenance={"fingerprint": problem.fingerprint()},
+        structure=tuple(arc for leg in phases.values() for arc in _arcs(leg)),
+        problem=problem.frozen(),
+    )
+
+
+def _with_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
+    """The samples' own trajectory and times, also where the problem would have others."""
+    breaks = phase.x.breaks
+    return replace(
+        leg,
+        mesh=phase.mesh,
+        x=phase.x,
+        u=phase.u,
+        lam=PiecewisePolynomial(breaks, leg.lam.nodes, leg.lam.values),
+        initial_time=float(breaks[0]),
+        final_time=float(breaks[-1]),
+    )
+
+
+def _functions(problem: Problem, name: str, q: Array) -> PhaseFunctions:
+    leg = problem.phases[name]
+    return phase_functions(problem, name, model_parameters(problem, leg, q), q, np.zeros(len(leg.integrands)))
+
+
+def _unwound(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
+    """The samples with angles that other tools keep within a turn as they run on."""
+    found = {}
+    for name, leg in samples.items():
+        bounds = problem.phases[name].numbers.controls
+        controls = unwound(_functions(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        found[name] = replace(leg, u=controls)
+    return found
+
+
+def _arcs(leg: PhaseSolution) -> list[Arc]:
+    """Arcs of controls that are on a bound throughout, between their jumps; none if one is not."""
+    arcs: list[Arc] = []
+    breaks = leg.breaks[list(leg.mesh.anchors)]
+    slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
+    for i, label in enumerate(leg.controls.labels):
+        lower, upper = leg.control_bounds.near(leg.u(leg.point_times), slack)
+        for start, end in itertools.pairwise(breaks):
+            within = (leg.point_times > start) & (leg.point_times < end)
+            kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
+            kind = next((k for k, on in kinds.items() if np.all(on)), None)
+            if kind is None:
+                return []
+            if arcs and arcs[-1].channel == label and arcs[-1].kind is kind:
+                arcs[-1] = replace(arcs[-1], end=float(end))
+            else:
+                arcs.append(Arc(leg.name, label, kind, float(start), float(end)))
+    return arcs if leg.mesh.movable else []
+
+
+# --- reading arguments ------------------------------------------------------------------------------------
+
+
+def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, Samples]:
+    names = list(problem.phases)
+    if len(names) == 1 and not isinstance(t, Mapping):
+        t, x, u = ({names[0]: value} for value in (t, x, u))
+    for what, given in (("times", t), ("states", x), ("controls", u)):
+        if not isinstance(given, Mapping):
+            raise ProblemError(
+                f"the {what} of a trajectory of '{problem.name}' are no mapping from the phases {names}: give one, "
+                "since there are several."
+            )
+        for name in given:
+            if name not in names:
+                raise unknown_name("phase", name, f"problem '{problem.name}'", names)
+        missing = [name for name in names if name not in given]
+        if missing:
+            raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
+    return {name: _read_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
+
+
+def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
+    times = _finite(read_numbers(t, f"the times of {leg.where}", ProblemError), f"the times of {leg.where}")
+    if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
+        raise ProblemError(
+            f"the times of {leg.where} have shape {times.shape}: give a vector of two or more."
+        )
+    steps = np.diff(times)
+    if np.any(steps < 0):
+        i = int(np.argmax(steps < 0))
+        raise ProblemError(
+            f"the times of {leg.where} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples."
+        )
+    if np.any((steps[:-1] == 0) & (steps[1:] == 0)) or steps[0] == 0 or steps[-1] == 0:
+        raise ProblemError(
+            f"the times of {leg.where} repeat one more than twice, or at an end: give a time twice only where a "
+            "control jumps."
+        )
+    return Samples(
+        times,
+        _rows(leg, leg.model.states, x, times.size, "state"),
+        _rows(leg, leg.model.controls, u, times.size, "control"),
+    )
+
+
+def _rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+    what = f"the {kind}s of {leg.where}"
+    if isinstance(given, Mapping):
+        for name in given:
+            if name not in layout:
+                raise unknown_name(kind, name, leg.where, layout.names)
+        missing = [name for name in layout.names if name not in given]
+        if missing:
+            raise ProblemError(f"{kind} '{missing[0]}' of {leg.where} is missing: give its samples.")
+        rows = [
+            _shaped(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.where}")
+            for name in layout.names
+        ]
+        return np.vstack(rows) if rows else np.zeros((0, n_times))
+    return _shaped(given, (layout.size, n_times), what)
+
+
+def _shaped(value: Values, shape: tuple[int, int], what: str) -> Array:
+    array = read_numbers(value, what, ProblemError)
+    if shape[0] == 0 and array.size == 0:
+        return np.zeros(shape)
+    if shape[0] == 1 and array.shape == shape[1:]:
+        array = array[None, :]
+    if array.shape != shape:
+        raise ProblemError(f"{what} has shape {array.shape} where {shape} is needed: one column per time.")
+    return _finite(array, what)
+
+
+def _finite(array: Array, what: str) -> Array:
+    if not np.all(np.isfinite(array)):
+        raise ProblemError(f"{what}: not every number is finite; give a complete trajectory.")
+    return array
+
+
+def _parameters(problem: Problem, p: Values) -> Array:
+    layout, what = problem.parameters, f"the free parameters of '{problem.name}'"
+    if p is None:
+        if layout.size:
+            raise ProblemError(f"{what} {list(layout.names)} are missing: give p.")
+        return np.zeros(0)
+    if isinstance(p, Mapping):
+        for name in p:
+            if name not in layout:
+                raise unknown_name("free parameter", name, f"problem '{problem.name}'", layout.names)
+        values = layout.stack(p)
+        missing = [label for label, value in zip(layout.labels, values, strict=True) if np.isnan(value)]
+        if missing:
+            raise ProblemError(
+                f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
+            )
+        return _finite(values, what)
+    values = read_numbers(p, what, ProblemError).reshape(-1)
+    if values.size != layout.size:
+        raise ProblemError(
+            f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."
+        )
+    return _finite(values, what)

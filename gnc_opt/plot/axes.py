@@ -1,0 +1,134 @@
+"""Sampling signals for drawing: dense, and with both limits wherever they may jump.
+
+What figures over time share: labels of components, their lines, axes that span all phases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.plot.style import QUIET, line_look, name_text
+from gnc_opt.tolerances import ROUNDING, magnitude
+
+Labels = Mapping[str, Sequence[str]]
+"""Component labels by variable name, e.g. ``{"omega": (r"$\\omega_x$", r"$\\omega_y$", r"$\\omega_z$")}``."""
+
+BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
+"""Look of a bound's line."""
+
+NEGLIGIBLE = 1e-7
+"""Shares of the Hamiltonian up to this are the solver's rounding."""
+
+
+def component_labels(name: str, signal: Any, labels: Labels | None) -> Sequence[str]:
+    """Return what the legend calls each component of a signal: as given, or by its own names."""
+    return (labels or {}).get(name) or [name_text(label) for label in signal.labels]
+
+
+def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
+    """Draw rows of ``values`` (n_components, n_times), each in its look; a label that the axis has is not repeated."""
+    known = set(ax.get_legend_handles_labels()[1])
+    for i, row in enumerate(values):
+        ax.plot(t, row, label=None if labels[i] in known else labels[i], **line_look(i))
+
+
+def leave_room(ax: Axes, least: float) -> None:
+    """Show at least ``least`` to both sides of the data, lest rounding errors fill the axis."""
+    low, high = ax.get_ylim()
+    if high - low < least:
+        ax.set_ylim(low - least, high + least)
+
+
+def _heights(line: Line2D) -> Array:
+    return np.asarray(line.get_ydata(), dtype=float)
+
+
+def span_phases(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
+    """Show all phases, with a dotted line between one and the next, and noise as zero."""
+    reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_heights, ax.lines)), default=0.0)
+    leave_room(ax, ROUNDING * float(magnitude(reach)))
+    ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
+    for leg in legs[1:]:
+        ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
+
+
+PER_PIECE = 24
+"""Samples per segment: enough for polynomials of any degree that a figure can resolve."""
+
+
+def sample(
+    function: Callable[..., Any], breaks: Array, per_piece: int = PER_PIECE, gaps: bool = False
+) -> tuple[Array, Array]:
+    """Evaluate ``function(t, side=...)`` densely between breaks, with its one-sided limits at them.
+
+    Parameters
+    ----------
+    function : callable
+        E.g. a `Signal`; returns (n, n_times), or (n_times,) for a scalar quantity.
+    breaks : array (K + 1,)
+        Where the function may jump, ends included, s.
+    per_piece : int
+        Samples per piece, at least 2.
+    gaps : bool
+        Separate the pieces by NaN, so that a line is not drawn across a jump.
+
+    Returns
+    -------
+    t : array (n_times,)
+    values : array (n, n_times)
+    """
+    times = np.linspace(breaks[:-1], breaks[1:], per_piece, axis=1)
+    right = np.atleast_2d(function(times[:, :-1].ravel(), side="right"))
+    left = np.atleast_2d(function(times[:, -1], side="left"))
+    n, pieces = right.shape[0], times.shape[0]
+    values = np.concatenate([right.reshape(n, pieces, -1), left.reshape(n, pieces, 1)], axis=2)
+    if gaps:
+        times = np.concatenate([times, times[:, -1:]], axis=1)
+        values = np.concatenate([values, np.full((n, pieces, 1), np.nan)], axis=2)
+    return times.ravel(), values.reshape(n, -1)
+
+
+def chosen_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
+    """Return the named phase, or all of them in order."""
+    return list(solution.phases.values()) if phase is None else [solution.phase(phase)]
+
+
+def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
+    """Return the names of states ("states") or controls ("controls") to draw; raise for unknown ones."""
+    layouts = [getattr(leg, kind) for leg in legs]
+    known = list(dict.fromkeys(name for layout in layouts for name in layout.names))
+    for name in names or ():
+        if name not in known:
+            layouts[0].slice(name)
+    return known if names is None else list(names)
+
+
+def zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
+    """Return the times at which sampled values change sign, by linear interpolation.
+
+    Parameters
+    ----------
+    t, values : array (n_times,)
+    negligible : float
+        Values up to this magnitude are rounding and have no sign.
+    """
+    clear = np.abs(values) > negligible
+    t, values = t[clear], values[clear]
+    k = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return np.asarray(t[k] - values[k] * (t[k + 1] - t[k]) / (values[k + 1] - values[k]))
+
+
+def data_range(values: ArrayLike) -> tuple[float, float]:
+    """Return smallest and largest finite value; (0, 0) if there is none."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)

@@ -1,0 +1,207 @@
+"""Progress meters on standard error: of solves, refinements, searches and campaigns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeAlias
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from gnc_opt.planning.solution.history import Pass
+
+Show: TypeAlias = Callable[[int, float, float], None]
+ShowPass: TypeAlias = Callable[[Pass], None]
+ShowEnding: TypeAlias = Callable[["float | None"], None]
+ShowRuns: TypeAlias = Callable[[int, int], None]
+
+PERIOD = 0.1
+"""Least time between two updates, s."""
+
+
+@contextmanager
+def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
+    """Show the iterations of a solve while it runs.
+
+    On a terminal one line is updated in place, at most ten times a second, and stays when the solve ends.
+    Elsewhere (a file, a pipe) only that last line is written.
+
+    Parameters
+    ----------
+    name : str
+        Of the problem.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(iteration, objective, infeasibility)``: the NLP's iterate; infeasibility is the largest scaled
+        violation.
+    """
+    console = _standard_error() if console is None else console
+    meter = _Meter(name, console)
+    try:
+        yield meter.show
+    finally:
+        meter.close()
+
+
+class _Meter:
+    def __init__(self, name: str, console: Console) -> None:
+        self._name = name
+        self._console = console
+        self._begin = time.monotonic()
+        self._due = self._begin
+        self._line: Text | None = None
+        # No refresh thread: it would compete with the solver for the interpreter.
+        self._live = (
+            Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        )
+        if self._live:
+            self._live.start()
+
+    def show(self, iteration: int, objective: float, infeasibility: float) -> None:
+        now = time.monotonic()
+        self._line = Text.assemble(
+            (self._name, "bold"),
+            f"  iteration {iteration}  objective {objective:.8g}  infeasibility {infeasibility:.1e}",
+            (f"  {now - self._begin:.1f} s", "dim"),
+            no_wrap=True,
+            overflow="ellipsis",
+        )
+        if self._live and now >= self._due:
+            self._live.update(self._line, refresh=True)
+            self._due = now + PERIOD
+
+    def close(self) -> None:
+        if self._live:
+            self._live.stop()
+        if self._line is not None:
+            self._console.print(self._line, soft_wrap=not self._console.is_terminal)
+
+
+@contextmanager
+def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
+    """Show each pass of a refinement when it is done, and on a terminal that the next one is being solved.
+
+    Parameters
+    ----------
+    name : str
+        Of the problem.
+    tolerance : float
+        What the error should come down to.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(record)``
+    """
+    console = _standard_error() if console is None else console
+    console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
+    count = 0
+    with console.status("solving") as status:
+
+        def show(record: Pass) -> None:
+            nonlocal count
+            line = (
+                f"  pass {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "
+                f"objective {record.objective:.10g}  {record.iterations} iterations, {record.seconds:.1f} s"
+            )
+            ending = "" if record.solved else "  not solved"
+            console.print(Text(line + ending), soft_wrap=True)
+            count += 1
+            status.update(f"solving pass {count} (error {record.error:.1e})")
+
+        yield show
+
+
+@contextmanager
+def search_meter(
+    name: str, total: int, sense: float = 1.0, console: Console | None = None
+) -> Iterator[ShowEnding]:
+    """Show how many of ``total`` tasks have ended and the best objective among them.
+
+    Parameters
+    ----------
+    name : str
+        What is counted.
+    total : int
+    sense : float
+        Negative where a larger objective is better.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(objective)``; None for a task without one.
+    """
+    with _bar(name, total, console) as advance:
+        best: float | None = None
+
+        def show(objective: float | None) -> None:
+            nonlocal best
+            if objective is not None and (best is None or sense * objective < sense * best):
+                best = objective
+            advance(1, "" if best is None else f"best {best:.8g}")
+
+        yield show
+
+
+@contextmanager
+def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
+    """Show how many of ``total`` runs have ended and how many of those failed.
+
+    Parameters
+    ----------
+    total : int
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(runs, failed)``: so many more have ended, so many of those failed.
+    """
+    with _bar("runs", total, console) as advance:
+        all_failed = 0
+
+        def show(runs: int, failed: int) -> None:
+            nonlocal all_failed
+            all_failed += failed
+            advance(runs, f"{all_failed} failed" if all_failed else "")
+
+        yield show
+
+
+@contextmanager
+def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
+    """One bar; yields ``advance(count, note)``, whose note stands behind the bar."""
+    console = _standard_error() if console is None else console
+    columns = (
+        TextColumn("{task.description}", style="bold"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, auto_refresh=False) as progress:
+        bar = progress.add_task(name, total=total, note="")
+
+        def advance(count: int, note: str) -> None:
+            progress.update(bar, advance=count, note=note, refresh=console.is_terminal)
+
+        yield advance
+
+
+def _standard_error() -> Console:
+    """Return standard error; notebooks write over a line as terminals do, which needs no widgets of theirs."""
+    notebook = Console().is_jupyter
+    return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

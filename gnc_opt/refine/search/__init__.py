@@ -1,1 +1,0 @@
-"""Global search: many starts, distinct minima."""

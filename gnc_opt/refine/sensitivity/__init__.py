@@ -1,1 +1,0 @@
-"""Derivatives of a solution with respect to the data of its problem."""

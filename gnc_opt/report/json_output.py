@@ -1,0 +1,269 @@
+"""The summary of a solution that a program reads; docs/reference/json_summary.md documents it.
+
+What a search from many starts found, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.arcs import Arc
+from gnc_opt.planning.solution.history import History
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import known_quality, left_tables, mesh_text
+from gnc_opt.planning.solution.verdict import Condition, Verdict
+from gnc_opt.planning.study.multistart import Multistart
+
+
+def search_dict(found: Multistart) -> dict[str, Any]:
+    """Return what a search found as plain JSON values; each minimum with the summary of its solution.
+
+    Parameters
+    ----------
+    found : Multistart
+
+    Examples
+    --------
+    >>> from gnc_opt.report import search_dict
+    >>> told = search_dict(go.multistart(problem, n=2, seed=1, executor="serial", refine=False))
+    >>> print(told["finished"], len(told["minima"]))
+    2 1
+    """
+    return {
+        "problem": found.problem_name,
+        "starts": found.starts,
+        "finished": found.finished,
+        "seed": found.seed,
+        "interrupted": found.interrupted,
+        "failures": dict(found.failures),
+        "minima": [
+            {
+                "objective": minimum.objective,
+                "hits": minimum.hits,
+                "starts": list(minimum.starts),
+                "trajectories": minimum.trajectories,
+                "coarse_objectives": list(minimum.coarse_objectives),
+                "refined": minimum.refined,
+                "verdict_ok": minimum.verdict_ok,
+                "standing": minimum.standing,
+                "solution": summary_dict(minimum.solution),
+            }
+            for minimum in found.minima
+        ],
+    }
+
+
+def search_text(found: Multistart) -> str:
+    """Return `search_dict` as indented JSON text with a trailing newline."""
+    return json.dumps(search_dict(found), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_search(path: str | Path, found: Multistart) -> Path:
+    """Write `search_dict` to a file as UTF-8 JSON; returns its path.
+
+    Parameters
+    ----------
+    path : str or Path
+    found : Multistart
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_search
+    >>> print(write_search("search.json", go.multistart(problem, n=2, seed=1, executor="serial", refine=False)))
+    search.json
+    """
+    target = Path(path)
+    target.write_text(search_text(found), encoding="utf-8")
+    return target
+
+
+SCHEMA = 2
+"""Raised when a key is removed or changes its meaning; new keys may come at any time."""
+
+
+def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str, Any]:
+    """Return the summary as plain JSON values.
+
+    Parameters
+    ----------
+    solution : Solution
+    verdict : Verdict, optional
+        None leaves ``verdict`` null.
+
+    Returns
+    -------
+    dict
+        Strings, numbers, booleans, None, lists and dicts; what is not finite or was not measured is None.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import summary_dict
+    >>> print(summary_dict(solution)["status"])
+    optimal
+    """
+    quality = known_quality(solution)
+    spent = solution.statistics
+    told: dict[str, Any] = _plain(
+        {
+            "schema": SCHEMA,
+            "problem": solution.problem_name,
+            "status": solution.status.value,
+            "solved": solution.status.solved,
+            "objective": solution.objective,
+            "maximised": solution.maximised,
+            "iterations": spent.iterations,
+            "build_s": spent.build_s,
+            "solve_s": spent.solve_s,
+            "scheme": next(iter(solution.phases.values())).scheme,
+            "mesh": mesh_text(solution),
+            "max_defect": quality and quality.max_defect,
+            "max_defect_where": quality and quality.defect_where,
+            "max_bound_violation": quality and quality.max_bound_violation,
+            "max_bound_violation_where": quality and quality.bound_where,
+            "terminal_error": quality and quality.terminal_error,
+            "terminal_error_where": quality and quality.terminal_where,
+            "bound": _bound(solution),
+            "outside_tables": [str(found) for found in left_tables(solution)],
+            "verdict": None if verdict is None else _verdict(verdict),
+            "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
+            "structure": [_arc(arc) for arc in solution.structure],
+            "refinement": None if solution.history is None else _refinement(solution.history),
+            "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
+            "phases": [_phase(leg) for leg in solution.phases.values()],
+            "provenance": dict(solution.provenance),
+        }
+    )
+    return told
+
+
+def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:
+    """Write `summary_dict` to a file as UTF-8 JSON; returns its path.
+
+    Parameters
+    ----------
+    path : str or Path
+    solution : Solution
+    verdict : Verdict, optional
+        None leaves ``verdict`` null.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_json
+    >>> path = write_json("cart.json", solution)
+    """
+    target = Path(path)
+    target.write_text(json_text(solution, verdict), encoding="utf-8")
+    return target
+
+
+def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
+    """Return `summary_dict` as indented JSON text with a trailing newline."""
+    return json.dumps(summary_dict(solution, verdict), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _bound(solution: Solution) -> dict[str, Any] | None:
+    bound = solution.bound
+    if bound is None:
+        return None
+    return {
+        "value": bound.value,
+        "gap": solution.gap,
+        "states": list(bound.states),
+        "certified": bound.certified,
+        "theorem": bound.theorem,
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "ok": verdict.ok,
+        "minimum": verdict.minimum,
+        "estimated": verdict.estimated,
+        "conditions": [_condition(c) for c in verdict.conditions],
+    }
+
+
+def _condition(condition: Condition) -> dict[str, Any]:
+    return {
+        "name": condition.name,
+        "result": condition.result.value,
+        "value": condition.value,
+        "tolerance": condition.tolerance,
+        "where": condition.where,
+        "meaning": condition.meaning,
+        "sufficient": condition.sufficient,
+        "loss": condition.loss,
+        "unit": condition.unit,
+    }
+
+
+def _arc(arc: Arc) -> dict[str, Any]:
+    return {
+        "phase": arc.phase,
+        "channel": arc.channel,
+        "kind": arc.kind.value,
+        "start": arc.start,
+        "end": arc.end,
+    }
+
+
+def _refinement(history: History) -> dict[str, Any]:
+    return {
+        "status": history.status.value,
+        "tolerance": history.tolerance,
+        "passes": len(history.passes),
+        "error": history.final.error,
+        "seconds": history.seconds,
+    }
+
+
+def _phase(leg: PhaseSolution) -> dict[str, Any]:
+    return {
+        "name": leg.name,
+        "initial_time": leg.initial_time,
+        "final_time": leg.final_time,
+        "segments": leg.mesh.segments,
+        "points": leg.mesh.size,
+        "states": _layout(leg.states),
+        "controls": _layout(leg.controls),
+    }
+
+
+def _layout(layout: Layout) -> list[dict[str, Any]]:
+    return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,147 @@
+"""Course: what one run follows, as re-planning in flight changes it."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.reference import Reference
+from gnc_opt.errors import GncOptError, in_words
+from gnc_opt.guidance.replanning import Replanner
+from gnc_opt.model.variables import Layout
+from gnc_opt.tolerances import STEP_SLACK
+
+
+@dataclass(frozen=True)
+class Replan:
+    """A re-planning in flight.
+
+    Attributes
+    ----------
+    time : float
+        When it was begun, s.
+    effective : float
+        When the new plan begins, s.
+    solve_s : float
+        Wall time that it took here, s.
+    failure : str
+        Why there is no new plan and the old one stays; "" if there is one.
+    final_time : float
+        End of the new plan, s; not-a-number where there is none.
+    objective : float
+        Its cost.
+    way : str
+        How it was found, see `gnc_opt.planning.solver.Way`.
+
+    Examples
+    --------
+    >>> from gnc_opt.guidance import Replanner
+    >>> planner = Replanner(lambda: go.Resolver(solution), every=0.5, latency=0.1, last=0.5)
+    >>> led = go.ClosedLoop(cart, go.feedforward(go.Reference(solution)), replanner=planner, dt=0.1)
+    >>> (first, *others) = led.simulate([1.1, 0.0], tf=2.5).replans
+    >>> print(first.time, round(first.effective, 6), first.failed, first.way)
+    0.5 0.6 False switch times
+    """
+
+    time: float
+    effective: float
+    solve_s: float
+    failure: str = ""
+    final_time: float = math.nan
+    objective: float = math.nan
+    way: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether the old plan was kept."""
+        return bool(self.failure)
+
+
+class Course:
+    """The rows of the schedule of one run.
+
+    Parameters
+    ----------
+    replanner : Replanner or None
+    times : array (n_steps + 1,)
+        s.
+    schedule : array (n_signals, n_steps + 1)
+        As planned before the flight.
+    dt : float
+        Control step, s.
+    followed : Layout
+        States that the controller feeds back.
+    places : int array (n_followed,) or None
+        Rows of the schedule that are their reference.
+
+    Attributes
+    ----------
+    schedule : array (n_signals, n_steps + 1)
+        Now.
+    replans : list of Replan
+    """
+
+    def __init__(
+        self,
+        replanner: Replanner | None,
+        times: Array,
+        schedule: Array,
+        dt: float,
+        followed: Layout,
+        places: Any,
+    ) -> None:
+        self.replanner, self.times, self.schedule, self.dt = replanner, times, schedule, dt
+        self.followed, self.places = followed, places
+        self.replans: list[Replan] = []
+        if replanner is not None:
+            self.schedule = schedule.copy()
+            self._plan, self._path = replanner.plan, Reference(replanner.plan, tail="hold")
+
+    def reference_at(self, times: Array) -> Array | None:
+        """Return what is followed (n_followed, n_times) at these times (s), linear between control steps."""
+        if self.places is None:
+            return None
+        return np.stack([np.interp(times, self.times, row) for row in self.schedule[self.places]])
+
+    def consider(self, step: int, x: Array) -> None:
+        """Re-plan at a control step, from the estimated states (n_followed,), if that is asked for then."""
+        planner = self.replanner
+        assert planner is not None
+        t, late = float(self.times[step]), math.ceil(planner.latency / self.dt - STEP_SLACK)
+        if step + late >= self.times.size - 1:
+            return
+        if self.times[step + late] >= self._path.final_time - planner.last:
+            return
+        if self.replans and t < self.replans[-1].effective - self.dt / 2:
+            return  # the one before is not ready yet
+        there = np.full(x.size, np.nan) if self.places is None else self.schedule[self.places, step]
+        if np.isfinite(x).all() and not planner.wanted(t, x, there):
+            return
+        names = planner.model.states.names
+        start = np.concatenate([x[self.followed.slice(n)] for n in names])
+        self.replans.append(self._replanned(planner, step, step + late, start))
+
+    def _replanned(self, planner: Replanner, step: int, first: int, x: Array) -> Replan:
+        """Plan for the steps from ``first`` on; what cannot be solved leaves the old plan."""
+        t, begin = float(self.times[step]), float(self.times[first])
+        begun = time.perf_counter()
+        try:
+            if not np.isfinite(x).all():
+                raise GncOptError("the estimated state is not a number")
+            state = planner.predicted(self._path, t, x, begin, self.dt)
+            plan = planner.solved(begin, state, self._plan)
+            rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
+            path = Reference(plan, tail="hold")
+        except (
+            Exception
+        ) as error:  # in flight the old plan is what there is, whatever a solver or a design does
+            return Replan(t, begin, time.perf_counter() - begun, in_words(error))
+        self.schedule[:, first:] = rows
+        self._plan, self._path = plan, path
+        way, cost = str(plan.provenance.get("way", "")), float(plan.objective)
+        return Replan(t, begin, time.perf_counter() - begun, "", path.final_time, cost, way)

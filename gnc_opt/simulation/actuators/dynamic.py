@@ -1,0 +1,252 @@
+"""Actuators whose output comes after the command: lags, limited rates, delays, and those that listen now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.control.sampled_data import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.simulation.block import (
+    POSITIVE,
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    clip,
+    differs,
+    rows,
+    scalar,
+    values,
+)
+from gnc_opt.simulation.intersample_input import Part, Wave
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
+
+INSTANT = 1e-12
+"""A time constant below this (s) is none."""
+
+_TRIM = "trim"
+"""What an actuator is told that begins with the feedforward."""
+
+
+@dataclass(frozen=True)
+class _Following(Block):
+    """An actuator whose output follows the command from somewhere.
+
+    Attributes
+    ----------
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: what arrives of the controller's feedforward, so
+        that a vehicle that rests under it stays at rest.
+    """
+
+    initial: ArrayLike | None = field(default=None, kw_only=True)
+
+    @property
+    def in_trim(self) -> bool:
+        """Whether it begins with the feedforward."""
+        return isinstance(self.initial, str) and self.initial == _TRIM
+
+    def _first(self, size: int, unit: str) -> Defaults:
+        """Return the parameter that says where it begins, if a number does."""
+        if self.initial is None or self.in_trim:
+            return {}
+        return {"initial": (values(self.initial, size, f"the first output of '{self.name}'"), unit)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        if self.in_trim:
+            return signal
+        return p["initial"] if "initial" in p else ca.SX.zeros(signal.shape[0])
+
+
+@dataclass(frozen=True)
+class Lag(_Following):
+    r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
+
+    Solved in closed form for held commands and what `Delay` and `RateLimit` make of them; of other waves it takes
+    the mean.
+
+    Parameters
+    ----------
+    tau : float or one per component
+        s, >= 0.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Lag
+    >>> block = Lag("valve", 0.05, on="a")
+    """
+
+    tau: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        tau = values(self.tau, size, f"the time constant of '{self.name}'")
+        return {"tau": (tau, "s"), **self._first(size, unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"tau": (0.0, math.inf)}
+
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave if wave.straight else wave.averaged(tick.h)
+        tau, y = ca.fmax(p["tau"], INSTANT), state
+        parts, impulse = [], ca.SX.zeros(state.shape[0])
+        for part, end in wave.pieces(tick.h):
+            length, settled = end - part.begin, part.value - part.slope * tau
+            gap = y - settled
+            parts.append(Part(part.begin, settled, part.slope, gap))
+            impulse += (settled + 0.5 * part.slope * length) * length - gap * tau * ca.expm1(-length / tau)
+            y = settled + part.slope * length + gap * ca.exp(-length / tau)
+        step = Step(impulse / tick.h, y)
+        return Wave(step.signal, tuple(parts), tau, wave.breaks, blur=wave.blur), step
+
+
+@dataclass(frozen=True)
+class RateLimit(_Following):
+    """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
+
+    Ramp and plateau begin where they do, for held commands and what `Delay` makes of them; of other waves it takes the
+    mean.
+
+    Parameters
+    ----------
+    rate : float or one per component
+        Unit of the command per s, > 0.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import RateLimit
+    >>> block = RateLimit("slew", 2.0, on="a")
+    """
+
+    rate: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        rate = values(self.rate, size, f"the rate of '{self.name}'")
+        return {"rate": (rate, f"{unit}/s"), **self._first(size, unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"rate": (POSITIVE, math.inf)}
+
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave if wave.stepped else wave.averaged(tick.h)
+        y, size = state, state.shape[0]
+        zero, parts, breaks = ca.SX.zeros(size), [], list(wave.breaks)
+        impulse, saturated = zero, zero
+        for part, end in wave.pieces(tick.h):
+            length = end - part.begin
+            wanted = part.value - y
+            change = clip(wanted, -p["rate"] * length, p["rate"] * length)
+            ramp = ca.fabs(change) / p["rate"]
+            arrival = part.begin + ramp
+            parts += [
+                Part(part.begin, y, ca.sign(wanted) * p["rate"], zero),
+                Part(arrival, y + change, zero, zero),
+            ]
+            breaks += ca.vertsplit(arrival)
+            impulse += y * length + change * (length - 0.5 * ramp)
+            saturated = ca.fmax(saturated, differs(change, wanted))
+            y = y + change
+        step = Step(impulse / tick.h, y, saturated)
+        return Wave(step.signal, tuple(parts), None, tuple(breaks), blur=wave.blur), step
+
+
+@dataclass(frozen=True)
+class Delay(_Following):
+    """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
+
+    Commands held over minor steps arrive when they do, also within a minor step; of waves the mean is taken. As delays,
+    rate limits and lags are the same in any order, put the delay first.
+
+    Parameters
+    ----------
+    delay : float
+        s, >= 0.
+    maximum : float, optional
+        Longest delay that a run may have, s; default the delay itself.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Delay
+    >>> block = Delay("bus", 0.02, on="a")
+    """
+
+    delay: float
+    maximum: float | None = None
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s"), **self._first(size, unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"delay": (0.0, self._length(h) * h * (1 + ROUNDING))}
+
+    def _length(self, h: float) -> int:
+        longest = self.delay if self.maximum is None else self.maximum
+        longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
+        return started_steps(longest, h)
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
+
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave.averaged(tick.h)
+        size = wave.mean.shape[0]
+        line = ca.vertcat(wave.mean, state)  # newest first
+        steps = p["delay"] / tick.h
+        whole = ca.floor(steps + SAME_TIME)
+        share = ca.fmax(
+            0.0, steps - whole
+        )  # of the minor step, at its beginning, that belongs to the older command
+        newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
+        for i in range(line.shape[0] // size):
+            # chosen, not weighed: a command that is not a number must not arrive early
+            newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
+            older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
+        older = ca.if_else(share > 0, older, newer)
+        begin, zero = share * tick.h, ca.SX.zeros(size)
+        parts = (Part(zero, older, zero, zero), Part(zero + begin, newer, zero, zero))
+        step = Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
+        return Wave(step.signal, parts, None, (begin,), blur=wave.blur), step
+
+
+@dataclass(frozen=True)
+class Hold(Block):
+    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step).
+
+    Parameters
+    ----------
+    period : float
+        A multiple of the minor step, s.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Hold
+    >>> block = Hold("slow valve", 0.5, on="a")
+    """
+
+    period: float
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        self._steps(h)
+
+    def _steps(self, h: float) -> int:
+        count = whole_steps(self.period, h, f"the period of '{self.name}'")
+        return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.vertcat(signal, 0.0)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        output = ca.if_else(is_first(state[size]), signal, state[:size])
+        return Step(output, ca.vertcat(output, next_phase(state[size], self._steps(tick.h))))

@@ -1,0 +1,258 @@
+"""Mission: what every worker of a campaign needs to fly any of its runs.
+
+A batch is a range of run numbers. Whoever flies it gets the same flight and draws everything from the seed and the
+number of each run, so that it makes no difference who flies what.
+
+Checkpoint: the runs of a campaign that have ended, in a folder, one file per batch.
+
+Every file is a small `Campaign` that is there as a whole or not at all, whenever the process is killed. Whoever resumes
+flies the runs that are in no file; that a folder is of the same campaign is seen from the flight, the seed, and a run
+of each file, whose parameters are drawn again.
+
+Gathering: batches of runs as one campaign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError, in_words
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.dispersions import Dispersions, dispersed
+from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantities import sample_steps
+from gnc_opt.workers import Done, WorkerDied
+
+MOST_PER_FILE = 25
+"""Runs in a batch at most: what a process has in flight when the campaign is killed."""
+
+_PATTERN = "runs * to *.npz"
+
+
+def stored(folder: Path, mission: Mission, runs: int) -> list[Flown]:
+    """Return the runs below number ``runs`` that are in the folder; it is made if it is not there.
+
+    Raises
+    ------
+    GncOptError
+        The folder is of another campaign, or a file in it is damaged.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    found = []
+    for path in sorted(folder.glob(_PATTERN)):
+        part = _load(path)
+        _require_same(part, mission, path)
+        count = int(np.sum(part.indices < runs))
+        if count:
+            found.append(_flown(part, count))
+    return found
+
+
+def store(folder: Path, part: Campaign) -> None:
+    """Write runs with consecutive numbers."""
+    part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
+
+
+def _load(path: Path) -> Campaign:
+    try:
+        return Campaign.load(path)
+    except GncOptError as error:
+        raise GncOptError(
+            f"the checkpoint cannot be read: {str(error).partition(';')[0].rstrip('.')}. Delete this file: the same "
+            "call then flies its runs again."
+        ) from error
+
+
+def _require_same(part: Campaign, mission: Mission, path: Path) -> None:
+    first = int(part.indices[0])
+    why = ""
+    if part.fingerprint != mission.flight.fingerprint:
+        why = "another loop or span"
+    elif part.seed != mission.seed:
+        why = f"the seed {part.seed}, not {mission.seed}"
+    elif not np.array_equal(
+        part.parameters[:, 0], mission.parameters(range(first, first + 1))[:, 0], equal_nan=True
+    ):
+        why = "other dispersions, initial states or parameters"
+    if why:
+        raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
+
+
+def _flown(part: Campaign, count: int) -> Flown:
+    first = int(part.indices[0])
+    ending = Ending(
+        states=part.states[:, :count],
+        errors=None,
+        memory=part.memory[:, :count],
+        effort=part.effort[:, :count],
+        energy=part.energy[:, :count],
+        saturation_time=part.saturation_time[:, :count],
+        variation=part.variation[:, :count],
+        integration_error=part.integration_error[:count],
+        averaging_error=np.full(count, np.nan),
+        instant_error=np.full(count, np.nan),
+        outcomes=part.outcomes[:count],
+        event_counts=part.event_counts[:, :count],
+        event_times=part.event_times[:, :count],
+        replans=part.replans[:, :count],
+        sums=part.sums[:, :count],
+        samples=part.samples[:, :, :count],
+    )
+    return Flown(range(first, first + count), part.parameters[:, :count], ending)
+
+
+def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array) -> Campaign:
+    """Return the campaign of these batches of runs; ``goal`` (n_states,) is what ends are compared with."""
+
+    def joined(attribute: str, size: int) -> Array:
+        parts = [
+            np.full((size, len(p.batch)), np.nan)
+            if p.ending is None
+            else np.asarray(getattr(p.ending, attribute)).reshape(size, len(p.batch))
+            for p in flown
+        ]
+        return np.hstack([np.empty((size, 0)), *parts])
+
+    states = joined("states", flight.states.size)
+    outcomes: list[Outcome] = []
+    for part in flown:
+        lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
+        outcomes += lost if part.ending is None else part.ending.outcomes
+    errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
+    if states.shape[1]:
+        errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
+    way = {}
+    if flight.quantities is not None:
+        count, at = len(flight.quantities), sample_steps(flight.n_steps)
+        samples = joined("samples", count * at.size).reshape(count, at.size, -1)
+        way = {"sums": joined("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
+    drawn = [p.parameters for p in flown if p.parameters is not None]
+    return Campaign(
+        seed=seed,
+        asked=asked,
+        indices=np.array([i for part in flown for i in part.batch], dtype=np.int64),
+        parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
+        states=states,
+        errors=errors,
+        target=goal,
+        effort=joined("effort", flight.controls.size),
+        energy=joined("energy", flight.controls.size),
+        saturation_time=joined("saturation_time", flight.commands.size),
+        variation=joined("variation", flight.commands.size),
+        integration_error=joined("integration_error", 1)[0],
+        outcomes=tuple(outcomes),
+        span=(float(flight.times[0]), float(flight.times[-1])),
+        limits={},
+        measured={},
+        interrupted=False,
+        layouts={
+            "parameter": flight.layout,
+            "state": flight.states,
+            "error": flight.error_layout,
+            "applied": flight.controls,
+            "command": flight.commands,
+            "memory": flight.memory,
+            "event": flight.events,
+            **({} if flight.quantities is None else {"quantity": flight.quantities.layout}),
+        },
+        flight=flight,
+        fingerprint=flight.fingerprint,
+        memory=joined("memory", flight.memory.size),
+        event_counts=joined("event_counts", flight.events.size),
+        event_times=joined("event_times", flight.events.size),
+        replans=joined("replans", 2),
+        **way,
+    )
+
+
+MOST_PER_BATCH = 100
+"""Runs in a batch at most: what Ctrl-C can lose per process, and a step of the progress bar."""
+
+BATCHES = 32
+"""Number of batches aimed at, enough to occupy all processes evenly."""
+
+Batch: TypeAlias = range
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """The flight, and how runs differ."""
+
+    flight: Flight
+    dispersions: Dispersions
+    seed: int
+
+    def parameters(self, batch: Batch) -> Array:
+        """Return the columns P (n_parameters, n) of runs."""
+        flight = self.flight
+        columns = [
+            dispersed(self.dispersions, flight.layout, flight.nominal, self.seed, index) for index in batch
+        ]
+        return np.stack(columns, axis=1)
+
+    def fly(self, batch: Batch) -> list[Flown]:
+        """Fly a batch of runs; those that raise an exception are set apart from the others."""
+        try:
+            P = self.parameters(batch)
+            return [Flown(batch, P, self.flight.final(P, [[self.seed, index] for index in batch]))]
+        except Exception as error:  # whatever a dispersion or a solver in the loop does, no run is lost
+            if len(batch) == 1:
+                return [Flown(batch, None, None, in_words(error))]
+            return [flown for half in halves(batch) for flown in self.fly(half)]
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """A batch of runs with their parameters and endings, or with what prevented them.
+
+    Attributes
+    ----------
+    parameters : array (n_parameters, n) or None
+    ending : Ending or None
+    mishap : str
+        Why there is no ending.
+    died : bool
+        Whether the process that was to fly it died.
+    """
+
+    batch: Batch
+    parameters: Array | None
+    ending: Ending | None
+    mishap: str = ""
+    died: bool = False
+
+
+def batches(runs: int, flown: Iterable[Batch] = (), most: int = MOST_PER_BATCH) -> list[Batch]:
+    """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
+    size = min(most, max(1, runs // BATCHES))
+    ends = sorted((batch.start, batch.stop) for batch in flown)
+    gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
+    return [
+        range(first, min(first + size, stop)) for start, stop in gaps for first in range(start, stop, size)
+    ]
+
+
+def halves(batch: Batch) -> tuple[Batch, ...]:
+    """Return the two halves of a batch; none of a single run."""
+    if len(batch) == 1:
+        return ()
+    middle = batch.start + len(batch) // 2
+    return range(batch.start, middle), range(middle, batch.stop)
+
+
+def flown_parts(done: Done[Batch, list[Flown]]) -> list[Flown]:
+    """Return what became of a batch, also of one that nobody could fly."""
+    if done.answer is not None:
+        return done.answer
+    assert done.error is not None
+    died = isinstance(done.error, WorkerDied)
+    why = str(done.error) if died else in_words(done.error)
+    return [Flown(done.item, None, None, why, died)]

@@ -1,0 +1,147 @@
+"""A campaign: its table, and its statistics as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
+
+LEVELS = (0.5, 0.9, 0.95, 0.99)
+"""Of the percentiles that are printed and written."""
+
+_CAUSES = 8
+"""Causes of failure that are printed."""
+
+_LISTED = 5
+"""Numbers of failed runs that are printed for each cause."""
+
+
+def shown_measures(campaign: Campaign) -> tuple[str, ...]:
+    """Return the measures worth a row: those with limits first, then errors, own measures and efforts."""
+    errors = [n for n in campaign.measures if "(" not in n]
+    efforts = [n for n in campaign.measures if n.startswith("effort(")]
+    return tuple(dict.fromkeys([*campaign.limits, *errors, *efforts]))
+
+
+def campaign_table(campaign: Campaign) -> str:
+    """Return a campaign as a short table: what ended how, percentiles, and pass rates with their intervals."""
+    runs, asked = len(campaign), campaign.asked
+    counts = ", ".join(f"{count} {status.value}" for status, count in campaign.counts.items())
+    interrupted = f" of {asked}, interrupted" if campaign.interrupted else ""
+    lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
+    if not runs:
+        return lines[0]
+    rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
+    for name in shown_measures(campaign):
+        values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
+        limit, passed = "", ""
+        if name in campaign.limits:
+            limit, passed = f"{campaign.limits[name]:.3g}", str(campaign.pass_rate(name))
+        rows.append([name, campaign.unit(name), *(_short(v) for v in values), limit, passed])
+    if campaign.limits:
+        rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append(("  " + "  ".join(cells)).rstrip())
+    note = f"  intervals: {100 * CONFIDENCE:g} % confidence"
+    if all(np.isfinite(campaign.maximum(name)) for name in shown_measures(campaign)):
+        content = share_below_maximum(runs)
+        note += f"; as surely, {100 * content:.2f} % of all possible runs stay within each max"
+    lines.append(note)
+    return "\n".join([*lines, *_events(campaign), *_causes(campaign)])
+
+
+def _events(campaign: Campaign) -> list[str]:
+    """Return one line on the events, if the loop has any."""
+    told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
+    return [f"  events: {told}"] if told else []
+
+
+def _causes(campaign: Campaign) -> list[str]:
+    """Return one line per cause of failure, with the first runs that it struck."""
+    struck: dict[str, list[int]] = defaultdict(list)
+    for index, outcome in campaign.failures.items():
+        status = outcome.status.value
+        what = re.sub(r" (is )?[-+.\de]+(, |$)", r" \1", outcome.what).strip()  # without the run's own number
+        struck[f"{status}: {what}" if what else status].append(index)
+    ordered = sorted(struck.items(), key=lambda item: -len(item[1]))
+    lines = []
+    for cause, indices in ordered[:_CAUSES]:
+        more = ", ..." if len(indices) > _LISTED else ""
+        lines.append(f"  {len(indices)} {cause} (run {', '.join(map(str, indices[:_LISTED]))}{more})")
+    rest = sum(len(indices) for _, indices in ordered[_CAUSES:])
+    return [*lines, f"  {rest} for other causes"] if rest else lines
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "failed"
+
+
+def campaign_dict(campaign: Campaign) -> dict[str, Any]:
+    """Return the statistics of a campaign and what failed as plain JSON values; null is infinite."""
+    runs = len(campaign)
+    return {
+        "runs": runs,
+        "asked": campaign.asked,
+        "seed": campaign.seed,
+        "span": list(campaign.span),
+        "interrupted": campaign.interrupted,
+        "confidence": CONFIDENCE,
+        "outcomes": {status.value: count for status, count in campaign.counts.items()},
+        "events": campaign.event_totals,
+        "failures": [
+            {
+                "run": index,
+                "status": outcome.status.value,
+                "what": outcome.what,
+                "time": _number(outcome.time),
+            }
+            for index, outcome in campaign.failures.items()
+        ],
+        "measures": {name: _measure(campaign, name) for name in shown_measures(campaign)} if runs else {},
+        "passed": _rate(campaign.pass_rate()) if runs else None,
+        "share_below_maximum": share_below_maximum(runs) if runs else None,
+    }
+
+
+def _measure(campaign: Campaign, name: str) -> dict[str, Any]:
+    limited = name in campaign.limits
+    return {
+        "unit": campaign.unit(name),
+        "percentiles": [_percentile(campaign.percentile(name, level)) for level in LEVELS],
+        "max": _number(campaign.maximum(name)),
+        "limit": campaign.limits[name] if limited else None,
+        "passed": _rate(campaign.pass_rate(name)) if limited else None,
+    }
+
+
+def _percentile(found: Percentile) -> dict[str, Any]:
+    return {
+        "level": found.level,
+        "value": _number(found.value),
+        "low": _number(found.low),
+        "high": _number(found.high),
+    }
+
+
+def _rate(found: PassRate) -> dict[str, Any]:
+    return {"passed": found.passed, "rate": found.rate, "low": found.low, "high": found.high}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def campaign_text(campaign: Campaign) -> str:
+    """Return `campaign_dict` as indented JSON text with a trailing newline."""
+    return json.dumps(campaign_dict(campaign), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

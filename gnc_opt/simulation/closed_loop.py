@@ -1,0 +1,460 @@
+"""ClosedLoop: a plant, its controller, and what lies between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
+from gnc_opt.guidance.replanning import Replanner
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.compiled_loop import LEG, Flight
+from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
+from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.events import Event
+from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
+from gnc_opt.simulation.outcome import Judge
+from gnc_opt.simulation.quantities import Quantities, Quantity, read_quantities
+from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.step_selection import Accuracy
+from gnc_opt.simulation.wiring import Blocks, Wiring, wire
+from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
+
+_MAX_STEPS = 2_000_000
+"""Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
+
+
+_BESIDE = 1e-6
+"""How far from the nominal start the accuracy is looked at, relative."""
+
+_MAX_UNROLLED = 2000
+"""Integration steps per control step at most: they are written out one by one in the compiled function."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A plant under a discrete-time controller, with actuators, sensors and disturbances.
+
+    Every control step of ``dt`` begins with a measurement and a command, which is held; it has ``minor_steps``
+    equal parts, at which the actuators advance and between which the plant is integrated.
+
+    Parameters
+    ----------
+    plant : Model
+        May differ from the one the controller was designed with, as long as it has what the controller measures
+        (states, or outputs that depend on no control) and the applied controls by name; its other controls are zero.
+    controller : Controller
+        With an estimator between it and the sensors where `output_feedback` put one.
+    actuators, sensors : sequence of Block
+        In the order in which the signal passes them.
+    disturbances : sequence of Disturbance
+    events : sequence of Event
+        What ends a run, or changes the plant's states, at an instant of its own.
+    quantities : sequence of Quantity
+        What campaigns keep of the way: extremes, integrals and envelopes of expressions of the plant.
+    replanner : Replanner, optional
+        Solves the problem of the plan that the controller follows again in flight.
+    dt : float, optional
+        Control step, s; default the controller's own.
+    minor_steps : int
+        Parts of a control step.
+    accuracy : float
+        Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
+        are taken as the nominal run needs for a tenth of it (dispersed ones are less accurate) by the sum of its local
+        errors and their growth, a safe estimate: the true error is mostly a small share of it. A nominal run that ends
+        where it has begun, at rest, say, tells little: then as many as the plant's modes at its start need, moved by 1.
+        Runs that miss it are flagged.
+    substeps : int, optional
+        Integration steps per minor step; default: chosen by ``accuracy``.
+    plausible : float or mapping
+        Size of the plant's states, one for all or by name, beyond which a run counts as *diverged* at the end of a
+        control step (a limit on the way is one on a quantity, or an event); default 1e15 in any unit, also for the
+        states that a mapping leaves out.
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+
+    Examples
+    --------
+    >>> regulator = go.design_lqr(cart, [0.0, 0.0], Q=1, R=1, dt=0.1)
+    >>> run = go.ClosedLoop(cart, regulator, dt=0.1).simulate(x0=[1.0, 0.0], tf=10.0)
+    >>> print(run.outcome, run.miss("q") < 1e-3)
+    ok True
+    """
+
+    plant: Model
+    controller: Controller
+    actuators: Sequence[Block] = ()
+    sensors: Sequence[Block] = ()
+    disturbances: Sequence[Disturbance] = ()
+    events: Sequence[Event] = field(default=(), kw_only=True)
+    replanner: Replanner | None = field(default=None, kw_only=True)
+    quantities: Sequence[Quantity] = field(default=(), kw_only=True)
+    dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    minor_steps: int = field(default=1, kw_only=True)
+    accuracy: float = field(default=1e-9, kw_only=True)
+    substeps: int | None = field(default=None, kw_only=True)
+    plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
+    wiring: Wiring = field(init=False, repr=False)
+    _kernels: dict[tuple[int, bool], Kernel] = field(init=False, repr=False, default_factory=dict)
+    _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        expect(self.plant, Model, "the plant of a closed loop", "give a Model")
+        expect(
+            self.controller, Controller, "the controller of a closed loop", "design one or use feedforward()"
+        )
+        set_ = object.__setattr__
+        set_(self, "dt", self.controller.step_length(self.dt))
+        set_(self, "minor_steps", read_integer(self.minor_steps, "minor_steps of a closed loop", 1))
+        set_(self, "accuracy", read_positive(self.accuracy, "the accuracy of a closed loop"))
+        if self.substeps is not None:
+            read_integer(self.substeps, "substeps of a closed loop", 1)
+        self.plant.derivative()
+        for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
+            set_(
+                self,
+                name,
+                _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"),
+            )
+        set_(self, "events", _listed(self.events, Event, "events", "write Event(name, expression)"))
+        blocks = Blocks(
+            tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
+        )
+        quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
+        set_(self, "quantities", quantities)
+        read_quantities(self.plant, quantities)
+        if self.replanner is not None:
+            expect(
+                self.replanner,
+                Replanner,
+                "the replanner of a closed loop",
+                "write Replanner(resolver, every=...)",
+            )
+            followed, signals = self.controller.followed, self.controller.signals
+            self.replanner.check(followed, signals, self.dt, lambda t: self.controller.signal(t, self.dt))
+        plausible = _read_plausible(self.plausible, self.plant.states)
+        set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, plausible))
+
+    # --- what can be dispersed ----------------------------------------------------------------------------
+
+    @property
+    def layout(self) -> Layout:
+        """Names, sizes and units of everything that can differ between runs.
+
+        ``"plant.<parameter>"``, ``"initial.<state>"`` and ``"<block>.<parameter>"``.
+        """
+        return self.wiring.layout
+
+    @property
+    def defaults(self) -> Array:
+        """Values of `layout`, shape (n,); initial states are not-a-number until they are given."""
+        return self.wiring.defaults
+
+    @property
+    def ranges(self) -> tuple[Array, Array]:
+        """Least and largest permitted values of `layout`, each of shape (n,)."""
+        return self.wiring.ranges
+
+    def parameters(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        changes: Mapping[str, ArrayLike] | None = None,
+    ) -> Array:
+        """Return the column P (n,) of a run: the defaults, the initial states and the changes by dotted name.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Initial state of the plant.
+        changes : mapping
+            E.g. ``{"plant.mass": 3100.0, "initial.r_L": [20.0, 0.0, 0.0], "thrusters.tau": 0.05}``.
+
+        Raises
+        ------
+        ArgumentError, UnknownNameError
+            No such parameter, wrong sizes, no numbers, or an initial state is missing.
+        """
+        P = self.defaults.copy()
+        states = self.plant.states
+        expect(
+            {} if changes is None else changes, Mapping, "the changes of parameters", 'write {"plant.m": 2.0}'
+        )
+        if isinstance(x0, Mapping):
+            changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
+        elif x0 is not None:
+            x = as_point(x0, states.size, "the initial state of a run", ArgumentError)
+            for name in states.names:
+                P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
+        for name, value in (changes or {}).items():
+            if name not in self.layout:
+                raise unknown_name("parameter", name, "the closed loop", self.layout.names)
+            P[self.layout.slice(name)] = as_vector(
+                value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
+            )
+        labels = self.layout.labels
+        bad = [
+            i for i, p in enumerate(P) if np.isnan(p) or (np.isinf(p) and labels[i].startswith("initial."))
+        ]
+        if bad:
+            label = labels[bad[0]]
+            raise ArgumentError(
+                f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give x0= every state, and numbers."
+            )
+        return P
+
+    # --- runs ---------------------------------------------------------------------------------------------
+
+    def flight(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike],
+        *,
+        t0: float = 0.0,
+        tf: float,
+        parameters: Mapping[str, ArrayLike] | None = None,
+    ) -> Flight:
+        """Return the loop made ready for many runs over one time span; it can be sent to other processes.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Nominal initial state.
+        t0, tf : float
+            First time and last time, s. The last control step ends at ``tf`` or up to one step after it.
+        parameters : mapping
+            Nominal changes of parameters by dotted name.
+
+        Raises
+        ------
+        ArgumentError
+            Bad times or parameters; or the plant is too fast for ``accuracy`` at this step.
+        """
+        nominal = self.parameters(x0, parameters)
+        times = self._times(t0, tf)
+        self._warn_of_events(times[0], nominal)
+        rows = self._schedule(times)
+        flight = self._accurate(nominal, times, rows)
+        kernel, followed = self.kernel(flight.substeps), self._followed_on_the_way(flight.substeps)
+        return replace(flight, kernel=kernel, replanner=self.replanner, quantities=followed, beside=True)
+
+    def _followed_on_the_way(self, substeps: int) -> Quantities | None:
+        if self.quantities and substeps not in self._on_the_way:
+            step = ControlStep(self.wiring, substeps, beside=False)
+            self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
+        return self._on_the_way.get(substeps)
+
+    def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
+        """Return the flight, as planned and alone, with as many integration steps as its accuracy needs."""
+        accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
+        modes = accuracy.modes(times[0], *self._at_start(nominal))
+        start = self._generic(nominal)[:, None]
+        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, modes)
+
+    def _warn_of_events(self, t: float, nominal: Array) -> None:
+        """Tell of an event that is to end the nominal run and has happened before it begins."""
+        if not self.events:
+            return
+        behind = self.wiring.events.behind(t, *self._at_start(nominal))
+        if behind is not None:
+            event, value = behind
+            warn_user(
+                f"event '{event.name}' ends a run when its expression comes through zero {event.direction}; this one "
+                f"begins beyond that, at {value:.6g}, and flies on until it has been on the other side."
+            )
+
+    def _at_start(self, nominal: Array) -> tuple[Array, Array]:
+        """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""
+        named = [
+            [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
+            for group, layout in (("initial", self.plant.states), ("plant", self.plant.parameters))
+        ]
+        x, p = (np.concatenate([np.empty(0), *parts]) for parts in named)
+        return x, p
+
+    def _generic(self, nominal: Array) -> Array:
+        """Return parameters with a start beside the nominal one.
+
+        From round numbers a relay's input may be zero at a sample; rounding then decides what neighbouring runs do not
+        have to decide.
+        """
+        found = nominal.copy()
+        for i in range(self.layout.size):
+            if self.layout.labels[i].startswith("initial."):
+                found[i] *= 1.0 + _BESIDE * np.cos(i)
+        return found
+
+    def simulate(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike],
+        *,
+        t0: float = 0.0,
+        tf: float,
+        seed: Any = 0,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        every: int = 1,
+        folder: str | Path | None = None,
+    ) -> Run:
+        """Run the loop once and log everything.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Initial state of the plant.
+        t0, tf : float
+            s; see `flight`.
+        seed : int or sequence of int
+            Of the random numbers: the same seed gives the same bits.
+        parameters : mapping
+            Changes by dotted name, see `layout`.
+        every : int
+            Of so many control steps one is logged; the end always is. What is summed up (effort, say) takes in all.
+        folder : path, optional
+            Where the log is written while flying, as ``states.npy`` and so on; the run's arrays are read from there as
+            they are needed. For long runs: memory does not grow with the log.
+
+        Returns
+        -------
+        Run
+            Also of a run that fails: ``run.outcome`` says what happened and when.
+        """
+        flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
+        return flight.run(flight.nominal, seed, every=every, folder=folder)
+
+    def kernel(self, substeps: int, beside: bool = True) -> Kernel:
+        """Return the symbolic step with that many integration steps per minor step, for runs with a flight beside them
+        or alone."""
+        if substeps * self.minor_steps > _MAX_UNROLLED:
+            raise ArgumentError(
+                f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
+                f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
+            )
+        if (substeps, beside) not in self._kernels:
+            self._kernels[substeps, beside] = build_kernel(self.wiring, substeps, beside)
+        return self._kernels[substeps, beside]
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
+        return Flight(
+            kernel=self.kernel(substeps, beside=False),
+            substeps=substeps,
+            nominal=nominal,
+            layout=self.layout,
+            ranges=self.ranges,
+            times=times,
+            schedule=rows,
+            dt=self.dt,
+            followed_rows=self._followed_rows(),
+            states=self.plant.states,
+            measured=self.controller.states,
+            followed=self.controller.followed,
+            commands=self.controller.commands,
+            controls=self.plant.controls,
+            memory=self.controller.memory,
+            errors=self._error_function(),
+            error_layout=self.plant.errors,
+            events=self.wiring.events.layout,
+            judge=self._judge(),
+            minor_steps=self.minor_steps,
+            estimates=self._estimates(),
+        )
+
+    def _judge(self) -> Judge:
+        return Judge(
+            tuple(watched_labels(self.wiring)),
+            tuple(alarm_labels(self.wiring)),
+            self.plant.states,
+            self.wiring.plausible,
+            self.wiring.events.layout.names,
+            tuple(event.name for event in self.events if event.failure),
+            self.accuracy,
+        )
+
+    def _times(self, t0: float, tf: float) -> Array:
+        begin, end = (
+            float(as_vector(t, 1, f"{name} of a run", ArgumentError)[0])
+            for name, t in (("t0", t0), ("tf", tf))
+        )
+        if not (np.isfinite([begin, end]).all() and end > begin):
+            raise ArgumentError(
+                f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
+            )
+        count = max(1, int(np.ceil((end - begin) / self.dt - STEP_SLACK)))
+        if count > _MAX_STEPS:
+            raise ArgumentError(
+                f"a run of {count} control steps is too long: give a larger dt or an earlier tf."
+            )
+        return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
+
+    def _schedule(self, times: Array) -> Array:
+        size = self.controller.signals.size
+        rows = np.empty((size, times.size))
+        for first in range(
+            0, times.size, LEG
+        ):  # leg by leg: what a schedule needs on its way may be many times its size
+            some = times[first : first + LEG]
+            found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
+            if found.shape != (size, some.size):
+                raise ArgumentError(
+                    f"the schedule of '{self.controller.name}' has the shape {found.shape} where ({size}, {some.size}) "
+                    "is needed."
+                )
+            rows[:, first : first + LEG] = found
+        return rows
+
+    def _followed_rows(self) -> Any:
+        """Return the rows of the schedule that are the reference of what the controller follows, if it has them."""
+        signals, states = self.controller.signals, self.controller.followed
+        if all(f"{n}_ref" in signals for n in states.names):
+            return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
+        if "x_ref" in signals and signals["x_ref"].size == states.size:
+            return np.r_[signals.slice("x_ref")]
+        return None
+
+    def _estimates(self) -> Any:
+        """Return the entries of the memory that are the estimated states, where an estimator feeds the controller."""
+        memory, states = self.controller.memory, self.controller.estimated
+        return (
+            None
+            if states is None
+            else np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
+        )
+
+    def _error_function(self) -> Any:
+        x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
+        return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
+
+
+def _listed(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+    """Return one or several parts of a loop as a tuple."""
+    parts = (given,) if isinstance(given, kind) else given
+    if not isinstance(parts, Iterable):
+        raise ArgumentError(f"the {name} of a closed loop are {shown(given)}: give a list; {remedy}.")
+    return tuple(expect(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
+
+
+def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
+    """Return the largest plausible sizes of the states, (n_states,)."""
+    largest = np.full(states.size, PLAUSIBLE)
+    given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
+    for name, size in given.items():
+        if name not in states:
+            raise unknown_name("state", name, "the plausible sizes of a closed loop", states.names)
+        what = f"the plausible size of '{name}'"
+        largest[states.slice(name)] = as_vector(size, states[name].size, what, ArgumentError)
+    if not np.all(largest > 0):
+        raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
+    return largest

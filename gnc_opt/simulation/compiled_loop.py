@@ -1,0 +1,507 @@
+"""Flight: a closed loop over one time span, numeric and picklable: what single runs and campaigns are made of."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arguments import read_integer
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.guidance.replanning import Replanner
+from gnc_opt.model.variables import Layout
+from gnc_opt.simulation.active_reference import Course
+from gnc_opt.simulation.compiled_step import WORTH, Folded, native
+from gnc_opt.simulation.error_estimate import estimates
+from gnc_opt.simulation.events import Occurrence, occurrences
+from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.log import Log
+from gnc_opt.simulation.loop_kernel import Kernel
+from gnc_opt.simulation.outcome import Judge, Outcome, RunStatus
+from gnc_opt.simulation.quantities import Quantities, Recorder
+from gnc_opt.simulation.run import Run
+
+LEG = 1000
+"""Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A closed loop ready for many runs; see `ClosedLoop.flight`.
+
+    Attributes
+    ----------
+    layout : Layout
+        Of the columns P.
+    nominal : array (n_parameters,)
+        The nominal P.
+    ranges : tuple of two arrays (n_parameters,)
+        Permitted values of P.
+    times : array (n_steps + 1,)
+        Beginnings of the control steps and the end, s.
+    followed_rows : int array (n,) or None
+        Rows of the schedule that are the reference of the states that the controller follows.
+    substeps : int
+        Integration steps per minor step.
+    kernel : Kernel
+        The loop as a compiled function.
+    schedule : array (n_signals, n_steps + 1)
+        Rows r of the controller, as planned before the flight; what stands at the end is for the errors there.
+    dt : float
+        Control step, s.
+    states, measured, followed, commands, controls, memory : Layout
+        Names, sizes and units; ``followed`` are the states that the reference is of.
+    errors : casadi Function
+        Errors of the states relative to the reference.
+    error_layout : Layout
+    judge : Judge
+        Of the runs.
+    minor_steps : int
+        Per control step.
+    events : Layout
+        Names of the events.
+    growth : float
+        By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
+    beside : bool
+        Whether the error of each run is seen from a second flight beside it; if not, the nominal run tells its growth.
+    replanner : Replanner or None
+    quantities : Quantities or None
+        What is kept of the way.
+    estimates : int array (n,) or None
+        Entries of the memory that are the estimated states that the controller follows; None: it measures them.
+    library : str
+        Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
+
+    Examples
+    --------
+    >>> flight = loop.flight([1.0, 0.0], tf=8.0)
+    >>> print(flight.n_steps, flight.layout.names)
+    80 ('initial.q', 'initial.v', 'gauge.sigma')
+    """
+
+    kernel: Kernel
+    substeps: int
+    nominal: Array
+    layout: Layout
+    ranges: tuple[Array, Array]
+    times: Array
+    schedule: Array
+    dt: float
+    followed_rows: Any
+    states: Layout
+    measured: Layout
+    followed: Layout
+    commands: Layout
+    controls: Layout
+    memory: Layout
+    errors: Any
+    error_layout: Layout
+    judge: Judge
+    minor_steps: int
+    growth: float = 1.0
+    beside: bool = False
+    events: Layout = field(default_factory=lambda: Layout("event"))
+    replanner: Replanner | None = None
+    estimates: Any = None
+    quantities: Quantities | None = None
+    library: str = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if not k.startswith("_")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of control steps."""
+        return int(self.times.size - 1)
+
+    @property
+    def accuracy(self) -> float:
+        """Asked of the integration, relative."""
+        return self.judge.accuracy
+
+    @property
+    def reference(self) -> Array | None:
+        """What the controller follows (n, n_steps + 1), in its own states, as planned before the flight."""
+        return None if self.followed_rows is None else self.schedule[self.followed_rows]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
+        digest = hashlib.sha256()
+        for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
+            digest.update(function.serialize().encode())
+        for array in (self.times, self.schedule[:, :-1]):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        if self.replanner is not None:
+            digest.update(self.replanner.description.encode())
+        if self.quantities is not None:
+            digest.update(self.quantities.along.serialize().encode())
+        return digest.hexdigest()
+
+    def natively(self, runs: int) -> Flight:
+        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
+        if runs * self.n_steps < WORTH:
+            return self
+        quick = replace(self, library=native(self._folded.quick))
+        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        X, C = self._begun(rows[0], self.nominal)
+        ends = [np.empty_like(X) for _ in range(2)]
+        for flight, end in zip((self, quick), ends, strict=True):
+            flight._folded.fly(X, rows, C, end)
+        return quick if ends[0].tobytes() == ends[1].tobytes() else self
+
+    def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
+        """Fly n runs and return how they ended; failed ones are flagged, never dropped.
+
+        Parameters
+        ----------
+        P : array (n_parameters, n)
+            One column per run, in the order of `layout`.
+        seeds : sequence of n seeds
+            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself; or the
+            standard normal numbers themselves, array (n_steps, n_numbers).
+        """
+        P = np.asarray(P, dtype=float)
+        if P.shape != (self.layout.size, len(seeds)):
+            raise ArgumentError(
+                f"the parameters of {len(seeds)} runs have the shape {P.shape}: "
+                f"give ({self.layout.size}, {len(seeds)})."
+            )
+        final = np.full((P.shape[1], self._flights, self.kernel.state.size), np.nan)
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        recorder = self._recorder(P.shape[1])
+        refused: dict[int, str] = {}
+        replans = np.zeros((2, P.shape[1]))
+        followed = np.full((self.followed.size, P.shape[1]), np.nan)
+        again = False
+        for i, seed in enumerate(seeds):
+            culprit = self.refusal(P[:, i])
+            if culprit:
+                refused[i] = culprit
+                continue
+            course = self._course()
+            legs = self.legs(seed, known, course, again=again)
+            for first, rows in legs:
+                if first == 0:
+                    X, C, again = *self._begun(rows[0], P[:, i]), True
+                else:
+                    self._consider(course, first, X, rows, C)
+                if recorder is None or self._stopped(X[0]):
+                    self._folded.fly(X, rows, C, final[i])
+                else:
+                    columns, logs, final[i] = self._folded.logged(X, rows, C)
+                    recorder.add(i, first, columns, logs, (rows, P[:, i]))
+                X[:] = final[i]
+                if all(self._stopped(x) for x in X):
+                    break
+            if self.replanner is not None:
+                replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
+                followed[:, i] = self._followed_at_end(course, final[i, :1].T)[:, 0]
+        if self.replanner is None:
+            followed = self._followed_at_end(self._course(), final[:, 0].T)
+        ending = self._ending(final, refused, followed, replans)
+        if recorder is None:
+            return ending
+        outcomes = recorder.told(ending.outcomes)
+        return replace(ending, outcomes=outcomes, sums=recorder.sums, samples=recorder.samples)
+
+    def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
+        """Fly one run and return all of it; its last state has the bits of `final`.
+
+        Parameters
+        ----------
+        P : array (n_parameters,)
+        seed : int or sequence of int
+        every : int
+            Of so many control steps one is logged; the end always is.
+        folder : path, optional
+            Where the log is written while flying, ``<signal>.npy`` each; the run's arrays are then read from there as
+            they are needed.
+
+        Raises
+        ------
+        ArgumentError
+            A parameter is outside its permitted range.
+        """
+        P = np.asarray(P, dtype=float)
+        every = read_integer(every, "the number of control steps of which one is logged", 1)
+        culprit = self.refusal(P)
+        if culprit:
+            raise ArgumentError(f"the run cannot be flown: {culprit}.")
+        kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
+        sizes = {"states": self.states.size, "memory": self.memory.size}
+        sizes |= {
+            "measured": self.measured.size,
+            "commands": self.commands.size,
+            "applied": self.controls.size,
+        }
+        if self.followed_rows is not None:
+            sizes["errors"] = self.error_layout.size
+        lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
+        log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        events: list[Occurrence] = []
+        course, last, recorder = self._course(), self.n_steps, self._recorder(1)
+        legs = self.legs(seed, known, course)
+        for first, rows in legs:
+            if first == 0:
+                X, C = self._begun(rows[0], P)
+            else:
+                self._consider(course, first, X, rows, C)
+            if self._stopped(X[0]):  # the flight beside it goes on until an event ends it, too
+                self._folded.fly(X.copy(), rows, C, X)
+                continue
+            columns, logs, X = self._folded.logged(X, rows, C)
+            parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
+            if recorder is not None:
+                recorder.add(0, first, columns, logs, (rows, P))
+            flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
+            if self.events.size:
+                events += occurrences(told, flown, self.events.names, self.states.size)
+            # the states at the beginnings of the steps; that at the end of the run follows
+            at = np.arange(first + (-first) % every, first + flown, every) - first
+            if at.size:
+                noted = {name: values[:, at] for name, values in told.items()}
+                self._note(log, parts, noted, at, course.reference_at(self.times[first + at]))
+            if self._stopped(X[0]):
+                last = first + flown
+            if all(self._stopped(x) for x in X):
+                break
+        final = self.kernel.state.split(X[:1].T)
+        end = self._last_times(final)
+        followed = self._followed_at_end(course, X[:1].T)
+        self._note(log, final, {}, np.array([0]), followed)
+        ending = self._ending(X[None], {}, followed)
+        arrays = log.close()
+        times = np.append(self.times[kept[kept < last]], end)
+        return Run(
+            times=times,
+            states=arrays["states"],
+            measured=arrays["measured"],
+            commands=arrays["commands"],
+            applied=arrays["applied"],
+            memory=arrays["memory"],
+            reference=course.reference_at(times),
+            errors=arrays.get("errors"),
+            parameters=P.copy(),
+            effort=ending.effort[:, 0],
+            energy=ending.energy[:, 0],
+            saturation=ending.saturation_time[:, 0],
+            variation=ending.variation[:, 0],
+            integration_error=float(ending.integration_error[0]),
+            outcome=ending.outcomes[0] if recorder is None else recorder.told(ending.outcomes)[0],
+            seed=str(seed),
+            events=tuple(events),
+            replans=tuple(course.replans),
+            layouts={
+                "state": self.states,
+                "measured": self.measured,
+                "followed": self.followed,
+                "command": self.commands,
+                "applied": self.controls,
+                "memory": self.memory,
+                "error": self.error_layout,
+                "parameter": self.layout,
+                "event": self.events,
+            },
+        )
+
+    def refusal(self, P: Array) -> str:
+        """Return what is wrong with a column P (n_parameters,), "" if nothing is."""
+        lower, upper = self.ranges
+        bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
+        if not bad.size:
+            return ""
+        i = int(bad[0])
+        return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
+
+    def legs(
+        self, seed: Any, known: Array, course: Course | None = None, *, again: bool = False
+    ) -> Iterator[tuple[int, Array]]:
+        """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
+
+        Parameters
+        ----------
+        seed : int, sequence of int or array (n_steps, n_numbers)
+            Or the standard normal numbers themselves.
+        known : array (at least `LEG` or all steps, n_known)
+            Whose rows are written and yielded.
+        course : Course, optional
+            What is followed; default the schedule as planned before the flight.
+        again : bool
+            Whether the rows are those of an earlier run: what is known of them need not be written if one leg is all.
+        """
+        planned = course is None or course.schedule is self.schedule
+        followed = self._planned if course is None or planned else course.schedule.T
+        first_noise = 1 + self.schedule.shape[0]
+        numbers = self._numbers(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._edges) == 2
+        for first, last in itertools.pairwise(self._edges):
+            rows = known[: last - first]
+            if not written:
+                rows[:, 0] = self.times[first:last]
+                rows[:, 1:first_noise] = followed[first:last]
+            rows[:, first_noise:] = numbers(first, last)
+            yield first, rows
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+        """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
+        if isinstance(seed, np.ndarray) and seed.ndim == 2:
+            if seed.shape != (self.n_steps, size):
+                raise ArgumentError(
+                    f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
+                )
+            return lambda first, last: seed[first:last]
+        generator = np.random.Generator(np.random.Philox(_sequence(seed)))
+        return lambda first, last: generator.standard_normal((last - first, size))
+
+    @cached_property
+    def _planned(self) -> Array:
+        """The schedule by rows, as every run reads it."""
+        return np.ascontiguousarray(self.schedule.T)
+
+    @cached_property
+    def _edges(self) -> list[int]:
+        """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
+        every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
+        starts = range(0, self.n_steps, every)
+        return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
+
+    def _recorder(self, runs: int) -> Recorder | None:
+        return None if self.quantities is None else Recorder(self.quantities, self.kernel, self.times, runs)
+
+    def _course(self) -> Course:
+        return Course(self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows)
+
+    def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
+        """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
+        if self.replanner is None:
+            return
+        if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
+            if self.estimates is None:
+                x = self.kernel.measure(X[0], rows[0], C).full()[:, 0]
+            else:
+                x = X[0, self.kernel.state.slices["memory"]][self.estimates]
+            course.consider(step, np.asarray(x))
+        rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
+
+    def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+        """Return X of a run and the flight beside it at the first step (1 or 2, n_state), and the constants of both."""
+        X, C = self._folded.begun(known, P)
+        both = np.tile(X, (self._flights, 1))
+        both[1:, self.kernel.state.slices["beside"]] = 1.0
+        return both, C
+
+    @property
+    def _flights(self) -> int:
+        return 2 if self.beside else 1
+
+    def _note(
+        self,
+        log: Log,
+        parts: dict[str, Array],
+        logs: dict[str, Array],
+        at: Any,
+        followed: Array | None,
+    ) -> None:
+        """Log the states of a leg at its columns ``at``, beside what is followed there."""
+        states = parts["plant"][:, at]
+        log.add("states", states)
+        log.add("memory", parts["memory"][:, at])
+        if self.followed_rows is not None:
+            log.add("errors", self._relative(states, followed))
+        for name, values in logs.items():
+            if name in log.arrays:
+                log.add(name, values)
+
+    def _stopped(self, X: Array) -> bool:
+        """Whether an event has ended the run."""
+        return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
+
+    def _last_times(self, parts: dict[str, Array]) -> Array:
+        """Return when runs ended (n,), s."""
+        if not self.events.size:
+            return np.full(parts["plant"].shape[1], self.times[-1])
+        return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
+
+    @cached_property
+    def _folded(self) -> Folded:
+        return Folded(self.kernel, self.library)
+
+    def _followed_at_end(self, course: Course, X: Array) -> Array:
+        """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
+        found = course.reference_at(self._last_times(self.kernel.state.split(X)))
+        return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
+
+    def _ending(
+        self,
+        ends: Array,
+        refused: dict[int, str],
+        followed: Array,
+        replans: Array | None = None,
+    ) -> Ending:
+        """Return how runs have ended, from the kernels' states, and those of the flights beside them (n, 1 or 2,
+        n_state)."""
+        final = ends[:, 0].T
+        others = ends[:, 1].T if self.beside else final
+        parts = self.kernel.state.split(final)
+        errors, instants = estimates(self.kernel.state, final, others, self.growth, float(self.times[-1]))
+        outcomes = tuple(
+            Outcome(RunStatus.REFUSED, refused[i])
+            if i in refused
+            else self.judge.outcome(parts, i, errors[i])
+            for i in range(final.shape[1])
+        )
+        empty = np.empty((0, final.shape[1]))
+        counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
+        return Ending(
+            parts["plant"],
+            None if self.followed_rows is None else self._relative(parts["plant"], followed),
+            parts["memory"],
+            parts["effort"],
+            parts["energy"],
+            parts["saturation"],
+            parts["variation"],
+            errors + instants,
+            parts["blur"][0],
+            instants,
+            outcomes,
+            counts,
+            firsts,
+            np.zeros((2, final.shape[1])) if replans is None else replans,
+        )
+
+    def _relative(self, states: Array, reference: Any) -> Array:
+        """Return the errors of plant states relative to what is followed (n_followed, n).
+
+        States without a reference are not-a-number.
+        """
+        follow = np.full(states.shape, np.nan)
+        for name in self.followed.names:
+            if name in self.states:
+                follow[self.states.slice(name)] = reference[self.followed.slice(name)]
+        return np.asarray(self.errors(states, follow).full())
+
+
+def _sequence(seed: Any) -> np.random.SeedSequence:
+    """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
+    if isinstance(seed, np.random.SeedSequence):
+        return seed
+    try:
+        if seed is not None and not isinstance(seed, bool):
+            return np.random.SeedSequence(seed)
+    except (TypeError, ValueError):
+        pass
+    raise ArgumentError(f"the seed of a run is {shown(seed)}: give an integer >= 0, or several.")

@@ -1,0 +1,292 @@
+"""Native: the step of a kernel as machine code, from its operations in C, where there is a C compiler.
+
+Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Around the step
+goes a loop over the steps of a leg, so that nothing is copied between them but the states. A run and the flight beside
+it are flown at once where vector registers take both (`gnc_opt.simulation.simd_kernel`), else one after the other, by the C
+that CasADi writes. A step that says that it is not enough (a law that solves a problem now and then, which has no C)
+ends the loop before it. Libraries are kept in the user's cache by what is in them, so that a function is compiled once
+per machine.
+
+Folded: the step of a kernel, many control steps of a run and the flights beside it in one call.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import io
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from contextlib import redirect_stderr
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError
+from gnc_opt.simulation.loop_kernel import Kernel
+from gnc_opt.simulation.simd_kernel import in_lanes
+
+
+class Folded:
+    """The step of a kernel, folded.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    library : str
+        Of `quick` as machine code; "" for the interpreter.
+    """
+
+    def __init__(self, kernel: Kernel, library: str = "") -> None:
+        self.kernel, self.library = kernel, library
+        self._buffers: dict[Any, Any] = {}
+
+    def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+        """Write the states after the steps of a leg to ``final``.
+
+        Parameters
+        ----------
+        X : array (n_flights, n_state)
+        rows : array (n_steps, n_known)
+        C : array (n_constants,)
+        final : array (n_flights, n_state)
+        """
+        if not len(X):
+            return
+        if self._native is None:
+            self._interpret(X, rows, C, final)
+            return
+        flown = self._native(X, rows, C, final)
+        while flown < len(rows):  # a step that is not easy
+            self._interpret(final.copy(), rows[flown : flown + 1], C, final)
+            flown += 1
+            flown += self._native(final.copy(), rows[flown:], C, final)
+
+    def begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+        """Return X at the first step (n_state,), and the constants of a run (n_constants,)."""
+        start, constants = self.kernel.start, self.kernel.constants
+        X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
+        P = np.ascontiguousarray(P)
+        self._evaluate("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate("constants", lambda: constants, (P,), C)
+        return X, C
+
+    def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+        """The same, by the interpreter."""
+
+        def leg() -> Any:
+            return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
+
+        for x, end in zip(X, final, strict=True):
+            self._evaluate(len(rows), leg, (x, rows, C), end)
+
+    def _evaluate(
+        self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
+    ) -> None:
+        """Write what a function makes of contiguous arrays to others: no conversion per run."""
+        if key not in self._buffers:
+            legs = self.kernel.legs
+            if key not in legs:
+                legs[key] = function()
+            self._buffers[key] = legs[key].buffer()
+        buffer, evaluate = self._buffers[key]
+        for k, array in enumerate(arguments):
+            buffer.set_arg(k, memoryview(array.data))
+        for k, result in enumerate(results):
+            buffer.set_res(k, memoryview(result.data))
+        evaluate()
+
+    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array, Array]:
+        """Return the states of the run, the first flight, before and after the steps of a leg (n_state, n_steps + 1),
+        the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
+        count, step = len(rows), self.kernel.step
+        columns, logs, final = (
+            np.empty(shape) for shape in ((count + 1, X.shape[1]), (count, self.kernel.log.size), X.shape)
+        )
+
+        def leg() -> Any:
+            return self._leg(lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count)
+
+        columns[0] = X[0]
+        self._evaluate(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
+        final[0] = columns[-1]
+        self.fly(X[1:], rows, C, final[1:])
+        return columns.T, logs.T, final
+
+    @cached_property
+    def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:
+        return loaded(self.library)
+
+    @property
+    def quick(self) -> Any:
+        """What machine code is made of."""
+        return self.kernel.easy or self.step
+
+    @cached_property
+    def step(self) -> Any:
+        """The step without its log, so that what only the log needs is not computed."""
+        step = self.kernel.step
+        symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
+        return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
+
+    def _leg(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
+        step = self.kernel.step
+        x, w, c = (ca.MX.sym(n, *size) for n, size in (
+            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
+        ))  # fmt: skip
+        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count), count))
+
+
+FLAGS = (
+    "-std=c99",
+    "-O1",
+    "-fno-semantic-interposition",
+    "-finline-small-functions",
+    "-ffp-contract=off",
+    "-fPIC",
+    "-shared",
+)
+"""Higher levels take many times as long and gain little: a kernel is one long function without loops. That of absolute
+values and squares is not called, but put in its place."""
+
+WORTH = 100_000
+"""Evaluations that cost the interpreter about four times what compiling costs; both grow with the operations."""
+
+
+_LOOP = """
+#include <stdlib.h>
+#include <string.h>
+
+CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
+                                    casadi_real *final, casadi_int n, casadi_int flights) {
+  const casadi_int size = flights * STATES;
+  casadi_int n_arg, n_res, n_iw, n_w, k = 0;
+  casadi_real enough = 1;
+  int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);
+  const casadi_real **arg = malloc(n_arg * sizeof *arg);
+  casadi_real **res = malloc((n_res + 1) * sizeof *res), *w = malloc((n_w + size) * sizeof *w), *now = w + n_w;
+  casadi_int *iw = malloc((n_iw + 1) * sizeof *iw);
+  failed = failed || !arg || !res || !w || !iw;
+  if (!failed) {
+    STEP_incref();
+    int memory = STEP_checkout();
+    memcpy(final, X, size * sizeof *X);
+    for (; k < n && !failed && enough == 1; k++) {
+      memcpy(now, final, size * sizeof *now);
+      for (casadi_int first = 0; first < size && !failed && enough == 1; first += STATES) {
+        arg[0] = now + first;
+        arg[1] = rows + k * KNOWN;
+        arg[2] = C;
+        res[0] = final + first;
+        if (N_OUT > 1) res[1] = &enough;
+        failed = STEP(arg, res, iw, w, memory);
+      }
+      if (enough != 1) {
+        memcpy(final, now, size * sizeof *now);
+        k--;
+      }
+    }
+    STEP_release(memory);
+    STEP_decref();
+  }
+  free(arg);
+  free(res);
+  free(w);
+  free(iw);
+  return failed ? -1 : k;
+}
+"""
+"""A leg: the states X of all flights, then, step by step, those that follow, with one row of what is known each.
+Returns how many steps were enough for all."""
+
+
+def native(step: Any) -> str:
+    """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``, compiled now unless it has been;
+    "" where that does not succeed."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return ""
+    lanes = in_lanes(step)
+    told = (
+        ca.__version__,
+        *FLAGS,
+        _LOOP,
+        lanes,
+        platform.machine(),
+        os.path.realpath(compiler),
+        step.serialize(),
+    )
+    place = _cache() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
+    try:
+        if not place.exists():
+            _compile(step, lanes, compiler, place)
+    except (OSError, RuntimeError):  # no place to write, no C for an operation: the interpreter does without
+        return ""
+    return str(place) if place.exists() else ""
+
+
+def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
+    """Return ``(X, rows, C, final)``, which writes to ``final`` the state after those first steps of a leg that were
+    enough, and returns how many, from a library; ``None`` where there is none on this machine."""
+    if not library or not os.path.exists(library):
+        return None
+    leg = ctypes.CDLL(library).leg
+    leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong] * 2, ctypes.c_longlong
+
+    def fly(X: Array, rows: Array, C: Array, final: Array) -> int:
+        flights = 1 if X.ndim == 1 else len(X)
+        flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows), flights)
+        if flown < 0:
+            raise GncOptError(
+                "a control step could not be evaluated: an assertion in it failed, or memory is short."
+            )
+        return int(flown)
+
+    return fly
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gnc_opt"
+
+
+def _with_loop(source: str, step: Any) -> str:
+    """Return the C of a step with that of a leg below it."""
+    sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
+    loop = _LOOP
+    for name, size in sizes.items():
+        loop = loop.replace(name, str(size))
+    return source + loop.replace("STEP", step.name())
+
+
+def _source(step: Any, folder: str) -> str:
+    """Return the C that CasADi writes for a step, with a leg; "" if it has none."""
+    generator = ca.CodeGenerator("kernel.c")
+    with redirect_stderr(io.StringIO()) as told:
+        generator.add(step)
+        written = Path(generator.generate(f"{folder}{os.sep}"))
+    # CasADi has no C for a solver in it, and warns that this source does not compile
+    return "" if told.getvalue() else _with_loop(written.read_text(encoding="utf-8"), step)
+
+
+def _compile(step: Any, lanes: str, compiler: str, place: Path) -> None:
+    """Make the library: of both flights in lanes if that can be, else of what CasADi writes."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=place.parent) as folder:
+        made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
+        for source in (lanes, None):
+            text = _source(step, folder) if source is None else source
+            if not text:
+                continue
+            written.write_text(text, encoding="utf-8")
+            command = [compiler, *FLAGS, "-o", str(made), str(written), "-lm"]
+            if subprocess.run(command, capture_output=True, check=False).returncode == 0:
+                made.replace(place)  # at once: others may be looking for it
+                return

@@ -1,0 +1,375 @@
+"""Dispersions: how a parameter or an initial state differs from its nominal value from run to run.
+
+All but `Choice` are deviations from the nominal value; ``relative=True`` makes them shares of it. A vector gets
+independent deviations for its components, except from those with a random direction (`Sphere`, `Ball`, `Turn`).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, shown, unknown_name
+from gnc_opt.model.variables import Layout, as_vector
+from gnc_opt.spacecraft.attitude import mrp_to_quaternion
+from gnc_opt.spacecraft.quaternion import quaternion_product
+
+_UNIT = 1e-6
+"""A quaternion whose squared length differs from 1 by less is one that was typed in with six digits."""
+
+
+@dataclass(frozen=True)
+class Dispersion:
+    """Base of dispersions."""
+
+    def check(self, name: str, nominal: Array) -> None:
+        """Raise `ArgumentError` if it cannot be applied to the nominal value (size,) of that name."""
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        """Return a dispersed value (size,)."""
+        raise NotImplementedError
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        """Return the mean (size,) and the covariance (size, size) of the deviation from the nominal value."""
+        raise ArgumentError(
+            f"{type(self).__name__}() does not tell its mean and covariance: give it a method moments(nominal)."
+        )
+
+
+@dataclass(frozen=True)
+class Normal(Dispersion):
+    """A normal deviation.
+
+    Parameters
+    ----------
+    std : float or one per component
+        Standard deviation (1 sigma), >= 0.
+    mean : float or one per component
+        Of the deviation.
+    relative : bool
+        Whether both are shares of the nominal value: 0.01 is 1 %.
+    truncate : float, optional
+        Keep the deviation within so many standard deviations of its mean; > 0. (The variance shrinks.)
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal
+    >>> spread = Normal(0.05)
+    """
+
+    std: ArrayLike
+    mean: ArrayLike = 0.0
+    relative: bool = False
+    truncate: float | None = None
+
+    def __post_init__(self) -> None:
+        _finite(self.mean, "the mean of Normal()")
+        if np.any(_finite(self.std, "the standard deviation of Normal()") < 0):
+            raise ArgumentError(
+                f"the standard deviation of Normal() is {shown(self.std)}: give numbers >= 0."
+            )
+        if self.truncate is not None:
+            read_positive(self.truncate, "truncate of Normal()")
+
+    def check(self, name: str, nominal: Array) -> None:
+        _fits(self.std, nominal, f"the standard deviation of '{name}'")
+        _fits(self.mean, nominal, f"the mean deviation of '{name}'")
+        _relative(self.relative, name, nominal)
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        if self.truncate is None:
+            z = generator.standard_normal(nominal.size)
+        else:  # by the inverse of the distribution: one number each, and never a rejection
+            tail = scipy.special.ndtr(-self.truncate)
+            z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
+        return _deviated(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        kept = 1.0
+        if self.truncate is not None:  # variance of a standard normal number between -b and b
+            b = self.truncate
+            kept = 1 - 2 * b * np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi) / (1 - 2 * scipy.special.ndtr(-b))
+        unit = nominal if self.relative else np.ones(nominal.size)
+        std = np.asarray(self.std, dtype=float) * unit
+        return np.asarray(self.mean, dtype=float) * unit, np.diag(kept * std**2)
+
+
+@dataclass(frozen=True)
+class Uniform(Dispersion):
+    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`.
+
+    Parameters
+    ----------
+    low, high : float or one per component
+    relative : bool
+        Whether both are shares of the nominal value.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Uniform
+    >>> spread = Uniform(0.9, 1.1)
+    """
+
+    low: ArrayLike
+    high: ArrayLike
+    relative: bool = False
+
+    def __post_init__(self) -> None:
+        if np.any(_finite(self.low, "low of Uniform()") > _finite(self.high, "high of Uniform()")):
+            raise ArgumentError(
+                f"Uniform() is to range from {shown(self.low)} to {shown(self.high)}: give the lower end first."
+            )
+
+    def check(self, name: str, nominal: Array) -> None:
+        _fits(self.low, nominal, f"the lower end of '{name}'")
+        _fits(self.high, nominal, f"the upper end of '{name}'")
+        _relative(self.relative, name, nominal)
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        low = np.asarray(self.low, dtype=float)
+        deviation = low + (np.asarray(self.high) - low) * generator.random(nominal.size)
+        return _deviated(nominal, deviation, self.relative)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        unit = nominal if self.relative else np.ones(nominal.size)
+        low, high = (np.asarray(end, dtype=float) * unit for end in (self.low, self.high))
+        return 0.5 * (low + high), np.diag((high - low) ** 2 / 12)
+
+
+@dataclass(frozen=True)
+class Choice(Dispersion):
+    """One of the given values (not deviations) instead of the nominal one, all equally probable.
+
+    Parameters
+    ----------
+    values : sequence of float or array
+        Of the size of what is dispersed.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Choice
+    >>> dispersions = {"plant.mass": Choice([90.0, 100.0, 130.0])}
+    """
+
+    values: Sequence[ArrayLike]
+
+    def __post_init__(self) -> None:
+        if len(self.values) == 0:
+            raise ArgumentError("Choice() has no values: give some.")
+
+    def check(self, name: str, nominal: Array) -> None:
+        for value in self.values:
+            as_vector(value, nominal.size, f"a choice of '{name}'", ArgumentError)
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        value = self.values[int(generator.integers(len(self.values)))]
+        return as_vector(value, nominal.size, "a choice", ArgumentError)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        chosen = np.stack(
+            [as_vector(v, nominal.size, "a choice", ArgumentError) for v in self.values], axis=1
+        )
+        return chosen.mean(axis=1) - nominal, np.cov(chosen, bias=True).reshape(nominal.size, nominal.size)
+
+
+Magnitude: TypeAlias = float | Normal | Uniform
+"""Always the same, or drawn as a deviation from zero."""
+
+
+@dataclass(frozen=True)
+class Sphere(Dispersion):
+    """A deviation in a random direction, all equally probable.
+
+    Parameters
+    ----------
+    radius : float, Normal or Uniform
+        Length of the deviation, in the unit of the vector: one number for always the same, else it is drawn.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal, Sphere
+    >>> dispersions = {"initial.r": Sphere(10.0), "initial.v": Sphere(Normal(0.1))}
+    """
+
+    radius: Magnitude
+
+    def __post_init__(self) -> None:
+        _check_magnitude(self.radius, "the radius of Sphere()")
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        return nominal + _magnitude(self.radius, generator) * _direction(generator, nominal.size)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        return np.zeros(nominal.size), _mean_square(self.radius) / nominal.size * np.eye(nominal.size)
+
+
+@dataclass(frozen=True)
+class Ball(Dispersion):
+    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable.
+
+    Parameters
+    ----------
+    radius : float
+        Unit of the vector, > 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Ball
+    >>> dispersions = {"initial.r": Ball(10.0)}  # within 10 m
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        read_positive(self.radius, "the radius of Ball()", or_zero=True)
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        direction = _direction(generator, nominal.size)
+        length = self.radius * generator.random() ** (1 / nominal.size)
+        return np.asarray(nominal + length * direction)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        return np.zeros(nominal.size), self.radius**2 / (nominal.size + 2) * np.eye(nominal.size)
+
+
+@dataclass(frozen=True)
+class Turn(Dispersion):
+    """An attitude turned about a random axis, all equally probable.
+
+    The attitude is a unit quaternion, scalar part first, or modified Rodrigues parameters: four components or three.
+
+    Parameters
+    ----------
+    angle : float, Normal or Uniform
+        rad; one number for always the same, else it is drawn.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal, Turn
+    >>> dispersions = {"initial.q_BL": Turn(Normal(np.radians(5.0)))}
+    """
+
+    angle: Magnitude
+
+    def __post_init__(self) -> None:
+        _check_magnitude(self.angle, "the angle of Turn()")
+
+    def check(self, name: str, nominal: Array) -> None:
+        if nominal.size not in (3, 4):
+            raise ArgumentError(
+                f"'{name}' cannot be turned: {nominal.size} component(s) are neither a quaternion nor modified "
+                "Rodrigues parameters."
+            )
+        if nominal.size == 4 and not abs(float(nominal @ nominal) - 1) < _UNIT:
+            raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
+
+    def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
+        half = 0.5 * _magnitude(self.angle, generator)
+        turn = np.concatenate([[np.cos(half)], np.sin(half) * _direction(generator, 3)])
+        attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
+        turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
+        # of the two sets of parameters this is the one of the nominal attitude
+        return turned if nominal.size == 4 else turned[1:] / (1 + turned[0])
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        """Of small angles, to first order in them."""
+        attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
+        axes = np.hstack([np.zeros((3, 1)), 0.5 * np.eye(3)])  # half a radian about each axis
+        change = np.stack(
+            [np.asarray(quaternion_product(attitude, axis), dtype=float) for axis in axes], axis=1
+        )
+        if nominal.size == 3:
+            change = (change[1:] - np.outer(nominal, change[0])) / (1 + attitude[0])
+        return np.zeros(nominal.size), _mean_square(self.angle) / 3 * change @ change.T
+
+
+Dispersions: TypeAlias = Mapping[str, Dispersion]
+"""By dotted name, see `ClosedLoop.layout`."""
+
+
+def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) -> None:
+    """Refuse what is no dispersion, names that the layout does not have, and wrong sizes."""
+    expect(
+        dispersions,
+        Mapping,
+        "the dispersions of monte_carlo()",
+        'write {"plant.m": Normal(0.01, relative=True)}',
+    )
+    for name, dispersion in dispersions.items():
+        if name not in layout:
+            raise unknown_name("parameter", name, "the closed loop", layout.names)
+        expect(
+            dispersion, Dispersion, f"the dispersion of '{name}'", "give Normal(...), Uniform(...) or another"
+        )
+        dispersion.check(name, nominal[layout.slice(name)])
+
+
+def dispersed(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
+    """Return the column P (n_parameters,) of one run.
+
+    Every name has random numbers of its own, which depend on nothing but the seed, the run and the name: campaigns of
+    one seed with other controllers or more dispersions have the same initial states and parameters otherwise.
+    """
+    P = nominal.copy()
+    for name, dispersion in dispersions.items():
+        sequence = np.random.SeedSequence([seed, index], spawn_key=(zlib.crc32(name.encode()),))
+        place = layout.slice(name)
+        P[place] = dispersion.draw(np.random.Generator(np.random.Philox(sequence)), nominal[place])
+    return P
+
+
+def _finite(value: Any, what: str) -> Array:
+    numbers = read_numbers(value, what)
+    if not np.all(np.isfinite(numbers)):
+        raise ArgumentError(f"{what} is {shown(value)}: give finite numbers.")
+    return numbers
+
+
+def _fits(value: ArrayLike, nominal: Array, what: str) -> None:
+    as_vector(value, nominal.size, what, ArgumentError)
+
+
+def _relative(relative: bool, name: str, nominal: Array) -> None:
+    if relative and not np.any(nominal):
+        raise ArgumentError(f"'{name}' is nominally zero, and so is every share of it: drop relative=True.")
+
+
+def _deviated(nominal: Array, deviation: Array, relative: bool) -> Array:
+    return nominal * (1 + deviation) if relative else nominal + deviation
+
+
+def _check_magnitude(value: Any, what: str) -> None:
+    if isinstance(value, (Normal, Uniform)):
+        value.check(what, np.ones(1))
+        if value.relative:
+            raise ArgumentError(f"{what} is relative to nothing: drop relative=True.")
+    else:
+        read_positive(value, what, or_zero=True)
+
+
+def _magnitude(value: Magnitude, generator: np.random.Generator) -> float:
+    return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
+
+
+def _mean_square(value: Magnitude) -> float:
+    """Return the mean of a magnitude's square."""
+    if not isinstance(value, Dispersion):
+        return float(value) ** 2
+    mean, variance = value.moments(np.zeros(1))
+    return float(mean[0] ** 2 + variance[0, 0])
+
+
+def _direction(generator: np.random.Generator, size: int) -> Array:
+    while True:
+        vector = generator.standard_normal(size)
+        length = float(np.linalg.norm(vector))
+        if length > 0:
+            return np.asarray(vector / length)

@@ -1,0 +1,186 @@
+r"""Fixed-step integration by the Runge-Kutta pair of Dormand and Prince, as symbolic expressions.
+
+The fifth-order solution is carried on; its distance to the embedded fourth-order one,
+
+.. math:: e = h \sum_i (b_i - \hat b_i) k_i,
+
+estimates the error of the *fourth*-order solution over one step, and so is a safe estimate of what is carried on. To it
+comes the rounding of the sum, half a unit in the last place of x. Within a step the solution is a polynomial of degree
+four through both ends and their rates, also of fourth order.
+
+Sources: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
+table 2 (RK5(4)7M); within a step, Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 2nd edition,
+1993, section II.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.simulation.intersample_input import Input
+
+NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+
+STAGES: tuple[tuple[float, ...], ...] = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+"""The last row is the fifth-order solution: the last stage is the first one of the next step."""
+
+ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+"""b - b_hat."""
+
+ROUNDING = 2.0**-53
+"""Of a sum, relative."""
+
+DENSE_WEIGHTS = (
+    -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
+    701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
+)  # fmt: skip
+"""Of the bubble nu^2 (1 - nu)^2 within a step."""
+
+
+class Taken(NamedTuple):
+    """An integration step that has been taken.
+
+    Attributes
+    ----------
+    number : int
+        Of the step, 0 first.
+    length : SX
+        s.
+    time : SX
+        When it begins, s.
+    x, after : SX column
+        States at its beginning and at its end.
+    stages : list of SX column
+        Rates, the first at the beginning and the last at the end.
+    rounding : SX column
+        What rounding may amount to, of the sign of e.
+    """
+
+    number: int
+    length: Any
+    time: Any
+    x: Any
+    after: Any
+    stages: list[Any]
+    rounding: Any
+
+    def at(self, nu: float) -> tuple[Any, Any]:
+        """Return the state and its rate at ``nu`` (0 to 1) of the step."""
+        k, rest = self.stages, 1 - nu
+        mean = _combine(STAGES[-1], k[:-1])
+        first = k[0] - mean
+        last = mean - k[-1] - first
+        # x + h nu (mean + (1 - nu) (first + nu (last + (1 - nu) bubble))), and its derivative
+        bubble = _combine(DENSE_WEIGHTS, k)
+        inner = last + rest * bubble
+        middle, middle_slope = first + nu * inner, inner - nu * bubble
+        outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
+        return self.x + self.length * (nu * outer), outer + nu * outer_slope
+
+
+Stepped: TypeAlias = Callable[[Taken], Any]
+"""The state to go on with after a step."""
+
+
+def dormand_prince(
+    f: Callable[[Any, Any, Any], Any],
+    t: Any,
+    x: Any,
+    length: Any,
+    steps: int = 1,
+    u: Input | None = None,
+    stepped: Stepped | None = None,
+) -> tuple[Any, Any]:
+    """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(t, x, u)`` of a scalar and two columns, SX or numbers.
+    t, x : scalar and column
+        Where to begin (s and the units of the state).
+    length : scalar
+        s.
+    steps : int
+    u : callable, optional
+        ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
+    stepped : callable, optional
+        What to go on with after each step, see `Stepped`; default the fifth-order solution.
+
+    Returns
+    -------
+    x : column
+        The state at the end.
+    error : scalar
+        Sum over the steps of the largest component of ``(|e| + 2^-53 |x|) / max(1, |x|)``.
+    """
+    h = length / steps
+    total = 0.0
+    rate = None
+    for i in range(steps):
+        start = t + i * h
+        k = [f(start, x, None if u is None else u(i, 0.0)) if rate is None else rate]
+        for node, row in zip(NODES[1:], STAGES[1:], strict=True):
+            after = _stage(row, x.shape[0])(x, h, *k)
+            k.append(f(start + node * h, after, None if u is None else u(i, node)))
+        error, rounding = _judged(x.shape[0])(after, h, *k)
+        total = total + error
+        if stepped is not None:
+            after = stepped(Taken(i, h, start, x, after, k, rounding))
+        # the last stage is the first of the next step, unless the input jumps there
+        x, rate = after, k[-1] if u is None else None
+    return x, total
+
+
+@cache
+def _stage(row: tuple[float, ...], n: int) -> Any:
+    """Where a stage begins, from x (n,), h and the rates before it.
+
+    As a function: CasADi takes a call apart into the same operations several times as fast as it takes them from Python
+    one by one, and of a control step there are thousands.
+    """
+    x, h, *k = _columns(n, len(row))
+    return ca.Function("stage", [x, h, *k], [x + h * _combine(row, k)])
+
+
+@cache
+def _judged(n: int) -> Any:
+    """The error of a step and what rounding may amount to, from x (n,) after it, h and its rates."""
+    after, h, *k = _columns(n, len(ERROR_WEIGHTS))
+    error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
+    largest = ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
+    return ca.Function("judged", [after, h, *k], [largest, ca.copysign(ROUNDING * size, error)])
+
+
+def _columns(n: int, rates: int) -> list[Any]:
+    return [ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(rates))]
+
+
+def linear_error(z: Array) -> Array:
+    """Return the relative size of e where ``dx/dt = lambda x``, for ``z = h lambda``; complex."""
+    k: list[Any] = []
+    for row in STAGES:
+        k.append(z * (1 + sum(w * rate for w, rate in zip(row, k, strict=True))))
+    return np.asarray(np.abs(_combine(ERROR_WEIGHTS, k)))
+
+
+def _combine(weights: tuple[float, ...], k: list[Any]) -> Any:
+    terms = [w * rate for w, rate in zip(weights, k, strict=True) if w != 0.0]
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total

@@ -1,0 +1,403 @@
+r"""Crossing: where events lie in the flight of a minor step, and the flight through them.
+
+While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
+been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
+step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
+through values and slopes or by the tangents of both ends, may have. Only then is the minor step flown again with care
+(`passage`): up to the crossing, whose instant is found by Newton's method inside a bracket, with the plant integrated
+anew from where the leg began to each instant tried, so that the state there is as accurate as any; then the resets;
+then on from there.
+
+Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
+before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
+rises, but falls through zero again within that time, would be followed by others without end: the run ends there. So
+it does where a reset leaves its row at rest on zero and the plant pulls it on through: a contact that nothing keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.simulation.dormand_prince import Taken
+from gnc_opt.simulation.event_error import instant_error
+from gnc_opt.simulation.events import MOST, Events
+from gnc_opt.simulation.signals import Places
+from gnc_opt.tolerances import SAME_TIME
+
+_PASSES = 2 * MOST
+"""Legs of a minor step at most: some end where a row sinks to zero and does not cross it."""
+
+_INSTANT = 1e-13
+"""Of a minor step: how close Newton's method comes to the instant."""
+
+_ITERATIONS = 60
+"""Of Newton's method and bisection; bisection alone would need 44."""
+
+_NARROWED = 12
+"""How often the way to where a row may have crossed is looked at again: a row that only touches zero promises to cross
+it however closely it is looked at."""
+
+_SHORT = 1e-4
+"""Of a minor step: over which rates are taken as differences."""
+
+_NEAR = 0.05
+"""A row whose cubic sinks to this share of its values at the ends of the step may sink to zero."""
+
+
+class Watch:
+    """What the rows do while the plant is integrated; SX.
+
+    Parameters
+    ----------
+    events : Events
+    armed : SX column
+        1 for rows that can cross.
+    parameters : SX column
+        Of the plant.
+    begin : SX
+        Where the flight begins, s since the minor step began.
+    moment : float
+        s. What a row does so shortly after the beginning does not arm it: its event may just have happened, and
+        rounding left it above zero.
+
+    Attributes
+    ----------
+    armed : SX column
+        Now.
+    found, first, last : SX
+        Whether a row may have crossed, and the ends of the interval (s since the minor step began) in which the first
+        one did.
+    y, slope : SX column
+        Rows at the end, and their rates (1/s).
+    lost, lost_inside : SX column
+        Events that could not be noticed at the end of a step, and of one before the last: at the instant of an event,
+        rounding may leave the domain of another one's expression.
+    """
+
+    def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
+        self.events, self.armed, self.parameters = events, armed, parameters
+        self.found, self.first, self.last = ca.SX(0), ca.SX(begin), ca.SX(begin)
+        self.y = self.slope = ca.SX.zeros(armed.shape[0])
+        self.lost = self.lost_inside = ca.SX.zeros(len(events))
+        self._now, self._heeded = ca.SX(begin), begin + moment
+
+    def __call__(self, taken: Taken, _: Any = None) -> None:
+        """Look at an integration step."""
+        length, time, x = taken.length, taken.time + taken.length, taken.after
+        y0, d0 = self.events.rows(taken.time, taken.x, taken.stages[0], self.parameters)
+        y1, d1 = self.events.rows(time, x, taken.stages[-1], self.parameters)
+        a, b = length * d0, length * d1
+        # p(nu) = y0 + a nu + c nu^2 + d nu^3, nu from 0 to 1; its minimum by the root of p' without cancellation
+        rise = y1 - y0
+        c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
+        lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
+        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _NEAR * ca.fmax(y0, y1)
+        # what passes far faster than a step is no cubic; if it is convex, it stays above both tangents
+        corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
+        sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
+        lowest = ca.if_else(near, lowest, corner)
+        # what is below zero a moment after the beginning is what rounding has left of an event there
+        later = self._now + length > self._heeded
+        crosses = ca.logic_and(ca.logic_and(self.armed, later), y1 < 0)
+        dips = ca.logic_and(ca.logic_and(self.armed, y1 >= 0), sinks)
+        share = ca.mmin(ca.if_else(crosses, 1.0, ca.if_else(dips, lowest, 2.0)))
+        fresh = ca.logic_and(self.found < 0.5, share < 1.5)
+        self.first = ca.if_else(fresh, self._now, self.first)
+        self.last = ca.if_else(fresh, self._now + share * length, self.last)
+        self.found = ca.if_else(fresh, 1.0, self.found)
+        self._now = self._now + length
+        rises = ca.logic_and(y1 > 0, later)
+        self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
+        self.y, self.slope = y1, d1
+        self.lost_inside = ca.if_else(
+            length > 0, self.lost, self.lost_inside
+        )  # steps of no time end where others did
+        self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
+
+
+def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
+    """Return what is noted of the events of a control step: how many, which, when, and the states on both sides."""
+    return (
+        ("number", 1),
+        ("codes", MOST),
+        ("times", MOST),
+        ("before", MOST * n_states),
+        ("after", MOST * n_states),
+    )
+
+
+def record_of(events: Events) -> tuple[tuple[str, int], ...]:
+    """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
+    what resets and instants add to the error of the integration, and that when each row was last met; and which events
+    could not be noticed somewhere.
+    """
+    count, rows = len(events), len(events.owners)
+    kept = (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
+    return (*kept, ("resets", 1), ("instants", 1), ("error at row", rows), ("lost", count))
+
+
+def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
+    """Return the flight through a minor step with events, and the layout of what it changes.
+
+    Parameters
+    ----------
+    events : Events
+    leg : casadi.Function
+        ``(x, armed, begin, end, *context) -> (x, error, blur, armed, y, dy_dt, found, first, last, lost,
+        lost_inside)``, the plant flown between two times since the minor step began.
+    h : float
+        Minor step, s.
+
+    Returns
+    -------
+    casadi.Function
+        ``(q, t, p, *context) -> q``, t the beginning of the minor step (s), p the plant's parameters.
+    Places
+        Of q.
+    """
+    way = _Passage(events, leg, h)
+    return way.function(), way.places
+
+
+class _Passage:
+    def __init__(self, events: Events, leg: Any, h: float) -> None:
+        self.events, self.leg, self.h = events, leg, h
+        n = leg.size1_in(0)
+        self.n_rows = leg.size1_in(1)
+        self.places = Places(
+            (
+                ("x", n),
+                ("armed", self.n_rows),
+                ("s", 1),
+                ("error", 1),
+                ("error before", 1),
+                ("blur", 1),
+                *record_of(events),
+                *notes_of(n),
+            )
+        )
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._context()
+        self.lowest = self._lowest()
+        self.newton = self._newton()
+        self.effect = self._effect()
+        self.instant = instant_error(events, n)
+
+    def _context(self) -> list[tuple[str, int]]:
+        return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
+
+    def _symbols(self, *more: tuple[str, int]) -> list[Any]:
+        return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
+
+    def function(self) -> Any:
+        q, t, p, *context = self._symbols(("q", self.places.size))
+        one = self._one()
+        after = q
+        for _ in range(_PASSES):
+            after = one(after, t, p, *context)
+        v = self.places.split(after)
+        lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= MOST))
+        v["stop"] = ca.if_else(lost, len(self.events) + 1, v["stop"])
+        v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
+        return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
+
+    def _one(self) -> Any:
+        """A leg to the next event or to the end, unless all is done."""
+        inputs = self._symbols(("q", self.places.size))
+        idle = ca.Function("idle", inputs, [inputs[0]])
+        q, t, p, *context = inputs
+        v = self.places.split(q)
+        x, error, blur, armed, _, _, found, first, last, lost, _ = self.leg(
+            v["x"], v["armed"], v["s"], self.h, *context
+        )
+        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, error=error, blur=blur, lost=lost))
+        bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
+        given = self._symbols(("q", self.places.size), *bounds)
+        quiet = ca.Function("quiet", given, [given[1]])
+        flown = ca.Function.if_else("fly", self._meet(), quiet)(found, q, whole, first, last, t, p, *context)
+        fly = ca.Function("fly", inputs, [flown])
+        q, t, p, *context = self._symbols(("q", self.places.size))
+        v = self.places.split(q)
+        on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
+        choice = ca.Function.if_else("one", fly, idle)
+        return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
+
+    def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+        """Return what there is at s, with what a leg until then has made or added."""
+        sums = {name: v[name] + leg[name] for name in ("error", "blur")}
+        return {**v, **leg, **sums, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
+
+    def _meet(self) -> Any:
+        """Fly to where a row may have crossed; if one has, through the event."""
+        q, _, first, last, t, p, *context = symbols = self._symbols(
+            ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
+        )
+        v, narrow = self.places.split(q), self._narrow()
+        r = ca.vertcat(first, last, 0)
+        for _ in range(_NARROWED):
+            r = narrow(r, v["x"], v["armed"], v["s"], *context)
+        first, last, _ = ca.vertsplit(r)
+        x, error, blur, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
+        crossing = ca.logic_and(armed, y < 0)
+        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, error=error, blur=blur, lost=lost))
+        more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
+        given = self._symbols(*more, ("first", 1), ("last", 1))
+        go_on = ca.Function("go_on", given, [given[1]])
+        choice = ca.Function.if_else("meet", self._happen(), go_on)
+        met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
+        return ca.Function("meet", symbols, [met])
+
+    def _narrow(self) -> Any:
+        """Look again at the way to where a row may have crossed, as long as none has there, but one may before."""
+        sizes = (("r", 3), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), *self._context())
+        r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
+        keep = ca.Function("keep", inputs, [r])
+        _, _, _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
+        on = ca.logic_and(found, ca.logic_not(ca.sum1(ca.logic_and(again, y < 0)) > 0.5))
+        step = ca.Function("step", inputs, [ca.if_else(on, ca.vertcat(first, last, 0), ca.vertcat(r[:2], 1))])
+        choice = ca.Function.if_else("narrow", keep, step)
+        return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
+
+    def _happen(self) -> Any:
+        """Find the instant at which the first of the crossing rows is zero, and do what the events do."""
+        q, _, crossing, first, last, t, p, *context = given = self._symbols(
+            ("q", self.places.size),
+            ("beyond", self.places.size),
+            ("crossing", self.n_rows),
+            ("first", 1),
+            ("last", 1),
+        )
+        v = self.places.split(q)
+        moment = SAME_TIME * self.h
+        improve = self._improve()
+        # where to look, its bracket, the last step and whether it is found
+        r = ca.vertcat(last, first, last, 4 * self.h, 0)
+        for _ in range(_ITERATIONS):
+            r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
+        s = r[0]
+        x, error, blur, armed, y, slope, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
+        y_later = self.leg(x, armed, s, s + moment, *context)[4]
+        least = self.lowest(y, y, crossing)[0]
+        fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
+        met = self._moved(v, s, x=x, armed=armed, error=error, blur=blur, lost=inside)
+        after, reset = self.effect(self.places.join(met), fired, t, p)
+        w, soon = self.places.split(after), _SHORT * self.h
+        x_soon, _, _, _, _, slope_soon, *_ = self.leg(x, armed, s, s + soon, *context)
+        x_later = self.leg(w["x"], armed, s, s + soon, *context)[0]
+        rates = ca.horzcat(x_soon - x, x_later - w["x"]) / soon
+        bend, ended = (slope_soon - slope) / soon, w["stop"] > 0.5
+        total = v["error before"] + met["error"]
+        states, instants = self.instant(
+            total - v["error at row"], t + s, x, w["x"], fired, rates, bend, reset, ended, p
+        )
+        w["resets"] += states
+        w["instants"] += instants
+        w["error at row"] = ca.if_else(fired, total, v["error at row"])
+        y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
+        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[5]
+        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[4:6]
+        # a reset may put rows of other events on zero; those that it leaves where they are have only come near it
+        put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
+        kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
+        w["armed"] = ca.logic_or(kept, y_on > 0)
+        back = ca.logic_and(
+            ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
+        )  # within a moment, for ever
+        endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
+        sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
+        through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))
+        happened = w["count"] - v["count"]
+        for code, ends in ((len(self.events) + 1, endless), *self._unkept(through, happened)):
+            ends = ca.logic_and(ends, w["stop"] < 0.5)
+            w["stop"] = ca.if_else(ends, code, w["stop"])
+            w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
+        return ca.Function("happen", given, [self.places.join(w)])
+
+    def _unkept(self, through: Any, happened: Any) -> Iterator[tuple[int, Any]]:
+        """Yield, of each event with a reset, the code and whether it has left a row of its own that falls through."""
+        for j, event in enumerate(self.events.declared):
+            if event.reset:
+                own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
+                yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), happened[j])
+
+    def _improve(self) -> Any:
+        """One step of the search, unless it has ended."""
+        r, x, armed, s, crossing = symbols = [
+            ca.MX.sym(name, size)
+            for name, size in (
+                ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
+            )
+        ]  # fmt: skip
+        context = [ca.MX.sym(name, size) for name, size in self._context()]
+        inputs = [*symbols, *context]
+        keep = ca.Function("keep", inputs, [r])
+        _, _, _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
+        step = ca.Function("step", inputs, [self.newton(r, *self.lowest(y, slope, crossing))])
+        choice = ca.Function.if_else("improve", keep, step)
+        return ca.Function("improve", inputs, [choice(r[4], *inputs)])
+
+    def _lowest(self) -> Any:
+        """``(y, slope, crossing) -> (y, slope)`` of the lowest of the crossing rows."""
+        y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
+        least, its = ca.SX(ca.inf), ca.SX(0)
+        for j in range(self.n_rows):
+            lower = ca.logic_and(crossing[j], y[j] < least)
+            least, its = ca.if_else(lower, y[j], least), ca.if_else(lower, slope[j], its)
+        return ca.Function("lowest", [y, slope, crossing], [least, its])
+
+    def _newton(self) -> Any:
+        """Newton's step where it stays inside the bracket and halves the step before, else bisection."""
+        r, y, slope = ca.SX.sym("r", 5), ca.SX.sym("y"), ca.SX.sym("slope")
+        now, low, high, before, _ = ca.vertsplit(r)
+        above = y > 0
+        low, high = ca.if_else(above, now, low), ca.if_else(above, high, now)
+        step, close = -y / slope, _INSTANT * self.h
+        there = ca.logic_or(y == 0, ca.logic_or(ca.fabs(step) <= close, high - low <= close))
+        inside = ca.logic_and(
+            ca.logic_and(now + step > low, now + step < high), ca.fabs(step) <= 0.5 * before
+        )
+        new = ca.if_else(inside, now + step, 0.5 * (low + high))
+        last = ca.if_else(ca.fabs(step) <= close, ca.fmin(ca.fmax(now + step, low), high), now)
+        moved = ca.if_else(there, last, new)
+        return ca.Function(
+            "newton", [r, y, slope], [ca.vertcat(moved, low, high, ca.fabs(moved - now), there)]
+        )
+
+    def _effect(self) -> Any:
+        """``(q, fired rows, t, p) -> (q, slope)`` after conditions and resets, with what happened noted, and the slope
+        of the states after them by those before."""
+        column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
+        t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
+        v = self.places.split(column)
+        now, x, n = t + v["s"], v["x"], v["x"].shape[0]
+        holds, _ = self.events.effects(now, x, p)
+        for j, event in enumerate(self.events.declared):
+            mine = [fired[row] for row, owner in enumerate(self.events.owners) if owner == j]
+            happens = ca.logic_and(
+                ca.logic_and(ca.mmax(ca.vertcat(*mine)), ca.fabs(holds[j]) > 0), v["stop"] < 0.5
+            )
+            before, x = x, ca.if_else(happens, self.events.effects(now, x, p)[1][:, j], x)
+            here = ca.logic_and(happens, ca.DM(range(MOST)) == v["number"])
+            v["codes"] = ca.if_else(here, j + 1, v["codes"])
+            v["times"] = ca.if_else(here, now, v["times"])
+            spread = ca.kron(here, ca.DM.ones(n, 1))
+            v["before"] = ca.if_else(spread, ca.repmat(before, MOST, 1), v["before"])
+            v["after"] = ca.if_else(spread, ca.repmat(x, MOST, 1), v["after"])
+            v["number"] += happens
+            v["first"] = _at(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
+            v["count"] = _at(v["count"], j, happens, v["count"][j] + 1)
+            if event.ends:
+                v["stop"] = ca.if_else(happens, j + 1, v["stop"])
+                v["stop time"] = ca.if_else(happens, now, v["stop time"])
+        slope = ca.densify(ca.jacobian(x, v["x"]))
+        v["x"] = x
+        return ca.Function("effect", [column, fired, t, p], [self.places.join(v), slope])
+
+
+def _at(column: Any, place: int, condition: Any, value: Any) -> Any:
+    """Return the SX column with another entry at a place where the condition holds."""
+    entries = ca.vertsplit(column)
+    entries[place] = ca.if_else(condition, value, entries[place])
+    return ca.vertcat(*entries)

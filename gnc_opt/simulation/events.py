@@ -1,0 +1,289 @@
+"""Event: what happens to a plant at an instant of its own, where an expression passes through zero.
+
+A mode of a hybrid plant is a state with the rate 0 that resets change: the equations of the plant choose by it
+(``ca.if_else(stage < 1.5, ..., ...)``), and ``where`` says in which modes an event can happen. The events are the edges
+of the graph of modes.
+
+Expressions of a plant's time, states and parameters, as events and quantities are made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_label
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, Variable, as_expression, foreign_symbols
+
+
+def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
+    """Return an SX expression (size, 1) of time, states and parameters of the plant, and of controls if they may be.
+
+    Raises
+    ------
+    ArgumentError
+        ``what`` has another size, or symbols of a control that may not be there or of another model.
+    """
+    expression = as_expression(value, what, size, ArgumentError)
+    t, x, u, p = plant.arguments()
+    foreign = foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
+    if foreign:
+        kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
+        wanted = "state, control or parameter" if controls else "state or parameter"
+        raise ArgumentError(
+            f"{what} uses '{foreign[0]}', which is no {wanted} of the plant '{plant.name}': "
+            f"{did_you_mean(foreign[0], [name for kind in kinds for name in kind.names])}"
+        )
+    return expression
+
+
+MOST = 20
+"""Events in a control step at most; more are a sequence that time cannot follow (Zeno)."""
+
+_SIGNS = {"falling": (1.0,), "rising": (-1.0,), "either": (1.0, -1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """Something that happens where an expression of the plant's states passes through zero.
+
+    Parameters
+    ----------
+    name : str
+    expression : casadi.SX
+        Of the plant's symbols of time, states and parameters, (1, 1): ``altitude``, ``fuel``, ``ca.sumsqr(sigma) - 1``.
+        It should pass through zero with a slope: the instant of a mere touch has half the digits.
+    direction : {"falling", "rising", "either"}
+        Of the passage. What begins at zero passes if it moves that way.
+    reset : mapping, optional
+        New values of states, ``{v: -0.8 * v}``, by symbol or name, expressions as above of the values before; other
+        states keep theirs. Without it, the event ends the run; with an empty one, it is only noted.
+    where : casadi.SX, optional
+        Condition on the state at that instant, such as ``stage < 1.5``; where it does not hold, nothing happens.
+    failure : bool
+        Whether a run that ends with this event has failed.
+
+    Raises
+    ------
+    ArgumentError
+        A name or direction that is none, or a failure that ends nothing.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Event
+    >>> ball = go.Model("ball")
+    >>> h, w = ball.state("h", unit="m"), ball.state("w", unit="m/s")
+    >>> g = ball.control("g", unit="m/s^2")
+    >>> ball.ode({h: w, w: g - 10.0})
+    >>> bounce = Event("bounce", h, "falling", reset={w: -0.5 * w})
+    >>> free = go.feedforward(go.Reference.constant(ball, [1.0, 0.0], [0.0]))
+    >>> flown = go.ClosedLoop(ball, free, events=[bounce], dt=0.1).simulate([5.0, 0.0], tf=1.5)
+    >>> print(flown.events[0].name, f"{flown.events[0].time:.6f}", np.round(flown.events[0].after, 6))
+    bounce 1.000000 [0. 5.]
+    """
+
+    name: str
+    expression: Any
+    direction: str = "either"
+    reset: Mapping[Any, Any] | None = None
+    where: Any = None
+    failure: bool = False
+
+    def __post_init__(self) -> None:
+        read_label(self.name, "event")
+        if self.direction not in _SIGNS:
+            raise ArgumentError(
+                f"the direction of event '{self.name}' is {shown(self.direction)}: give one of {list(_SIGNS)}."
+            )
+        if self.reset is not None:
+            remedy = "write reset={v: -v}, states with their new values"
+            expect(self.reset, Mapping, f"the reset of event '{self.name}'", remedy)
+        expect(self.failure, bool, f"failure of event '{self.name}'", "write True or False")
+        if self.failure and not self.ends:
+            raise ArgumentError(
+                f"event '{self.name}' is a failure and does not end the run: leave out reset= or failure=."
+            )
+
+    @property
+    def ends(self) -> bool:
+        """Whether it ends the run."""
+        return self.reset is None
+
+
+@dataclass(frozen=True, eq=False)
+class Occurrence:
+    """An event that happened.
+
+    Attributes
+    ----------
+    name : str
+    time : float
+        s.
+    before, after : array (n_states,)
+        States of the plant on both sides of the reset; equal where there is none.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Event
+    >>> wall = go.ClosedLoop(cart, regulator, events=[Event("half way", q - 0.5, "falling", reset={})])
+    >>> (passed,) = wall.simulate([1.0, 0.0], tf=8.0).events
+    >>> print(passed.name, f"{passed.before[0]:.6f}")
+    half way 0.500000
+    """
+
+    name: str
+    time: float
+    before: Array
+    after: Array
+
+    def __str__(self) -> str:
+        return f"{self.name} at {self.time:.6g} s"
+
+
+def occurrences(
+    told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
+) -> list[Occurrence]:
+    """Return the events in the logs, by columns, of the first steps of a leg."""
+    shape = (MOST, n_states)
+    return [
+        Occurrence(
+            names[int(told["codes"][k, step]) - 1],
+            float(told["times"][k, step]),
+            told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs of the whole leg
+            told["after"][:, step].reshape(shape)[k].copy(),
+        )
+        for step in np.flatnonzero(told["number"][0, :steps])
+        for k in range(int(min(told["number"][0, step], MOST)))
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """The events of a loop as CasADi functions of its plant.
+
+    Each *row* is a function that an event makes of its expression, such that the event happens where the row falls
+    through zero: one for a direction, two for both.
+
+    Attributes
+    ----------
+    declared : tuple of Event
+    owners : tuple of int
+        The event of each row.
+    rows : casadi.Function
+        ``(t, x, dx_dt, p) -> (y, dy_dt)``, columns.
+    effects : casadi.Function
+        ``(t, x, p) -> (holds, X)``: per event whether its condition holds (n_events, 1), and the states that it leaves,
+        (n_states, n_events).
+    """
+
+    declared: tuple[Event, ...]
+    owners: tuple[int, ...]
+    rows: Any
+    effects: Any
+
+    def __len__(self) -> int:
+        return len(self.declared)
+
+    def behind(self, t: float, x: Array, p: Array) -> tuple[Event, float] | None:
+        """Return an event that is to end a run, but lies behind its start (t, x), and its expression there."""
+        y = self.rows(t, x, np.zeros(x.size), p)[0].full()[:, 0]
+        holds = self.effects(t, x, p)[0].full()[:, 0]
+        for value, owner in zip(y, self.owners, strict=True):
+            event = self.declared[owner]
+            if event.ends and event.direction != "either" and value < 0 and holds[owner]:
+                return event, float(value * _SIGNS[event.direction][0])
+        return None
+
+    def lost(self, t: Any, x: Any, p: Any, y: Any) -> Any:
+        """Return, by the rows y at (t, x), which events (n_events, 1) cannot be noticed: the condition, or the
+        expression while it holds, is not-a-number; SX."""
+        holds, _ = self.effects(t, x, p)
+        flags = []
+        for j in range(len(self)):
+            blind = ca.logic_and(ca.logic_not(_is_number(y[self.owners.index(j)])), holds[j] != 0)
+            flags.append(ca.logic_or(blind, ca.logic_not(_is_number(holds[j]))))
+        return ca.vertcat(*flags)
+
+    @property
+    def layout(self) -> Layout:
+        """Names of the events."""
+        return Layout("event", tuple(Variable(e.name) for e in self.declared), "the closed loop")
+
+    @classmethod
+    def of(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
+        """Read events of a plant.
+
+        Raises
+        ------
+        ArgumentError, ModelError
+            Two of one name, symbols of another model or of a control, wrong sizes, or no such state.
+        """
+        for event in declared:
+            if [other.name for other in declared].count(event.name) > 1:
+                raise ArgumentError(f"two events of the closed loop are called '{event.name}': rename one.")
+        if not declared:
+            return cls((), (), None, None)
+        t, x, _, p = plant.arguments()
+        rate = ca.SX.sym("dx_dt", plant.states.size)
+        signed = [
+            (sign * _moving(event, plant), owner)
+            for owner, event in enumerate(declared)
+            for sign in _SIGNS[event.direction]
+        ]
+        y = ca.vertcat(*[row for row, _ in signed])
+        slope = ca.jtimes(y, ca.vertcat(t, x), ca.vertcat(1, rate))
+        holds = [1.0 if e.where is None else _read(e, e.where, "the condition", plant) for e in declared]
+        after = [_after(event, plant) for event in declared]
+        return cls(
+            declared,
+            tuple(owner for _, owner in signed),
+            ca.Function("rows", [t, x, rate, p], [y, ca.densify(slope)]),
+            ca.Function("effects", [t, x, p], [ca.vertcat(*holds), ca.horzcat(*after)]),
+        )
+
+
+def _is_number(value: Any) -> Any:
+    """Return whether it is a number or infinite; "x == x" is true of any symbol."""
+    return ca.fabs(value) <= ca.inf
+
+
+def _moving(event: Event, plant: Model) -> Any:
+    """Return the expression of an event; refuse one that never passes through zero."""
+    found, what = _read(event, event.expression, "the expression", plant), "the expression of event"
+    t, x, _, _ = plant.arguments()
+    if not ca.depends_on(found, ca.vertcat(t, x)):
+        raise ArgumentError(
+            f"{what} '{event.name}' depends neither on a state nor on the time, and never passes through zero: "
+            "write what does, altitude, say."
+        )
+    if ca.jacobian(found, ca.vertcat(t, x)).is_zero():
+        raise ArgumentError(
+            f"{what} '{event.name}' jumps where it should pass through zero: write h - 0.5 with a direction, "
+            "not h < 0.5."
+        )
+    return found
+
+
+def _read(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
+    return plant_expression(value, f"{what} of event '{event.name}'", plant, size)
+
+
+def _after(event: Event, plant: Model) -> Any:
+    """Return the states (n_states, 1) that an event leaves."""
+    new = {name: plant.symbol(name) for name in plant.states.names}
+    for key, value in (event.reset or {}).items():
+        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", shown(key))
+        if name not in plant.states or not (isinstance(key, str) or key is plant.symbol(name)):
+            raise ArgumentError(
+                f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "
+                f"{did_you_mean(name, plant.states.names)}"
+            )
+        new[name] = _read(event, value, f"the new '{name}'", plant, plant.states[name].size)
+    return ca.vertcat(*new.values())

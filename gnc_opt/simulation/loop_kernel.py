@@ -1,0 +1,310 @@
+r"""Kernel: one control step of the closed loop as a CasADi function, the stuff of runs and campaigns.
+
+At a control step that begins at :math:`t_k`: the sensors sample the plant, the controller computes the command, which
+is held; then m minor steps follow, in each of which the actuators advance and the plant is integrated with what they
+apply on average. Everything that changes is in one column X (`Places`), everything that can be dispersed in one
+column P (`ClosedLoop.layout`), everything known or drawn beforehand in one column w: time, schedule, random numbers.
+
+Where the loop has events, the plant is watched meanwhile; a control step in which one may happen is taken again, minor
+step by minor step, through it (`gnc_opt.simulation.event_location`).
+
+Eventful step: a control step that is taken again with care where a row of an event may have crossed zero.
+
+Minor step by minor step, each through its events (`gnc_opt.simulation.event_location`), with the book-keeping of any other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.simulation.block import Tick
+from gnc_opt.simulation.control_step import ControlStep
+from gnc_opt.simulation.event_location import notes_of, passage
+from gnc_opt.simulation.signals import Places, take
+from gnc_opt.simulation.wiring import Wiring
+
+_SHORTEST = 1e-300
+"""Share of a minor step in which nothing was applied: a run that an event ends at once."""
+
+
+def with_events(step: ControlStep, act: Any) -> Any:
+    """Return the function of the minor steps, ``act`` without regard to events, that flies through them.
+
+    Parameters
+    ----------
+    step : ControlStep
+    act : casadi.Function
+        ``(X, w, C, y, u, z_next) -> (X_next, log, found)``, found: whether a row may have crossed zero.
+
+    Returns
+    -------
+    casadi.Function
+        ``(X, w, C, y, u, z_next) -> (X_next, log)``.
+    """
+    return _EventfulStep(step).function(act)
+
+
+def until_the_end(control_step: ControlStep, step: Any, told: Any) -> Any:
+    """Return the step that does nothing once an event has ended the run; its second output then is ``told``."""
+    x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
+    rest = ca.Function("rest", [x, w, c], [x, told])
+    either = ca.Function.if_else("either", rest, step)
+    after = either(control_step.state.split(x)["stop"] > 0.5, x, w, c)
+    return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())
+
+
+class _EventfulStep:
+    def __init__(self, step: ControlStep) -> None:
+        self.base, self.wiring, self.h, self.P = step, step.wiring, step.h, step.P
+        self.state, self.known = step.state, step.known
+
+    def function(self, act: Any) -> Any:
+        """Return ``act``, then with care if it has found anything."""
+        sizes = [act.size1_in(i) for i in range(act.n_in())]
+        x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]
+        after, log, found = act(*inputs)
+        more = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
+        keep = ca.Function("keep", [*inputs, *more], more)
+        careful = ca.Function("careful", [*inputs, *more], self._careful(x, w, c[: self.P.shape[0]], y, u, z))
+        either = ca.Function.if_else("either", careful, keep)
+        return ca.Function("act", inputs, either(found, *inputs, after, log))
+
+    def _careful(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
+        """Return the state after a control step with events, and its log; MX."""
+        wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        state = self.state.split(column)
+        begin = ca.Function("begin", [column, known, self.P], [
+            self.state.join(self.base.pushed(state, self.known.split(known)))
+        ])  # fmt: skip
+        now, notes = begin(x, w, P), ca.MX.zeros(self.notes.size)
+        for i in range(wiring.minor_steps):
+            minor, skip = self._minor(i)
+            either = ca.Function.if_else("minor", skip, minor)
+            now, notes = either(self.state.split(now)["stop"] > 0.5, now, notes, w, P, u)
+        return list(self._closing()(x, now, notes, w, y, u, z))
+
+    @property
+    def notes(self) -> Places:
+        """What a control step with events adds up beside the state."""
+        sums = (("applied", self.wiring.plant.controls.size), ("flown", 1), ("error", 1), ("blur", 1))
+        return Places((*sums, *notes_of(self.wiring.plant.states.size)))
+
+    def _minor(self, i: int) -> tuple[Any, Any]:
+        """``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and the one that does nothing."""
+        wiring, h = self.wiring, self.h
+        column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        u = ca.SX.sym("u", wiring.controller.commands.size)
+        state, w = self.state.split(column), self.known.split(known)
+        new, tick = dict(state), self.base.tick_of(i, w, state)
+        waves, saturated = self.base.actuate(tick, u, new, w, i)
+        x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
+        begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
+        watch = self.base.watch_rows({"armed": armed}, begin)
+        flown, error, blur = self.base.fly(tick.t, x, waves, new, (begin, end), watch)
+        seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
+        seen += [watch.lost, watch.lost_inside]
+        context = [column, known, self.P, u]
+        leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, error, blur, *seen])
+        way, places = passage(wiring.events, leg, h)
+        # the book-keeping
+        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.notes.size)
+        v, n = places.split(q), self.notes.split(noted)
+        new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
+        applied = ca.vertcat(*[wave.mean for wave in waves])
+        self.base.tally(new, applied, saturated, v["s"])
+        n |= {"error": n["error"] + v["error"], "blur": n["blur"] + v["blur"], "flown": n["flown"] + v["s"]}
+        n |= {"applied": n["applied"] + v["s"] * applied} | {k: v[k] for k, _ in notes_of(x.shape[0])}
+        book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])
+        # all together
+        inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
+        column_, notes_, w_, P_, u_ = inputs
+        a, b = self.state.split(column_), self.notes.split(notes_)
+        first = {
+            **{k: a[k] for k, _ in places.parts if k in a},
+            **{k: b[k] for k, _ in places.parts if k in b},
+        }
+        first |= {"x": a["plant"], "s": ca.MX(0), "error": ca.MX(0), "blur": ca.MX(0)}
+        first["error before"] = a["error"] + b["error"]
+        p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
+        rest = (column_, w_, P_, u_)
+        after = way(places.join(first), self.known.split(w_)["t"] + i * h, p, *rest)
+        minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
+        return minor, ca.Function("skip", inputs, [column_, notes_])
+
+    def _closing(self) -> Any:
+        """``(X before, X, notes, w, y, u, z) -> (X_next, log)`` after the last minor step."""
+        before, column, known = (
+            ca.SX.sym(name, size)
+            for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
+        )
+        noted, y = ca.SX.sym("notes", self.notes.size), ca.SX.sym("y", self.base.measured.size)
+        u = ca.SX.sym("u", self.wiring.controller.commands.size)
+        z = ca.SX.sym("z", self.wiring.controller.memory.size)
+        new, n = self.state.split(column), self.notes.split(noted)
+        told = {
+            "measured": y,
+            "commands": u,
+            "applied": n["applied"] / ca.fmax(n["flown"], _SHORTEST * self.h),
+        }
+        told |= {name: n[name] for name, _ in notes_of(self.wiring.plant.states.size)}
+        state, t = self.state.split(before), self.known.split(known)["t"]
+        log = self.base.close(new, state, t, told, n["error"], n["blur"], z)
+        return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The functions of a loop and the layout of their columns.
+
+    Attributes
+    ----------
+    constants : casadi.Function
+        ``P -> C``: P, and below it whatever a step needs that follows from P alone.
+    start : casadi.Function
+        ``(w, P) -> X`` at the first control step.
+    step : casadi.Function
+        ``(X, w, C) -> (X_next, log)``.
+    easy : casadi.Function or None
+        ``(X, w, C) -> (X_next, enough)``: X_next of ``step`` wherever enough is 1, where a law solves a problem at some
+        steps only.
+    measure : casadi.Function
+        ``(X, w, C) -> y``: what the controller gets to see in that step.
+    state, known, log : Places
+        Of X, w and log.
+    """
+
+    constants: Any
+    start: Any
+    step: Any
+    easy: Any
+    measure: Any
+    state: Places
+    known: Places
+    log: Places
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k != "legs"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @cached_property
+    def legs(self) -> dict[Any, Any]:
+        """Functions of many steps, kept for all flights of the loop: one with its log takes 0.2 s to make."""
+        return {}
+
+
+def build_kernel(wiring: Wiring, substeps: int, beside: bool = True) -> Kernel:
+    """Return the kernel with the plant integrated in ``substeps`` per minor step, for runs with a flight beside them or
+    alone."""
+    return _Builder(wiring, substeps, beside).kernel()
+
+
+class _Builder(ControlStep):
+    """Puts the pieces together."""
+
+    def kernel(self) -> Kernel:
+        """Return the finished functions."""
+        constants, act = self._act_functions()
+        step, easy = self._step(constants, act), self._easy(constants, act)
+        measure = self._measure(constants)
+        return Kernel(constants, self._start(), step, easy, measure, self.state, self.known, self.log)
+
+    def _start(self) -> Any:
+        wiring = self.wiring
+        column = ca.SX.sym("w", self.known.size)
+        w = self.known.split(column)
+        x = take(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
+        y, sensors = self.sense(x, w["t"], None, w)
+        tick = Tick(w["t"], self.h, wiring.dt, 0, self.by_state(x))
+        parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
+        parts |= {"plant": x, **sensors}
+        parts |= self.first_outputs(tick, w["r"])
+        if wiring.events:
+            parts |= self.first_record(w["t"], x)
+        for i, link in enumerate(wiring.disturbances):
+            parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick)
+        before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
+        kind = _symbol_kind(wiring.controller.start)
+        w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
+        y_, state = before(w_, p_)
+        values = self.state.split(state)
+        known = self.known.split(w_)
+        values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
+        return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
+
+    def _step(self, constants: Any, act: Any) -> Any:
+        inputs, after, log, _ = self._stepped(self.wiring.controller.step, constants, act)
+        step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
+        return until_the_end(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+
+    def _easy(self, constants: Any, act: Any) -> Any:
+        easy = self.wiring.controller.easy
+        if easy is None:
+            return None
+        inputs, after, _, (enough,) = self._stepped(easy, constants, act)
+        step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
+        return until_the_end(self, step, ca.MX(1)) if self.wiring.events else step
+
+    def _stepped(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
+        """Return X, w, C as symbols, and of a step by a law the next X, the log, and whether an easy law is enough."""
+        kind = ca.MX if self.wiring.events else _symbol_kind(law)
+        sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
+        x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
+        y, sensed = self._sense_function()(x, w, c[: self.P.shape[0]])
+        known = self.known.split(w)
+        u, memory, *enough = law(known["t"], y, known["r"], self.state.split(x)["memory"])
+        return inputs, *act(sensed, w, c, y, u, memory), enough
+
+    def _measure(self, constants: Any) -> Any:
+        x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
+        c = ca.MX.sym("C", constants.size1_out(0))
+        y, _ = self._sense_function()(x, w, c[: self.P.shape[0]])
+        return ca.Function("measure", [x, w, c], [y], ["X", "w", "C"], ["y"])
+
+    def _sense_function(self) -> Any:
+        x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        state, w = self.state.split(x), self.known.split(column)
+        y, sensors = self.sense(state["plant"], w["t"], state, w)
+        return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
+
+    def _act_functions(self) -> tuple[Any, Any]:
+        """The constants, and the minor steps with the book-keeping: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
+        wiring = self.wiring
+        column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
+        z = ca.SX.sym("z", wiring.controller.memory.size)
+        state, w = self.state.split(column_x), self.known.split(column)
+        new = self.pushed(state, w)
+        mean, error, blur, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0), ca.SX(0), ca.SX(0)
+        for i in range(wiring.minor_steps):
+            tick = self.tick_of(i, w, new)
+            waves, saturated = self.actuate(tick, u, new, w, i)
+            applied = ca.vertcat(*[wave.mean for wave in waves])
+            watch = self.watch_rows(new, ca.SX(0)) if wiring.events else None
+            new["plant"], estimate, blurred = self.fly(tick.t, new["plant"], waves, new, watch=watch)
+            if watch is not None:
+                new["armed"], found = watch.armed, ca.fmax(found, watch.found)
+                new["lost"] = ca.fmax(new["lost"], watch.lost)
+            error += estimate
+            blur += blurred
+            mean += applied / wiring.minor_steps
+            self.tally(new, applied, saturated, self.h)
+        log = self.close(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, error, blur, z)
+        # what follows from P alone is computed once per run
+        results = [self.state.join(new), log, found]
+        outputs, symbols, values = ca.extract_parametric(results, self.P)
+        constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)
+        act = ca.Function("act", [column_x, column, names, y, u, z], outputs)
+        return (
+            ca.Function("constants", [self.P], [constants], ["P"], ["C"]),
+            with_events(self, act) if wiring.events else act.slice("act", list(range(6)), [0, 1]),
+        )
+
+
+def _symbol_kind(function: Any) -> Any:
+    return ca.SX if function.is_a("SXFunction") else ca.MX
