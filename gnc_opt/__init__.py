@@ -229,7 +229,7 @@ _PACKAGES = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is used first (PEP 562): all together take several times as long as NumPy and CasADi."""
+    """Load a public name when it is first used (PEP 562), since loading all takes longer than NumPy and CasADi."""
     if name in _MODULES:
         value = getattr(import_module(f"gnc_opt.{_MODULES[name]}"), name)
         globals()[name] = value

@@ -5,17 +5,35 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from gnc_opt.planning.solution.history import Pass
+
+class RefinementRecord(Protocol):
+    """What is shown of an iteration of a refinement."""
+
+    @property
+    def segments(self) -> int: ...
+    @property
+    def points(self) -> int: ...
+    @property
+    def error(self) -> float: ...
+    @property
+    def objective(self) -> float: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def solved(self) -> bool: ...
+
 
 Show: TypeAlias = Callable[[int, float, float], None]
-ShowPass: TypeAlias = Callable[[Pass], None]
+ShowPass: TypeAlias = Callable[[RefinementRecord], None]
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 ShowRuns: TypeAlias = Callable[[int, int], None]
 
@@ -108,7 +126,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
     count = 0
     with console.status("solving") as status:
 
-        def show(record: Pass) -> None:
+        def show(record: RefinementRecord) -> None:
             nonlocal count
             line = (
                 f"  pass {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "

@@ -1,4 +1,5 @@
-"""Statements about a closed loop: covariance, frequency response, sensitivity, rare events, worst case, filter consistency."""
+"""Statements about a closed loop: covariance, frequency response, sensitivity, rare events, worst case,
+filter consistency."""
 
 from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
 from gnc_opt.analysis.global_sensitivity import Correlations, Share, SobolIndices, correlations, sobol_indices

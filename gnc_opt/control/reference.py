@@ -17,9 +17,8 @@ from gnc_opt.arguments import Strict, expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
 from gnc_opt.model.model import Model
+from gnc_opt.model.trajectory import Trajectory, TrajectoryPhase
 from gnc_opt.model.variables import Layout, as_point
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import SAME_TIME
 
 Signal: TypeAlias = Callable[[Array], Array]
@@ -106,8 +105,8 @@ class Reference(Strict):
 
     Parameters
     ----------
-    solution : Solution
-        A solved one; its *flown* controls are followed, which respect their bounds.
+    solution : Trajectory
+        A solved `gnc_opt.Solution`; its *flown* controls are followed, which respect their bounds.
     tail : {"trim", "hold", "none"}
         The control after the end: ``"trim"`` finds the one that keeps the final state at rest (least squares),
         ``"hold"`` keeps the final control, ``"none"`` refuses times after the end.
@@ -138,26 +137,16 @@ class Reference(Strict):
         "states",
     )
 
-    def __init__(self, solution: Solution, *, tail: Tail = "trim") -> None:
-        expect(solution, Solution, "what Reference() got", "write Reference(solve(problem))")
-        problem = solution.need_problem("follow")
-        if not solution.status.solved:
-            raise ArgumentError(
-                f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
-                "follow one that is solved."
-            )
-        legs = list(solution.phases.values())
-        restatement = problem.phases[legs[0].name].restatement
-        model = problem.phases[legs[0].name].model if restatement is None else restatement.model
-        _check_alike(legs)
-        names = model.parameters.names
-        free = {n: legs[0].parameters[legs[0].model_parameters.slice(n)] for n in names}
+    def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
+        expect(solution, Trajectory, "what Reference() got", "write Reference(solve(problem))")
+        phases = solution.trajectory_phases()
+        _check_alike(phases)
         self._set(
-            model.with_parameters(**free) if names else model,
-            [leg.x for leg in legs],
-            [leg.flown if restatement is None else _as_stated(leg, model) for leg in legs],
-            [leg.initial_time for leg in legs] + [legs[-1].final_time],
-            np.unique(np.concatenate([leg.flown.jumps for leg in legs])),
+            phases[0].model,
+            [phase.x for phase in phases],
+            [phase.u for phase in phases],
+            [phase.initial_time for phase in phases] + [phases[-1].final_time],
+            np.unique(np.concatenate([phase.jumps for phase in phases])),
             tail,
         )
 
@@ -431,12 +420,6 @@ def _block(rows: Sequence[Any], size: int) -> Array | None:
     return None
 
 
-def _as_stated(leg: PhaseSolution, model: Model) -> Callable[[Array], Array]:
-    """Return the flown controls of a phase as its model has them, of which some were restated."""
-    signals = [leg.flown_control(name) for name in model.controls.names]
-    return lambda times: np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
-
-
 def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def many(times: Array) -> Array:
         values = np.asarray(function(times), dtype=float)
@@ -460,11 +443,13 @@ def _require_finite(values: Array, times: Array, layout: Layout) -> Array:
     return values
 
 
-def _check_alike(legs: Sequence[PhaseSolution]) -> None:
-    first = legs[0]
-    for leg in legs[1:]:
-        if (leg.states.labels, leg.controls.labels) != (first.states.labels, first.controls.labels):
+def _check_alike(phases: Sequence[TrajectoryPhase]) -> None:
+    """Raise `ArgumentError` if the states or controls of two phases differ."""
+    first = phases[0]
+    names = (first.model.states.labels, first.model.controls.labels)
+    for phase in phases[1:]:
+        if (phase.model.states.labels, phase.model.controls.labels) != names:
             raise ArgumentError(
-                f"phases '{first.name}' and '{leg.name}' have other states or controls: "
+                f"phases '{first.name}' and '{phase.name}' have other states or controls: "
                 "follow each by its own reference."
             )

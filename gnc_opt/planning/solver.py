@@ -29,7 +29,6 @@ from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
-from gnc_opt.planning.verification.verify import with_verdicts
 from gnc_opt.tolerances import SHORTEST
 
 
@@ -219,7 +218,8 @@ def solve(
         constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
         Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
-        does not come to rest is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None: one solve on the
+        does not come to rest is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
+        one solve on the
         given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`); with a ``guess`` that which a variation was refined
         to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
@@ -301,7 +301,7 @@ def solve(
 def said(solution: Solution, way: Way) -> Solution:
     """Return a solution that says how it was found."""
     told = replace(solution, provenance={**solution.provenance, "way": way.value})
-    return with_verdicts(told, solution)
+    return told.with_verdict(solution.verdict)
 
 
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:

@@ -1,11 +1,14 @@
 """The page about one solution.
 
 The one page of a report: its frame, its style and its pieces; it needs no network and no other file.
+
+A verdict as a table.
 """
 
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -16,7 +19,6 @@ from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, mesh_text
 from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
-from gnc_opt.report.verdict_table import number_text, verdict_counts
 from gnc_opt.text import table
 
 _KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -109,6 +111,18 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 @media print { nav, #motion { display: none; } figure, details, tr { break-inside: avoid; }
   h2 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 22cm; } }
 """
+
+
+def verdict_counts(verdict: Verdict) -> str:
+    """Return "11 pass, 0 fail, 2 cannot tell"."""
+    words = {Result.PASS: "pass", Result.FAIL: "fail", Result.CANNOT_TELL: "cannot tell"}
+    results = [condition.result for condition in verdict.conditions]
+    return ", ".join(f"{results.count(result)} {word}" for result, word in words.items())
+
+
+def number_text(value: float) -> str:
+    """Return two digits of a number, "-" for none."""
+    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
 
 
 _TONES = {Result.PASS: "good", Result.FAIL: "bad", Result.CANNOT_TELL: "open"}

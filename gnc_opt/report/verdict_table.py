@@ -1,9 +1,8 @@
-"""A verdict as a table."""
+"""The conditions of a verdict as a table for terminals."""
 
 from __future__ import annotations
 
 import io
-import math
 
 from rich import box
 from rich.console import Console
@@ -11,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
+from gnc_opt.report.page import number_text, verdict_counts
 
 _STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "yellow"}
 
@@ -36,13 +36,6 @@ def verdict_headline(verdict: Verdict) -> Text:
     )
 
 
-def verdict_counts(verdict: Verdict) -> str:
-    """Return "11 pass, 0 fail, 2 cannot tell"."""
-    words = {Result.PASS: "pass", Result.FAIL: "fail", Result.CANNOT_TELL: "cannot tell"}
-    results = [condition.result for condition in verdict.conditions]
-    return ", ".join(f"{results.count(result)} {word}" for result, word in words.items())
-
-
 def verdict_text(verdict: Verdict, width: int = 120) -> str:
     """Return the table as plain text of at most ``width`` columns, without colours, ending in a newline."""
     stream = io.StringIO()
@@ -58,8 +51,3 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
         Text(f"{condition.tolerance:.0e}"),
         Text(condition.offence_text),
     )
-
-
-def number_text(value: float) -> str:
-    """Return two digits of a number, "-" for none."""
-    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"

@@ -1,18 +1,20 @@
-"""Course: what one run follows, as re-planning in flight changes it."""
+"""The reference that one run follows, as re-planning in flight changes it."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import GncOptError, in_words
-from gnc_opt.guidance.replanning import Replanner
+from gnc_opt.model.model import Model
+from gnc_opt.model.trajectory import Trajectory
 from gnc_opt.model.variables import Layout
 from gnc_opt.tolerances import STEP_SLACK
 
@@ -62,12 +64,54 @@ class Replan:
         return bool(self.failure)
 
 
-class Course:
+@runtime_checkable
+class PlanUpdater(Protocol):
+    """What plans again during a run, see `gnc_opt.guidance.Replanner`.
+
+    Attributes
+    ----------
+    every, latency, last : float
+        Time between two re-plannings, time until a new plan begins, time before the end without re-planning, s.
+    """
+
+    every: float
+    latency: float
+    last: float
+
+    @property
+    def plan(self) -> Trajectory:
+        """The plan before the run."""
+
+    @property
+    def model(self) -> Model:
+        """Of the plan."""
+
+    @property
+    def description(self) -> str:
+        """Everything that decides the plans, for the fingerprint of a compiled loop."""
+
+    def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+        """Raise `ArgumentError` if a controller does not follow the plan."""
+
+    def wanted(self, t: float, x: Array, x_ref: Array) -> bool:
+        """Whether to plan again at t (s) from the estimated states x (n,)."""
+
+    def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
+        """Return the state (n_states,) that the controls of a plan reach from x at t until a time (s)."""
+
+    def solved(self, begin: float, x: Array, near: Any) -> Any:
+        """Return the plan from a time (s) and a state (n_states,) on, near a known one."""
+
+    def rows(self, plan: Any, times: Array, dt: float, size: int) -> Array:
+        """Return the schedule (size, n_times) of a plan at times (s)."""
+
+
+class ActiveReference:
     """The rows of the schedule of one run.
 
     Parameters
     ----------
-    replanner : Replanner or None
+    replanner : PlanUpdater or None
     times : array (n_steps + 1,)
         s.
     schedule : array (n_signals, n_steps + 1)
@@ -88,7 +132,7 @@ class Course:
 
     def __init__(
         self,
-        replanner: Replanner | None,
+        replanner: PlanUpdater | None,
         times: Array,
         schedule: Array,
         dt: float,
@@ -126,7 +170,7 @@ class Course:
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
         self.replans.append(self._replanned(planner, step, step + late, start))
 
-    def _replanned(self, planner: Replanner, step: int, first: int, x: Array) -> Replan:
+    def _replanned(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
         """Plan for the steps from ``first`` on; what cannot be solved leaves the old plan."""
         t, begin = float(self.times[step]), float(self.times[first])
         begun = time.perf_counter()

@@ -6,12 +6,13 @@ import json
 import math
 import re
 from collections import defaultdict
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
-from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
+from gnc_opt.simulation.outcome import Outcome, RunStatus
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
@@ -23,14 +24,42 @@ _LISTED = 5
 """Numbers of failed runs that are printed for each cause."""
 
 
-def shown_measures(campaign: Campaign) -> tuple[str, ...]:
+class CampaignStatistics(Protocol):
+    """What is printed of a campaign, see `gnc_opt.simulation.Campaign`."""
+
+    @property
+    def seed(self) -> int: ...
+    @property
+    def asked(self) -> int: ...
+    @property
+    def interrupted(self) -> bool: ...
+    @property
+    def span(self) -> tuple[float, float]: ...
+    @property
+    def limits(self) -> Mapping[str, float]: ...
+    @property
+    def measures(self) -> tuple[str, ...]: ...
+    @property
+    def counts(self) -> dict[RunStatus, int]: ...
+    @property
+    def event_totals(self) -> dict[str, int]: ...
+    @property
+    def failures(self) -> dict[int, Outcome]: ...
+    def __len__(self) -> int: ...
+    def unit(self, name: str) -> str: ...
+    def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate: ...
+    def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile: ...
+    def maximum(self, name: str) -> float: ...
+
+
+def shown_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
     """Return the measures worth a row: those with limits first, then errors, own measures and efforts."""
     errors = [n for n in campaign.measures if "(" not in n]
     efforts = [n for n in campaign.measures if n.startswith("effort(")]
     return tuple(dict.fromkeys([*campaign.limits, *errors, *efforts]))
 
 
-def campaign_table(campaign: Campaign) -> str:
+def campaign_table(campaign: CampaignStatistics) -> str:
     """Return a campaign as a short table: what ended how, percentiles, and pass rates with their intervals."""
     runs, asked = len(campaign), campaign.asked
     counts = ", ".join(f"{count} {status.value}" for status, count in campaign.counts.items())
@@ -61,13 +90,13 @@ def campaign_table(campaign: Campaign) -> str:
     return "\n".join([*lines, *_events(campaign), *_causes(campaign)])
 
 
-def _events(campaign: Campaign) -> list[str]:
+def _events(campaign: CampaignStatistics) -> list[str]:
     """Return one line on the events, if the loop has any."""
     told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
     return [f"  events: {told}"] if told else []
 
 
-def _causes(campaign: Campaign) -> list[str]:
+def _causes(campaign: CampaignStatistics) -> list[str]:
     """Return one line per cause of failure, with the first runs that it struck."""
     struck: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
@@ -87,7 +116,7 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "failed"
 
 
-def campaign_dict(campaign: Campaign) -> dict[str, Any]:
+def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
     """Return the statistics of a campaign and what failed as plain JSON values; null is infinite."""
     runs = len(campaign)
     return {
@@ -114,7 +143,7 @@ def campaign_dict(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _measure(campaign: Campaign, name: str) -> dict[str, Any]:
+def _measure(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     limited = name in campaign.limits
     return {
         "unit": campaign.unit(name),
@@ -142,6 +171,6 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def campaign_text(campaign: Campaign) -> str:
+def campaign_text(campaign: CampaignStatistics) -> str:
     """Return `campaign_dict` as indented JSON text with a trailing newline."""
     return json.dumps(campaign_dict(campaign), indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -15,9 +15,9 @@ from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
-from gnc_opt.guidance.replanning import Replanner
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.simulation.active_reference import PlanUpdater
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, Flight
 from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
@@ -101,7 +101,7 @@ class ClosedLoop:
     sensors: Sequence[Block] = ()
     disturbances: Sequence[Disturbance] = ()
     events: Sequence[Event] = field(default=(), kw_only=True)
-    replanner: Replanner | None = field(default=None, kw_only=True)
+    replanner: PlanUpdater | None = field(default=None, kw_only=True)
     quantities: Sequence[Quantity] = field(default=(), kw_only=True)
     dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
     minor_steps: int = field(default=1, kw_only=True)
@@ -140,7 +140,7 @@ class ClosedLoop:
         if self.replanner is not None:
             expect(
                 self.replanner,
-                Replanner,
+                PlanUpdater,
                 "the replanner of a closed loop",
                 "write Replanner(resolver, every=...)",
             )

@@ -15,9 +15,8 @@ import numpy as np
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.guidance.replanning import Replanner
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.active_reference import Course
+from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.compiled_step import WORTH, Folded, native
 from gnc_opt.simulation.error_estimate import estimates
 from gnc_opt.simulation.events import Occurrence, occurrences
@@ -71,7 +70,7 @@ class Flight:
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     beside : bool
         Whether the error of each run is seen from a second flight beside it; if not, the nominal run tells its growth.
-    replanner : Replanner or None
+    replanner : PlanUpdater or None
     quantities : Quantities or None
         What is kept of the way.
     estimates : int array (n,) or None
@@ -108,7 +107,7 @@ class Flight:
     growth: float = 1.0
     beside: bool = False
     events: Layout = field(default_factory=lambda: Layout("event"))
-    replanner: Replanner | None = None
+    replanner: PlanUpdater | None = None
     estimates: Any = None
     quantities: Quantities | None = None
     library: str = ""
@@ -326,7 +325,7 @@ class Flight:
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
     def legs(
-        self, seed: Any, known: Array, course: Course | None = None, *, again: bool = False
+        self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
         """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
@@ -336,7 +335,7 @@ class Flight:
             Or the standard normal numbers themselves.
         known : array (at least `LEG` or all steps, n_known)
             Whose rows are written and yielded.
-        course : Course, optional
+        course : ActiveReference, optional
             What is followed; default the schedule as planned before the flight.
         again : bool
             Whether the rows are those of an earlier run: what is known of them need not be written if one leg is all.
@@ -382,10 +381,12 @@ class Flight:
     def _recorder(self, runs: int) -> Recorder | None:
         return None if self.quantities is None else Recorder(self.quantities, self.kernel, self.times, runs)
 
-    def _course(self) -> Course:
-        return Course(self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows)
+    def _course(self) -> ActiveReference:
+        return ActiveReference(
+            self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
+        )
 
-    def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
+    def _consider(self, course: ActiveReference, step: int, X: Array, rows: Array, C: Array) -> None:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
         if self.replanner is None:
             return
@@ -440,7 +441,7 @@ class Flight:
     def _folded(self) -> Folded:
         return Folded(self.kernel, self.library)
 
-    def _followed_at_end(self, course: Course, X: Array) -> Array:
+    def _followed_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
         found = course.reference_at(self._last_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found

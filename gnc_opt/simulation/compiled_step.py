@@ -2,7 +2,8 @@
 
 Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Around the step
 goes a loop over the steps of a leg, so that nothing is copied between them but the states. A run and the flight beside
-it are flown at once where vector registers take both (`gnc_opt.simulation.simd_kernel`), else one after the other, by the C
+it are flown at once where vector registers take both (`gnc_opt.simulation.simd_kernel`), else one after
+the other, by the C
 that CasADi writes. A step that says that it is not enough (a law that solves a problem now and then, which has no C)
 ends the loop before it. Libraries are kept in the user's cache by what is in them, so that a function is compiled once
 per machine.

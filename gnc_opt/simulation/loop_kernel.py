@@ -10,7 +10,8 @@ step by minor step, through it (`gnc_opt.simulation.event_location`).
 
 Eventful step: a control step that is taken again with care where a row of an event may have crossed zero.
 
-Minor step by minor step, each through its events (`gnc_opt.simulation.event_location`), with the book-keeping of any other.
+Minor step by minor step, each through its events (`gnc_opt.simulation.event_location`), with the
+book-keeping of any other.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.tabular import Records, named
 from gnc_opt.model.variables import Layout, Variable, as_vector
-from gnc_opt.simulation import run as metrics
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.events import Occurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
@@ -250,7 +249,7 @@ class Run(Strict):
         if target is None:
             return self.error(name).values
         signal = self.state(name).values
-        return signal - metrics.as_column(target, signal.shape[0], f"the target of '{name}'")
+        return signal - as_column(target, signal.shape[0], f"the target of '{name}'")
 
     def miss(self, name: str, target: ArrayLike | None = None) -> float:
         """Return the Euclidean norm of a state's error at the end (unit of the state).
@@ -269,14 +268,14 @@ class Run(Strict):
         self._need_errors()
         assert self.reference is not None
         place = self.followed.slice(name)
-        return metrics.rotation_angle(self.state(name).values[:, index], self.reference[place, index])
+        return rotation_angle(self.state(name).values[:, index], self.reference[place, index])
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
         """Return how long (s) after the start the norm of a state's error enters the band (unit of the state) for good.
 
         Infinite if it is outside at the end; resolved to control steps.
         """
-        return metrics.settling_time(self.times, np.linalg.norm(self._deviation(name, target), axis=0), band)
+        return settling_time(self.times, np.linalg.norm(self._deviation(name, target), axis=0), band)
 
     def control_effort(self, name: str) -> Array:
         """Return the integral of \\|u\\| of an applied control, (size,), in its unit times s."""

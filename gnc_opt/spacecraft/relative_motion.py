@@ -63,7 +63,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.spacecraft.gravity import J2_EARTH, MU_EARTH, j2_gravity
+from gnc_opt.spacecraft.gravity import J2_EARTH, MU_EARTH, RADIUS_EARTH, j2_gravity
 from gnc_opt.spacecraft.vectors import Matrix, Vector, apply, cross, dot, scale, stack, stack_rows, transpose
 
 

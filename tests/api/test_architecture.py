@@ -1,10 +1,9 @@
-"""The order of the house: which room may import from which, and no circle of files anywhere."""
+"""The import contracts of pyproject.toml, and no import circle of files."""
 
 from __future__ import annotations
 
 import ast
 import graphlib
-import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -14,17 +13,6 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
-
-SHOWING = {
-    ("gnc_opt.planning.solution.solution", "gnc_opt.planning.solution.summary"),
-    ("gnc_opt.planning.direct.mesh_problem", "gnc_opt.progress"),
-    ("gnc_opt.planning.refinement.iterations", "gnc_opt.progress"),
-    ("gnc_opt.planning.study.multistart", "gnc_opt.progress"),
-    ("gnc_opt.simulation.campaign", "gnc_opt.simulation.campaign_text"),
-    ("gnc_opt.simulation.monte_carlo", "gnc_opt.progress"),
-    ("gnc_opt.analysis.linear_covariance", "gnc_opt.analysis.linear_covariance"),
-}
-"""Imports upwards that are allowed, inside functions only: they draw or print."""
 
 MANY = 7
 """Parameters of a function; of more, those that belong together are a frozen dataclass."""
@@ -45,15 +33,8 @@ def graph() -> grimp.ImportGraph:
 
 
 def circle(graph: grimp.ImportGraph) -> list[str]:
-    """A circle of files without the imports that only show something, or nothing."""
-    below = {
-        module: {
-            imported
-            for imported in graph.find_modules_directly_imported_by(module)
-            if (module, imported) not in SHOWING
-        }
-        for module in graph.modules
-    }
+    """A circle of files, or nothing."""
+    below = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
     try:
         tuple(graphlib.TopologicalSorter(below).static_order())
     except graphlib.CycleError as error:
@@ -71,12 +52,7 @@ def test_a_circle_of_files_would_be_found(graph: grimp.ImportGraph) -> None:
     assert {"gnc_opt.planning.problem.phase", "gnc_opt.planning.problem.problem"} <= set(circle(crooked))
 
 
-def test_imports_inside_functions_and_for_types_are_seen(graph: grimp.ImportGraph) -> None:
-    for importer, imported in SHOWING:
-        assert graph.direct_import_exists(importer=importer, imported=imported), f"{importer} shows nothing"
-
-
-def test_rooms_import_downwards_only() -> None:
+def test_packages_import_downwards_only() -> None:
     """The contracts of pyproject.toml; what they break is named in import-linter's own words.
 
     It comes with the extra ``dev``, since it needs a newer rich than gnc_opt does.
@@ -87,14 +63,6 @@ def test_rooms_import_downwards_only() -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 broken" in done.stdout
-
-
-def test_showing_happens_inside_functions() -> None:
-    """So that whoever only computes loads neither rich nor matplotlib."""
-    for importer, imported in SHOWING:
-        text = ROOT.joinpath(*importer.split(".")).with_suffix(".py").read_text(encoding="utf-8")
-        assert re.search(rf"^ +from {re.escape(imported)} import", text, re.MULTILINE)
-        assert not re.search(rf"^from {re.escape(imported)} import", text, re.MULTILINE)
 
 
 def test_no_two_classes_have_one_name() -> None:

@@ -29,10 +29,9 @@ def printed(program: str) -> list[str]:
 
 
 PACKAGES = (
-    "gnc_opt.solve",
     "gnc_opt.planning.solver",
     "gnc_opt.planning.study",
-    "gnc_opt.verify",
+    "gnc_opt.planning.verification",
     "gnc_opt.control",
     "gnc_opt.simulation",
     "gnc_opt.analysis",
@@ -73,27 +72,6 @@ def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:
         "print(rooms & set(sys.modules)); go.linear_covariance; print(rooms <= set(sys.modules))"
     )
     assert printed(program) == ["set()", "True"]
-
-
-FUNCTIONS_WITH_A_MODULE = ("bound_below", "refine", "solve", "verify")
-
-
-def test_names_are_functions_whichever_module_was_loaded_first() -> None:
-    """`import` binds a submodule under its name, after which a package is not asked for that name any more.
-
-    Every case begins with the package forgotten: another process would load NumPy and CasADi anew for each.
-    """
-    program = f"""
-import sys
-for first in {(*FUNCTIONS_WITH_A_MODULE, "study", "report")!r}:
-    for begin in ("import gnc_opt.{{0}}", "import gnc_opt; gnc_opt.{{0}}; import gnc_opt.{{0}}, gnc_opt.planning.solver"):
-        for name in [name for name in sys.modules if name.partition(".")[0] == "gnc_opt"]:
-            del sys.modules[name]
-        exec(begin.format(first), names := {{}})
-        for name in {FUNCTIONS_WITH_A_MODULE!r}:
-            print(type(getattr(names["gnc_opt"], name)).__name__)
-"""
-    assert printed(program) == ["function"] * (6 * 2 * 4)
 
 
 def test_a_function_of_a_script_that_uses_the_package_can_be_sent_to_a_cluster() -> None:

@@ -37,29 +37,33 @@ EXPECTED = {
         table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        CodeOptions ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions
-        FlightCode GuidanceOptions
-        Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
-        SuperTwistingObserver
-        TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
-        design_gain_schedule design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
-        design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
-        lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics
+        CodeOptions ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode
+        MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
+        SuperTwistingObserver TanhLayer bridge_dropouts bryson decoupling_matrix
+        design_feedback_linearization design_gain_schedule design_hierarchical_sliding_mode
+        design_integral_sliding_mode design_lqr design_mpc design_sliding_mode design_tvlqr export_c
+        export_fmu feedforward first_memory law lie_derivative output_errors relative_degrees trim
+        zero_dynamics
+    """,
+    "gnc_opt.estimation": """
+        Estimator FilterOptions Measurement UnscentedOptions design_ekf design_scheduled_ekf
+        design_ukf output_feedback
+    """,
+    "gnc_opt.guidance": """
+        GuidanceOptions Replanner design_neighbouring_extremal design_neighbouring_optimal
     """,
     "gnc_opt.simulation": """
-        Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
-        Ending Envelope Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise
+        Allocation Ball Bias Block Campaign Choice ClosedLoop Constant Deadband Delay Disturbance
+        Ending Envelope Event Expression Flight Hold Lag MinimumImpulse Mixer Noise
         NonNegativeAllocation Normal Occurrence Outage Outcome PlantFlight Pwm Pwpf Quantisation
-        Quantity RandomHold
-        RandomWalk RateLimit Replan Replanner Run
-        RunStatus Sampling
-        Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
-        Uniform WheelArray consistency fly_plant monte_carlo
+        Quantity RandomHold RandomWalk RateLimit Replan Run RunStatus Sampling Saturation Scale
+        ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn Uniform WheelArray
+        fly_plant monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Correlations Experiment FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
-        correlations failure_probability linear_covariance loop_response sobol_indices worst_case
+        Agreement Consistency Correlations Experiment FailureProbability InnovationTest
+        LinearCovariance LoopResponse Share SobolIndices WorstCase consistency correlations
+        failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody

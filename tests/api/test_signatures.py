@@ -11,7 +11,17 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
-PACKAGES = ["", ".control", ".simulation", ".analysis", ".spacecraft", ".plot", ".report"]
+PACKAGES = [
+    "",
+    ".control",
+    ".estimation",
+    ".guidance",
+    ".simulation",
+    ".analysis",
+    ".spacecraft",
+    ".plot",
+    ".report",
+]
 LIST = Path(__file__).with_name("signatures.txt")
 
 

@@ -213,7 +213,7 @@ def test_a_solution_that_is_not_solved_is_refused():
 
 
 def test_bad_references_are_refused():
-    with pytest.raises(ArgumentError, match="Solution"):
+    with pytest.raises(ArgumentError, match="Trajectory"):
         Reference("solution")
     with pytest.raises(ArgumentError, match=r"from 2\.0 s to 1\.0 s is none"):
         Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0], 2, 1)

@@ -78,7 +78,7 @@ def test_inline_code_names_what_exists(page: Page) -> None:
         "Solution.structured",
         "phase().path_multiplierz",
         "Problem.with_arcs(arc=2)",
-        "gnc_opt.refine.eror",
+        "gnc_opt.planning.refinement.eror",
         'structure="bang-bong"',
         'taill="trim"',
         "gnc_opt/nowhere.py",

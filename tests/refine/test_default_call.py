@@ -7,8 +7,6 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning.solver import TOLERANCE
-from gnc_opt.planning.verification.engine import TOLERANCE as JUDGED
-from gnc_opt.planning.verification.verify import kept_verdict
 
 
 def dash(limit: float = 1.0) -> go.Problem:
@@ -36,7 +34,7 @@ def test_the_default_call_refines_and_judges(solution: go.Solution) -> None:
     history = solution.history
     assert history is not None and history.converged and history.tolerance == TOLERANCE == 1e-6
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
-    verdict = kept_verdict(solution, JUDGED)
+    verdict = solution.verdict
     assert verdict is not None and verdict.minimum and go.verify(solution) is verdict
 
 

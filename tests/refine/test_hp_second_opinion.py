@@ -104,7 +104,7 @@ def test_a_strategy_that_the_user_chose_is_left_alone(options: SolverOptions) ->
 def test_solve_asks_only_when_refinement_does_not_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib
 
-    module = importlib.import_module("gnc_opt.solve")
+    module = importlib.import_module("gnc_opt.planning.solver")
     asked: list[bool] = []
 
     def note(problem: object, first: object, refined: go.Solution, *_: object) -> go.Solution:

@@ -22,8 +22,6 @@ from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.solution.tail import rest_of
 from gnc_opt.planning.solver import Resolver, Way
-from gnc_opt.planning.verification.engine import TOLERANCE
-from gnc_opt.planning.verification.verify import kept_verdict
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -189,7 +187,7 @@ def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver)
 
 def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
     limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
-    module = importlib.import_module("gnc_opt.solve")
+    module = importlib.import_module("gnc_opt.planning.solver")
     usual = solve_mesh
 
     def lost(problem: go.Problem, mesh: Any = None, *, guess: Any = None, **given: Any) -> go.Solution:
@@ -266,7 +264,7 @@ def test_a_tolerance_asks_for_the_verdict_as_well(limited: Resolver) -> None:
     problem = limited.solution.need_problem("").with_initial(q=-1.2)
     found = go.solve(problem, guess=limited.solution, tol=1e-8)
     assert found.history is not None and found.history.converged and found.history.tolerance == 1e-8
-    assert kept_verdict(found, TOLERANCE) is not None and found.objective == pytest.approx(2.3, rel=1e-12)
+    assert found.verdict is not None and found.objective == pytest.approx(2.3, rel=1e-12)
 
 
 def test_a_start_on_an_arc_on_a_limit_is_solved_from_the_rest(limited: Resolver) -> None:

@@ -201,7 +201,7 @@ def test_refining_goes_the_way_of_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
 ) -> None:
     """A solution that does not come to rest is compared with another one, as by solve(tol=...)."""
-    module = importlib.import_module("gnc_opt.solve")
+    module = importlib.import_module("gnc_opt.planning.solver")
     refine, compared = module.refine, []
 
     def restless(solution: go.Solution, **more: Any) -> go.Solution:
@@ -349,7 +349,9 @@ def test_folder_instead_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_report_into_a_file_is_refused_before_solving(
     cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys.modules["gnc_opt.solve"], "solve", lambda *_, **__: pytest.fail("it solved"))
+    monkeypatch.setattr(
+        sys.modules["gnc_opt.planning.solver"], "solve", lambda *_, **__: pytest.fail("it solved")
+    )
     assert run("solve", cart, "--report", cart) == 2
     assert "this is a file; name a folder" in complaint(capsys)
 

@@ -45,7 +45,6 @@ from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arc
 from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
 from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
-from gnc_opt.planning.verification.verify import keep_verdict, kept_verdict
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]
@@ -578,19 +577,13 @@ def test_steps_of_free_parameters() -> None:
     np.testing.assert_allclose(parameter_scale(solution), [0.4, 7.0, 1.0, 2.0])
 
 
-def test_kept_verdicts_belong_to_a_solution_its_numbers_and_a_tolerance() -> None:
+def test_a_copy_of_a_solution_has_no_verdict() -> None:
     problem = plain(np.zeros((2, 2)))
     solution = by_hand.solution(problem, arc(problem).leg)
-    first, second = Verdict("first", ()), Verdict("second", ())
-    assert kept_verdict(solution, 1e-5) is None
-    keep_verdict(solution, first, 1e-5)
-    keep_verdict(solution, second, 1e-8)
-    assert kept_verdict(solution, 1e-5) is first and kept_verdict(solution, 1e-8) is second
-    assert kept_verdict(solution, 1e-6) is None and kept_verdict(replace(solution), 1e-5) is None
-    solution.phase().lam_start[0, 0] += 1.0
-    assert kept_verdict(solution, 1e-5) is None
-    keep_verdict(solution, first, 1e-6)
-    assert kept_verdict(solution, 1e-6) is first and kept_verdict(solution, 1e-8) is None
+    first = Verdict("first", ())
+    assert solution.verdict is None
+    with_one = solution.with_verdict(first)
+    assert with_one.verdict is first and solution.verdict is None and replace(with_one).verdict is None
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_a_relaxation_that_costs_more_than_the_flight_is_no_bound(monkeypatch: p
     """The flight is one of its trajectories: its minimum was a local one."""
     solution = go.solve(follower(), tol=None)
     dear = replace(go.solve(follower()), objective=solution.objective * 1.1)
-    monkeypatch.setattr(sys.modules["gnc_opt.bound_below"], "solve", lambda *_, **__: dear)
+    monkeypatch.setattr(sys.modules["gnc_opt.planning.study.lower_bound"], "solve", lambda *_, **__: dear)
     assert go.bound_below(solution).bound is None
 
 

@@ -1,0 +1,1 @@
+"""Controllers and estimators as plain C99."""

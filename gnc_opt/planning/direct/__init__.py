@@ -1,0 +1,1 @@
+"""One solve on one mesh, and why it failed."""

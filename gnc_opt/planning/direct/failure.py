@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import knows_trajectory
 from gnc_opt.planning.nlp import Status
+from gnc_opt.planning.problem.check import bounds_to_give
 from gnc_opt.planning.problem.check_functions import norms_by_hand
-from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 
@@ -69,40 +68,6 @@ def guess_to_give(problem: Problem) -> str:
     first = untold[0]
     names = ", ".join(f"'{name}'" for name in untold)
     return f"{hint} Begin with {names}: no bound, end or guess tells how large, as with_guess(phase, {first}=...) does."
-
-
-def bounds_to_give(problem: Problem) -> str:
-    """Return which controls lack bounds in a problem that costs time alone; empty if none does.
-
-    Of controls that move states at rates proportional to them, and that no path constraint and no integral contains.
-    """
-    times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
-    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
-    if ca.symvar(apart):
-        return ""
-    missing = [f"'{name}'" for leg in problem.phases.values() for name in _boundless(leg)]
-    if not missing:
-        return ""
-    names = ", ".join(dict.fromkeys(missing))
-    return (
-        f"time is all that costs, and neither bounds nor path constraints limit {names} to both sides: give bounds(), "
-        "or flights may take as little time as states allow."
-    )
-
-
-def _boundless(leg: Phase) -> list[str]:
-    """Return the controls of a phase that are affine in its dynamics, and that nothing limits or costs."""
-    box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
-    if leg.vectors:  # these are limited by their length
-        return []
-    limits = ca.vertcat(leg.path_expression(), leg.integrand_expression())
-    found = []
-    for i in np.flatnonzero(np.isinf(box.lower) | np.isinf(box.upper)):
-        slope = ca.jacobian(rates, u[int(i)])
-        used = slope.nnz() > 0 and not ca.depends_on(slope, u)
-        if used and not ca.depends_on(limits, u[int(i)]):
-            found.append(leg.model.controls.labels[i])
-    return found
 
 
 def _untold(problem: Problem) -> list[str]:

@@ -1,0 +1,1 @@
+"""Mathematics of the optimality conditions, shared by verification, refinement and sensitivity."""

@@ -44,7 +44,7 @@ from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class SampledTrajectory:
     """A trajectory without multipliers.
 
     Attributes
@@ -85,7 +85,7 @@ class Atoms:
     at_upper: Mask
 
     @classmethod
-    def of(cls, transcription: Transcription, trajectory: Trajectory) -> Atoms:
+    def of(cls, transcription: Transcription, trajectory: SampledTrajectory) -> Atoms:
         """Find them along a trajectory."""
         found = [cls._none(transcription.n_variables)]
         problem = trajectory.problem
@@ -138,7 +138,11 @@ def path_gradients_at_boundaries(
 
 
 def _of_phase(
-    transcription: Transcription, part: PhasePart, trajectory: Trajectory, pure: Indices, touched_only: Mask
+    transcription: Transcription,
+    part: PhasePart,
+    trajectory: SampledTrajectory,
+    pure: Indices,
+    touched_only: Mask,
 ) -> Atoms:
     problem, fitted, q, scales = trajectory.problem, trajectory.phases, trajectory.q, trajectory.scales
     leg, polynomials = problem.phases[part.name], fitted[part.name]
@@ -227,7 +231,7 @@ def estimate(
     )
     limits = _Limits.of(transcription.variable_interval(problem), x, near * scales)
     row_limits = _Limits.of(transcription.row_interval(problem), values, near / row_scales)
-    atoms = Atoms.of(transcription, Trajectory(problem, fitted, q, scales, near))
+    atoms = Atoms.of(transcription, SampledTrajectory(problem, fitted, q, scales, near))
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients

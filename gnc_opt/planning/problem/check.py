@@ -244,3 +244,37 @@ def _check_unused_parameters(problem: Statement) -> None:
                     f"parameter '{variable.name}' of model '{model.name}' is used nowhere: remove it or use "
                     "it."
                 )
+
+
+def bounds_to_give(problem: Statement) -> str:
+    """Return which controls lack bounds in a problem that costs time alone; empty if none does.
+
+    Of controls that move states at rates proportional to them, and that no path constraint and no integral contains.
+    """
+    times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
+    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
+    if ca.symvar(apart):
+        return ""
+    missing = [f"'{name}'" for leg in problem.phases.values() for name in _boundless(leg)]
+    if not missing:
+        return ""
+    names = ", ".join(dict.fromkeys(missing))
+    return (
+        f"time is all that costs, and neither bounds nor path constraints limit {names} to both sides: give bounds(), "
+        "or flights may take as little time as states allow."
+    )
+
+
+def _boundless(leg: Phase) -> list[str]:
+    """Return the controls of a phase that are affine in its dynamics, and that nothing limits or costs."""
+    box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
+    if leg.vectors:  # these are limited by their length
+        return []
+    limits = ca.vertcat(leg.path_expression(), leg.integrand_expression())
+    found = []
+    for i in np.flatnonzero(np.isinf(box.lower) | np.isinf(box.upper)):
+        slope = ca.jacobian(rates, u[int(i)])
+        used = slope.nnz() > 0 and not ca.depends_on(slope, u)
+        if used and not ca.depends_on(limits, u[int(i)]):
+            found.append(leg.model.controls.labels[i])
+    return found

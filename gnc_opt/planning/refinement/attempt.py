@@ -17,8 +17,7 @@ from gnc_opt.planning.refinement.iterations import PROMISING, pass_record
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Result, Verdict
-from gnc_opt.planning.verification.engine import TOLERANCE, verify
-from gnc_opt.planning.verification.verify import keep_verdict
+from gnc_opt.planning.verification.engine import verify
 
 CLOSE, NEARLY = 1e2, 1e-2
 """A structure is nearly right with an error of so many tolerances, and offences of the verdict below this. No finer
@@ -144,10 +143,7 @@ def result_of(given: Solution, attempts: Sequence[RefinementAttempt], tol: float
         message=_message(status, history, verdict, tol),
         seconds=time.perf_counter() - begin,
     )
-    refined = replace(solution, history=told)
-    if verdict is not None:
-        keep_verdict(refined, verdict, TOLERANCE)
-    return refined
+    return replace(solution, history=told).with_verdict(verdict)
 
 
 def _least_wrong(attempts: Sequence[RefinementAttempt], tol: float) -> int:

@@ -22,9 +22,11 @@ class RefinementLimits:
         No pass begins when all of them have cost this many times what the given solution did, counted in iterations
         at one collocation point (`Pass.work`), so that it ends in the same place on every machine. (Of tries that led
         nowhere before that solution no more than 300 iterations count.) What costs about a second
-        (`gnc_opt.planning.refinement.engine.LEAST_WORK`) is allowed in any case, twice as much of either while the error falls to a
+        (`gnc_opt.planning.refinement.engine.LEAST_WORK`) is allowed in any case, twice as much of either
+        while the error falls to a
         third or less from pass to pass; ``math.inf`` allows everything. Where all of it was less than about two seconds
-        (`gnc_opt.planning.refinement.engine.LITTLE`) and the error of the mesh has fallen to a tenth, refining begins once more from
+        (`gnc_opt.planning.refinement.engine.LITTLE`) and the error of the mesh has fallen to a tenth,
+        refining begins once more from
         there, with as much work for the mesh that it has come to. A structure that is tried unasked
         may cost half as much, and a quarter when a finer mesh shows another and so much is left of it all; on the
         segments of that mesh, once, as much as all. Meshes may cost half as much in any case. A pass that has begun may

@@ -1,8 +1,24 @@
-"""Solution: piecewise polynomials, costates by covector mapping, warm starts, files."""
+"""Solution: piecewise polynomials, costates by covector mapping, verdict, warm starts, files."""
 
 from gnc_opt.planning.solution.diagnosis import Violation
-from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.solution import Solution, load
+from gnc_opt.planning.solution.verdict import Condition, LowerBound, Result, Verdict
 
-__all__ = ["PhaseSolution", "Signal", "Solution", "Statistics", "Violation", "load"]
+__all__ = [
+    "Condition",
+    "History",
+    "LowerBound",
+    "PhaseSolution",
+    "Quality",
+    "RefinementStatus",
+    "Result",
+    "Signal",
+    "Solution",
+    "Statistics",
+    "Verdict",
+    "Violation",
+    "load",
+]

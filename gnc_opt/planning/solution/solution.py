@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.archive import FileFormat, Packing
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
-from gnc_opt.errors import GncOptError, ProblemError, unknown_name
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
 from gnc_opt.model.composed_controls import AssembledControl, SplitControl, SwitchedControl, VectorControl
+from gnc_opt.model.trajectory import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.angles import Turns
@@ -23,6 +24,7 @@ from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.expressions import OutsideTable, outside_tables, table_uses
 from gnc_opt.planning.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.diagnosis import Violation
@@ -34,7 +36,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, propagate
 from gnc_opt.planning.solution.quality import Quality, measure_quality
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import LowerBound
+from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scheme import Scheme
 from gnc_opt.text import preformatted
@@ -74,6 +76,8 @@ class Solution:
         What was solved, a copy that cannot be changed; None after loading without it.
     bound : LowerBound or None
         What no trajectory of the problem can pass, from `bound_below`; files do not keep it.
+    verdict : Verdict or None
+        Result of `verify` at its default tolerance, once computed. A copy made by `dataclasses.replace` has none.
 
     Examples
     --------
@@ -99,6 +103,7 @@ class Solution:
     history: History | None = None
     problem: Problem | None = None
     bound: LowerBound | None = None
+    verdict: Verdict | None = field(default=None, init=False)
 
     @property
     def scheme(self) -> Scheme:
@@ -385,6 +390,29 @@ class Solution:
             )
         return replace(self, problem=problem.frozen())
 
+    def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
+        """Return states and saturated controls by phase, in the controls as they were stated.
+
+        Raises
+        ------
+        ArgumentError
+            It is not solved.
+        GncOptError
+            It was loaded without its problem.
+        """
+        problem = self.need_problem("follow")
+        if not self.status.solved:
+            raise ArgumentError(
+                f"the solution of '{self.problem_name}' ended as {self.status.value}: follow one that is solved."
+            )
+        return tuple(_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
+
+    def with_verdict(self, verdict: Verdict | None) -> Solution:
+        """Return a copy that holds a verdict on it."""
+        copy = replace(self)
+        object.__setattr__(copy, "verdict", verdict)
+        return copy
+
     def need_problem(self, action: str) -> Problem:
         """Return the problem.
 
@@ -406,6 +434,30 @@ class Solution:
         return self.problem
 
 
+def _trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
+    restatement = phase.restatement
+    model = phase.model if restatement is None else restatement.model
+    names = model.parameters.names
+    values = {name: leg.parameters[leg.model_parameters.slice(name)] for name in names}
+    if restatement is None:
+        control: Callable[[Array], Array] = leg.flown
+    else:
+        signals = [leg.flown_control(name) for name in model.controls.names]
+
+        def control(times: Array) -> Array:
+            return np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
+
+    return TrajectoryPhase(
+        leg.name,
+        model.with_parameters(**values) if names else model,
+        leg.initial_time,
+        leg.final_time,
+        leg.flown.jumps,
+        leg.x,
+        control,
+    )
+
+
 SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
@@ -417,7 +469,7 @@ SOLUTION_FILES = FileFormat(
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, Pass, Actions, RefinementStatus),
         ),
-        left_out={Solution: ("problem", "history", "bound")},
+        left_out={Solution: ("problem", "history", "bound", "verdict")},
     ),
     alike=(1, 2),  # have no turns, 1 no composed controls
 )

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Protocol
 
 import numpy as np
 
-from gnc_opt.planning.direct.failure import bounds_to_give
+from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.problem.check import bounds_to_give
 from gnc_opt.planning.problem.expressions import OutsideTable
-from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.diagnosis import Violation
+from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Quality
-from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.engine import TOLERANCE
-from gnc_opt.planning.verification.verify import kept_verdict
+from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 
 WIDTH = 13
 WORST = 3
@@ -29,7 +31,42 @@ _UNKEPT = {
 """What is known of the verdict of a refinement without the verdict itself, after loading."""
 
 
-def summary(solution: Solution) -> str:
+class SummarisedSolution(Protocol):
+    """What is printed of a solution, see `gnc_opt.Solution`."""
+
+    @property
+    def problem_name(self) -> str: ...
+    @property
+    def status(self) -> Status: ...
+    @property
+    def objective(self) -> float: ...
+    @property
+    def maximised(self) -> bool: ...
+    @property
+    def phases(self) -> Mapping[str, PhaseSolution]: ...
+    @property
+    def violations(self) -> tuple[Violation, ...]: ...
+    @property
+    def statistics(self) -> Statistics: ...
+    @property
+    def history(self) -> History | None: ...
+    @property
+    def problem(self) -> Problem | None: ...
+    @property
+    def bound(self) -> LowerBound | None: ...
+    @property
+    def gap(self) -> float | None: ...
+    @property
+    def verdict(self) -> Verdict | None: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def quality(self) -> Quality: ...
+    def phase(self, name: str | None = None) -> PhaseSolution: ...
+    def outside_tables(self) -> list[OutsideTable]: ...
+
+
+def summary(solution: SummarisedSolution) -> str:
     """Return about six lines on a solution.
 
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
@@ -74,7 +111,7 @@ def summary(solution: Solution) -> str:
     return "\n".join(lines)
 
 
-def known_quality(solution: Solution) -> Quality | None:
+def known_quality(solution: SummarisedSolution) -> Quality | None:
     """Return the quality figures, measured now or stored in the file; None if neither is possible."""
     if solution.problem is None and "quality" not in vars(solution):
         return None
@@ -99,14 +136,14 @@ def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
 
 
-def mesh_text(solution: Solution) -> str:
+def mesh_text(solution: SummarisedSolution) -> str:
     """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
     if len(solution.phases) == 1:
         return str(solution.phase().mesh)
     return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
 
 
-def _headline(solution: Solution) -> str:
+def _headline(solution: SummarisedSolution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
@@ -118,7 +155,7 @@ def _headline(solution: Solution) -> str:
     return f"{solution.problem_name}: {status}, objective {solution.objective:.10g} ({sense})"
 
 
-def _failure(solution: Solution) -> Iterator[str]:
+def _failure(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
     yield _line("what to do", solution.status.remedy)
@@ -126,12 +163,12 @@ def _failure(solution: Solution) -> Iterator[str]:
         yield _line("broken", f"{violation.name}, off by {violation.amount:.2g} of its scale")
 
 
-def _refinement(solution: Solution) -> Iterator[str]:
+def _refinement(solution: SummarisedSolution) -> Iterator[str]:
     """What a refinement was asked for and reached, and which conditions of its verdict are open."""
     history = solution.history
     if history is None:
         return
-    verdict = kept_verdict(solution, TOLERANCE)
+    verdict = solution.verdict
     if verdict is None:
         yield _line("verdict", _UNKEPT.get(history.status, "not judged: verify() does"))
     else:
@@ -149,19 +186,19 @@ def _refinement(solution: Solution) -> Iterator[str]:
     )
 
 
-def _bound(solution: Solution) -> Iterator[str]:
+def _bound(solution: SummarisedSolution) -> Iterator[str]:
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
         yield _line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
-def _restated(solution: Solution) -> Iterator[str]:
+def _restated(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
             yield _line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
-def _times(solution: Solution) -> str:
+def _times(solution: SummarisedSolution) -> str:
     return _line(
         "time",
         "; ".join(
@@ -171,7 +208,7 @@ def _times(solution: Solution) -> str:
     )
 
 
-def _cost(solution: Solution) -> str:
+def _cost(solution: SummarisedSolution) -> str:
     scheme = next(iter(solution.phases.values())).scheme
     return _line("mesh", f"{mesh_text(solution)} {scheme}, {solution.statistics.text}")
 
@@ -198,7 +235,7 @@ def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
     yield _line("propagation", miss)
 
 
-def _overshoot(solution: Solution) -> Iterator[str]:
+def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.phases.values():
         over = overshooting_controls(leg)
         if not over:
@@ -213,7 +250,7 @@ def _overshoot(solution: Solution) -> Iterator[str]:
         )
 
 
-def left_tables(solution: Solution) -> list[OutsideTable]:
+def left_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     """Return where the trajectory is outside of tables; nothing without the problem, which alone knows them."""
     return [] if solution.problem is None else solution.outside_tables()
 

@@ -36,9 +36,8 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.relaxation import Relaxation, relaxations
-from gnc_opt.planning.verification.engine import TOLERANCE, verify
+from gnc_opt.planning.verification.engine import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
-from gnc_opt.planning.verification.verify import keep_verdict
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 _TIMES = 201
@@ -92,9 +91,7 @@ def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
         found = (_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
         known = [bound for bound in found if bound is not None]
         best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
-    bounded = replace(solution, bound=best)
-    keep_verdict(bounded, verdict, TOLERANCE)
-    return bounded
+    return replace(solution, bound=best).with_verdict(verdict)
 
 
 def _bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:

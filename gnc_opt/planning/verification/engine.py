@@ -60,7 +60,6 @@ from gnc_opt.planning.verification.sufficiency import (
     is_convex,
     reaches_least_cost,
 )
-from gnc_opt.planning.verification.verify import keep_verdict, kept_verdict
 
 TOLERANCE = 1e-5
 
@@ -116,10 +115,11 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
-    known = kept_verdict(solution, tol) if solution.problem is not None else None
+    known = solution.verdict if tol == TOLERANCE and solution.problem is not None else None
     if known is None:
         known = _judge(solution, tol)
-        keep_verdict(solution, known, tol)
+        if tol == TOLERANCE:  # the one field of a solution that is set after its construction
+            object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 

@@ -172,7 +172,8 @@ def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: flo
 def _judged_restated(
     problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
-    """As a default call judges it: along controls without norms and kinks (`gnc_opt.planning.problem.reformulation`)."""
+    """As a default call judges it: along controls without norms and kinks
+    (`gnc_opt.planning.problem.reformulation`)."""
     samples = restated_samples(problem, twin, stated, q)
     q = _with_added(twin, samples, q)
     return _judged(twin, _unwound(twin, samples, q), q, tol)

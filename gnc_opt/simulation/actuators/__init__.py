@@ -1,7 +1,8 @@
 """Actuators: what becomes of a command on its way to the plant.
 
 A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it
-(`gnc_opt.simulation.intersample_input`), blocks without memory act at every time, and all others are devices that work once per
+(`gnc_opt.simulation.intersample_input`), blocks without memory act at every time, and all others are
+devices that work once per
 minor step, with the mean of what they get.
 """
 

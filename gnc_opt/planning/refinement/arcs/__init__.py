@@ -1,1 +1,1 @@
-"""Control structures: which control sits on which bound when, with the switch times as variables."""
+"""Arcs of controls and state constraints: detection, meshes with free breakpoints, updates."""

@@ -1,6 +1,7 @@
 r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, found and mended.
 
-Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in the controls that
+Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraints`), and H be strictly convex in
+the controls that
 :math:`S^{(q)}` depends on. Then the control is continuous where an arc on the limit begins and ends (Jacobson, Lele &
 Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995): there :math:`S^{(q)}` comes to
 zero, with a kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends

@@ -1,1 +1,1 @@
-"""The Hamiltonian boundary-value problem, which takes smooth solutions to rounding."""
+"""The Hamiltonian boundary-value problem of a solution."""

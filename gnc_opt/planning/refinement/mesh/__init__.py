@@ -1,1 +1,1 @@
-"""hp refinement: better meshes until the error between the nodes is small."""
+"""hp mesh refinement."""

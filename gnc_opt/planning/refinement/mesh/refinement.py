@@ -1,7 +1,8 @@
 """hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
 
 Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
-trajectory alone, see `gnc_opt.planning.refinement.error`; how the mesh changes is in `gnc_opt.planning.refinement.mesh.remesh`.
+trajectory alone, see `gnc_opt.planning.refinement.error`; how the mesh changes is in
+`gnc_opt.planning.refinement.mesh.remesh`.
 """
 
 from __future__ import annotations
