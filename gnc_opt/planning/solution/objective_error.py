@@ -98,8 +98,9 @@ class ObjectiveError:
         ----------
         loss : float
             Integral of H less its least value over all admissible controls, path limits respected
-            (`gnc_opt.planning.verification.control_conditions.minimum`).
-            Where controls are coupled by a path limit it is far smaller than sum |g|; at a false extremal, whose other minimum of H no Newton step reaches, it is far larger.
+            (`gnc_opt.planning.verification.control_conditions.minimum`). Where controls are coupled by a
+            path limit it is far smaller than sum |g|; at a false extremal, whose other minimum of H no
+            Newton step reaches, it is far larger.
         """
         others = self.value - self.suboptimal if np.isfinite(self.value) else np.inf
         return others + min(self.suboptimal, loss), others + max(self.suboptimal, loss)
