@@ -1,4 +1,6 @@
-"""The tables of docs/benchmarks.md; ``python -m benchmarks.performance.page [NAME ...]`` measures the named ones.
+"""The tables of docs/benchmarks.md and benchmarks/validation/README.md.
+
+``python -m benchmarks.performance.page [NAME ...]`` measures the named ones.
 
 Results are stored in ``numbers/NAME.json`` with command, date, machine and versions, and the page shows them
 all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
@@ -30,7 +32,7 @@ from benchmarks.performance.peers.compare import ACCURACIES, best
 from gnc_opt.problem_file import example
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGES = (ROOT / "docs" / "benchmarks.md", ROOT / "benchmarks" / "validation" / "README.md")
 NUMBERS = Path(__file__).parent / "numbers"
 _PACKAGES = ("gnc_opt", "casadi", "numpy", "scipy")
 _PLACE = re.compile(r"(<!-- table of benchmarks\.\w+\.(\w+) -->\n).*?(<!-- end of the table -->)", re.DOTALL)
@@ -332,7 +334,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     split = given.index("--") if "--" in given else len(given)
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.performance.page",
-        description="The tables of docs/benchmarks.md.",
+        description="The tables of docs/benchmarks.md and benchmarks/validation/README.md.",
         epilog="What stands behind -- goes to the benchmark that is named: "
         + ", ".join(f"{name} -- {each.needs}" for name, each in BENCHMARKS.items() if each.needs),
     )
@@ -348,7 +350,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--told and what stands behind -- are for one benchmark: name one")
     for name in options.names:
         measure(name, more, options.told)
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(written(page.read_text(encoding="utf-8")), encoding="utf-8")
     return 0
 
 

@@ -14,7 +14,7 @@ from gnc_opt.problem_file import examples
 
 
 def test_the_page_shows_the_kept_numbers() -> None:
-    text = page.PAGE.read_text(encoding="utf-8")
+    text = "".join(each.read_text(encoding="utf-8") for each in page.PAGES)
     assert text == page.written(text), "run python -m benchmarks.performance.page"
     assert set(re.findall(r"<!-- table of benchmarks\.\w+\.(\w+) -->", text)) == set(page.BENCHMARKS)
 
@@ -53,20 +53,20 @@ def test_measuring_keeps_numbers_with_machine_and_date(tmp_path, monkeypatch) ->
     )
     monkeypatch.setattr(page, "NUMBERS", tmp_path / "numbers")
     monkeypatch.setattr(page, "version", lambda package: "1")
-    monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(page, "PAGES", (tmp_path / "page.md",))
     rows = page.Benchmark(
         ("--runs", "2"), ("size", "spent"), lambda told: [(str(r["size"]), str(r["spent"])) for r in told]
     )
     monkeypatch.setattr(page, "BENCHMARKS", {"fake": rows})
-    page.PAGE.write_text(
+    page.PAGES[0].write_text(
         "before\n<!-- table of benchmarks.performance.fake -->\nold\n<!-- end of the table -->\nafter\n"
     )
     assert page.main(["fake"]) == 0
-    text = page.PAGE.read_text()
+    text = page.PAGES[0].read_text()
     assert "| size | spent |\n| --- | --: |\n| 0.1 | 3 |\n" in text and "old" not in text
     assert "Measured by `python -m benchmarks.performance.fake --runs 2` on " in text
     assert text.startswith("before") and text.endswith("after\n")
-    assert page.main([]) == 0 and page.PAGE.read_text() == text  # the same without measuring
+    assert page.main([]) == 0 and page.PAGES[0].read_text() == text  # the same without measuring
     with pytest.raises(SystemExit):
         page.main(["other"])
 
@@ -81,14 +81,15 @@ def test_what_was_just_told_is_not_measured_twice_and_shows_no_folder(  # type: 
     monkeypatch.setattr(page, "BENCHMARKS", {"fake": rows})
     monkeypatch.setattr(page, "NUMBERS", tmp_path / "numbers")
     monkeypatch.setattr(page, "version", lambda package: "1")
-    monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
-    page.PAGE.write_text("<!-- table of benchmarks.performance.fake -->\n<!-- end of the table -->\n")
+    monkeypatch.setattr(page, "PAGES", (tmp_path / "page.md",))
+    page.PAGES[0].write_text("<!-- table of benchmarks.performance.fake -->\n<!-- end of the table -->\n")
     assert page.main([]) == 0
     assert (
-        "Not measured yet: `python -m benchmarks.performance.page fake -- FILE.json`" in page.PAGE.read_text()
+        "Not measured yet: `python -m benchmarks.performance.page fake -- FILE.json`"
+        in page.PAGES[0].read_text()
     )
     assert page.main(["fake", "--told", str(told), "--", str(problems)]) == 0
-    text = page.PAGE.read_text()
+    text = page.PAGES[0].read_text()
     assert "| 1 |\n| 2 |\n" in text and "`python -m benchmarks.performance.fake problems.json`" in text
     assert str(tmp_path) not in text
     for wrong in (["fake"], ["--told", str(told)]):
@@ -132,6 +133,6 @@ def test_what_became_of_a_problem_is_told_in_words() -> None:
 
 def test_pages_are_in_the_repository() -> None:
     assert (
-        page.PAGE == ROOT / "docs" / "benchmarks.md"
+        page.PAGES[0] == ROOT / "docs" / "benchmarks.md"
         and page.NUMBERS == ROOT / "benchmarks" / "performance" / "numbers"
     )
