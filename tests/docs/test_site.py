@@ -23,14 +23,14 @@ from website import api, gallery, hooks, sphinx_math
 def test_every_public_name_is_in_the_reference_once() -> None:
     told = re.findall(r"(?m)^::: (\S+)$", "\n".join(api.pages().values()))
     assert len(told) == len(set(told))
-    for room, names in api.room_names().items():
+    for package, names in api.package_names().items():
         for name in names:
-            value = getattr(importlib.import_module(room), name)
+            value = getattr(importlib.import_module(package), name)
             named = inspect.isclass(value) or inspect.isfunction(value)
             if named:
                 assert f"{value.__module__}.{value.__qualname__}" in told
             else:
-                assert any(path.endswith(f".{name}") for path in told), f"{room}.{name}"
+                assert any(path.endswith(f".{name}") for path in told), f"{package}.{name}"
 
 
 def test_the_index_lists_every_name_of_gnc_opt() -> None:
@@ -38,8 +38,13 @@ def test_the_index_lists_every_name_of_gnc_opt() -> None:
     assert not [name for name in api.gnc_opt.__all__ if f"`go.{name}`" not in index]
 
 
-def test_every_room_has_its_page() -> None:
-    assert set(api.room_names()) <= set(api.entries())
+def test_the_reference_begins_with_what_users_need_first() -> None:
+    shown = re.findall(r"(?m)^\| \[`go\.(\w+)`\]", api.pages()["api/index.md"])
+    assert shown[:5] == ["Model", "Problem", "solve", "Solution", "verify"]
+
+
+def test_every_package_has_its_page() -> None:
+    assert set(api.package_names()) <= set(api.entries())
 
 
 def test_every_problem_has_its_exhibit() -> None:
