@@ -1,4 +1,4 @@
-"""The programme of a horizon as C: its tables, and what stands in ``programme.c``.
+"""The programme of a horizon as C: its tables, and what stands in ``active_set_qp.c``.
 
 A controller whose law solves a quadratic programme has a second form for flight code (`Controller.flight`): the law
 around the programme as elementary operations, with the programme as one call, which this module writes as C. There it
@@ -23,7 +23,7 @@ from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.model.variables import Layout, Variable
 
-_SOURCE = Path(__file__).with_name("programme.c")
+_SOURCE = Path(__file__).with_name("active_set_qp.c")
 _NONE = 1e30
 """Stands for a limit that is none."""
 _MOST = 20

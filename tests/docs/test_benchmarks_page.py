@@ -7,7 +7,7 @@ import re
 import types
 
 import pytest
-from pages import ROOT
+from testing.pages import ROOT
 
 from benchmarks.performance import page
 from gnc_opt.problem_file import examples

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import ROOT
+from testing.pages import ROOT
 
 import gnc_opt as go
 

@@ -8,7 +8,7 @@ import re
 from typing import Any
 
 import pytest
-from pages import DOCS, PAGES, README, Block, Page
+from testing.pages import DOCS, PAGES, README, Block, Page
 
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\d.])")
 

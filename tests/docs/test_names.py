@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from itertools import pairwise
 
 import pytest
-from names import Span, resolve
-from pages import CONTRIBUTING, DOCS, FENCE, PAGES, ROOT, Page, doc, documented, options, subparsers
+from testing.documented_names import Span, resolve
+from testing.pages import CONTRIBUTING, DOCS, FENCE, PAGES, ROOT, Page, doc, documented, options, subparsers
 
 from gnc_opt.cli import _parser
 

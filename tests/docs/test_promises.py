@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import DOCS, ROOT, Page, doc, documented, options, subparsers
+from testing.pages import DOCS, ROOT, Page, doc, documented, options, subparsers
 
 import gnc_opt as go
 from gnc_opt import cli, control, simulation

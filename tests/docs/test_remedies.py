@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from pages import FENCE, Page, doc
+from testing.pages import FENCE, Page, doc
 
 import gnc_opt as go
 from website import redirects

@@ -9,7 +9,7 @@ import types
 from pathlib import Path
 
 import pytest
-from pages import PAGES, README, ROOT
+from testing.pages import PAGES, README, ROOT
 
 from gnc_opt.problem_file import examples
 

@@ -15,8 +15,8 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
-from browser import BROWSER, DESKTOP, PHONE, Tab, browser
-from pages import ROOT
+from testing.browser import BROWSER, DESKTOP, PHONE, Tab, browser
+from testing.pages import ROOT
 
 pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
 pytest.importorskip("latex2mathml")

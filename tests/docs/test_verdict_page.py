@@ -4,10 +4,10 @@ import re
 
 import casadi as ca
 import pytest
+from testing.pages import ROOT
+from testing.wrong_solutions import bang_bang, energy
 
 import gnc_opt as go
-from tests.docs.pages import ROOT
-from tests.verify.wrong import bang_bang, energy
 
 
 def rough() -> go.Solution:

@@ -1,0 +1,240 @@
+"""Hierarchical surfaces: signs and ratios of weights against the Routh conditions of a tethered pair; its swing."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.controller_steps import step_through
+
+from gnc_opt.control.hierarchical_sliding_mode import design_hierarchical_sliding_mode, hierarchical_errors
+from gnc_opt.control.input_output_linearization import zero_dynamics
+from gnc_opt.control.reaching_laws import ConstantRate, SaturationLayer, Sign
+from gnc_opt.control.reference import Reference
+from gnc_opt.errors import DesignError
+from gnc_opt.model.model import Model
+from gnc_opt.spacecraft import TetheredPair, TetherMotion
+
+OMEGA2, A, B = 2.000331e-3, 0.199867, 0.142653
+"""Swing frequency squared (1/s^2); response of the leader to the thrust angle, direct and through its force (m/s^2)."""
+
+
+def tether() -> Model:
+    """Swing theta, height h of the leader and thrust angle gamma, without orbital terms, small angles."""
+    model = Model("tether")
+    theta, theta_rate = model.state("theta"), model.state("theta_rate")
+    h, h_rate, gamma, rate = (
+        model.state("h"),
+        model.state("h_rate"),
+        model.state("gamma"),
+        model.control("rate"),
+    )
+    swing = -OMEGA2 * (theta + gamma)
+    model.ode(
+        {
+            theta: theta_rate,
+            theta_rate: swing,
+            h: h_rate,
+            h_rate: B * gamma + (A - B) * (theta + gamma),
+            gamma: rate,
+        }
+    )
+    return model
+
+
+def weigh(k1=0.35, k2=0.01, k4=-0.06, **options):
+    model = tether()
+    return design_hierarchical_sliding_mode(
+        model,
+        Reference.constant(model, np.zeros(5), [0.0]),
+        outputs=["theta", "h"],
+        slopes=[k1, k2],
+        weights=[1.0, k4],
+        reaching=ConstantRate(0.01),
+        boundary=SaturationLayer(0.02),
+        **options,
+    )
+
+
+def polynomial(k1, k2, k4):
+    """The zero dynamics on S = 0, by hand."""
+    q = -k4
+    return [OMEGA2 + q * A, OMEGA2 * k1 + q * k2 * A, q * B * OMEGA2, q * k2 * B * OMEGA2]
+
+
+def test_zero_dynamics_are_the_roots_of_the_hand_made_polynomial():
+    controller = weigh()
+    facts = controller.explain()
+    assert list(facts["relative degrees"]) == [2]
+    assert facts["dimension of the zero dynamics"] == 3
+    found = np.sort_complex(facts["eigenvalues of the zero dynamics"])
+    assert found == pytest.approx(np.sort_complex(np.roots(polynomial(0.35, 0.01, -0.06))), abs=1e-9)
+    printed = [-0.03257, -0.01302 - 0.01436j, -0.01302 + 0.01436j]
+    assert found == pytest.approx(np.sort_complex(np.array(printed)), abs=2e-5)
+
+
+@pytest.mark.parametrize("k1", [0.005, 0.05, 0.35])
+@pytest.mark.parametrize("k2", [0.002, 0.03])
+@pytest.mark.parametrize("k4", [-0.06, 0.005])
+def test_weights_are_refused_exactly_where_routh_says(k1, k2, k4):
+    """Stable if and only if k4 < 0 and k1 > k2."""
+    if k4 < 0 and k1 > k2:
+        assert np.max(weigh(k1, k2, k4).explain()["eigenvalues of the zero dynamics"].real) < 0
+    else:
+        with pytest.raises(DesignError, match="zero dynamics of outputs S are unstable: eigenvalue"):
+            weigh(k1, k2, k4)
+
+
+def test_all_outputs_follow_with_the_right_weights_and_part_at_the_stated_rate_with_wrong_ones():
+    start = [np.radians(5), 0, 0.5, 0, 0]
+    good = step_through(weigh(dt=0.5), tether(), start, dt=0.5, tf=800.0)
+    assert np.max(np.abs(good.x[:, -1])) < 1e-3
+    wrong = weigh(k4=0.005, growth=1.0, dt=0.5)
+    bad = step_through(wrong, tether(), start, dt=0.5, tf=800.0)
+    assert abs(bad.x[2, -1]) > 100
+    rate = np.log(bad.x[2, -1] / bad.x[2, -401]) / 200.0
+    assert rate == pytest.approx(np.max(wrong.explain()["eigenvalues of the zero dynamics"].real), rel=0.02)
+
+
+def test_a_surface_of_relative_degree_one_needs_no_second_level():
+    """A cart with a pendulum under gravity, balanced by the force on the cart."""
+    model = Model("cart and pendulum")
+    x, v, a, w = model.state("x"), model.state("v"), model.state("angle"), model.state("w")
+    f = model.control("f")
+    model.ode({x: v, v: f, a: w, w: 9.81 * ca.sin(a) - f * ca.cos(a)})
+    reference = Reference.constant(model, np.zeros(4), [0.0])
+
+    def design(weight):
+        return design_hierarchical_sliding_mode(
+            model,
+            reference,
+            outputs=["angle", "x"],
+            slopes=[4.0, 1.0],
+            weights=[1.0, weight],
+            reaching=ConstantRate(3.0),
+            boundary=SaturationLayer(0.05),
+            bound=0.5,
+            dt=0.01,
+            limits=(-10.0, 10.0),
+        )
+
+    with pytest.raises(DesignError, match="unstable"):
+        design(-0.3)
+    controller = design(0.3)
+    assert list(controller.explain()["relative degrees"]) == [1]
+    run = step_through(controller, model, [0.0, 0.0, 0.2, 0.0], dt=0.01, tf=30.0)
+    assert np.max(np.abs(run.x[:, -1])) < 1e-3
+
+
+LEADER, R0 = TetheredPair(leader_mass=500, follower_mass=200, tether_mass=1, length=100), 7e6
+LIMIT = np.pi / 9
+
+
+def orbiting() -> Model:
+    """The pair with gravity to first order; the thrust angle stops at +-20 deg. Angles alpha relative to a circle."""
+    model = Model("orbiting pair")
+    r, r_rate, alpha, alpha_rate = (model.state(n) for n in ("r", "r_rate", "alpha", "alpha_rate"))
+    theta, theta_rate, gamma = model.state("theta"), model.state("theta_rate"), model.state("gamma")
+    rate = model.control("rate")
+    acceleration = LEADER.accelerations(TetherMotion(r, r_rate, alpha_rate, theta, theta_rate), 100.0, gamma)
+    model.ode(
+        {
+            r: r_rate,
+            r_rate: acceleration.r,
+            alpha: alpha_rate,
+            alpha_rate: acceleration.alpha,
+            theta: theta_rate,
+            theta_rate: acceleration.theta,
+            gamma: rate,
+        }
+    )
+    return model
+
+
+def test_swing_of_the_orbiting_pair_is_damped_while_the_leader_keeps_its_orbit():
+    """Jia & Meng with a boundary layer instead of MPC: |theta| < 1 deg after 150 s, the radial error shrinks."""
+    model = orbiting()
+    n0 = np.sqrt(LEADER.mu / R0**3)
+    dt, n = 0.1, 2000
+    pulled = _reference(model, [R0, 0, 0, n0, 0, 0, 0], 200.0)
+    controller = design_hierarchical_sliding_mode(
+        model,
+        pulled,
+        outputs=["theta", "r", "alpha"],
+        slopes=[0.35, 0.01, 0.01],
+        weights=[1.0, -0.06, 500.0],
+        slope=1.0,
+        reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(2.0),
+        dt=dt,
+        growth=1e-4,  # along the orbit, which the thrust angle cannot hold, errors grow by 1.3e-5 per second
+    )
+    start = np.array([R0, 0, 0, n0, np.radians(30), 0, 0])
+    errors = hierarchical_errors(
+        model, pulled, ["theta", "r", "alpha"], [0.35, 0.01, 0.01], [1.0, -0.06, 500.0]
+    )
+    g = errors.pair.function(errors.chains[0], errors.decoupling)(0.0, start, [0.0], pulled.x(0.0), [0.0])
+    assert g[0].full()[:, 0] == pytest.approx([0.183263143, -0.002484890], rel=1e-3)
+    assert float(g[1]) == pytest.approx(-0.012864378, rel=1e-6)
+
+    rows = controller.schedule(dt * np.arange(n), dt)
+    x, z, log = start, controller.initial_memory(0.0, start), []
+    step = _plant_step(model, dt)
+    for k in range(n):
+        u, z = (m.full()[:, 0] for m in controller.step(k * dt, x, rows[:, k], z))
+        v = np.clip(np.clip(u, -0.1, 0.1), (-LIMIT - x[6]) / dt, (LIMIT - x[6]) / dt)
+        x = step(x, v).full()[:, 0]
+        log.append(x)
+    flown, times = np.array(log).T, dt * np.arange(1, n + 1)
+    swing = np.degrees(flown[4])
+    assert np.max(np.abs(flown[6])) <= LIMIT * (1 + 1e-12)
+    assert -np.min(swing) == pytest.approx(12.01, abs=1.0)
+    assert np.max(np.abs(swing[times > 150])) < 1.0
+    assert flown[0, -1] - pulled.x(200.0)[0] == pytest.approx(-8.64, abs=1.0)
+
+
+def _plant_step(model: Model, dt: float):
+    x, v = ca.SX.sym("x", 7), ca.SX.sym("v")
+    f, p = model.function, []
+    k1 = f(0, x, v, p)
+    k2 = f(0, x + dt / 2 * k1, v, p)
+    k3 = f(0, x + dt / 2 * k2, v, p)
+    k4 = f(0, x + dt * k3, v, p)
+    return ca.Function("step", [x, v], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
+def _reference(model: Model, start, tf: float) -> Reference:
+    """The pair without swing and with the thrust along the orbit, integrated from the leader's own state."""
+    grid = np.linspace(0.0, tf, 2001)
+    states = _plant_step(model, grid[1]).mapaccum(2000)(start, np.zeros(2000)).full()
+    states = np.column_stack([start, states])
+    return Reference.from_functions(
+        model, lambda t: [np.interp(t, grid, row) for row in states], lambda _: [0.0], 0.0, tf
+    )
+
+
+def test_mistakes_are_named():
+    model = tether()
+    reference = Reference.constant(model, np.zeros(5), [0.0])
+
+    def design(**options):
+        options = {"outputs": ["theta", "h"], "slopes": [0.35, 0.01], "weights": [1.0, -0.06]} | options
+        return design_hierarchical_sliding_mode(
+            model, reference, reaching=ConstantRate(1.0), boundary=Sign(), **options
+        )
+
+    with pytest.raises(DesignError, match="one number for each"):
+        design(weights=[1.0])
+    with pytest.raises(DesignError, match="positive ones"):
+        design(slopes=[0.35, -0.01])
+    with pytest.raises(DesignError, match="a control enters the rate of output 'gamma'"):
+        design(outputs=["theta", "gamma"])
+    with pytest.raises(DesignError, match="not less than the gain"):
+        design(bound=2.0)
+
+
+def test_zero_dynamics_can_be_studied_without_a_design():
+    model = tether()
+    reference = Reference.constant(model, np.zeros(5), [0.0])
+    errors = hierarchical_errors(model, reference, ["theta", "h"], [0.005, 0.03], [1.0, -0.06])
+    assert zero_dynamics(errors, 0.0, np.zeros(5), np.zeros(1)).growth > 0

@@ -1,0 +1,343 @@
+"""Model predictive control: the regulator where no limit is met, optimality where one is, and failing safely."""
+
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import LinearConstraint, minimize
+from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
+
+import gnc_opt as go
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.riccati import steady
+from gnc_opt.control.sampled_data import sample
+from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.errors import ArgumentError, DesignError, ProblemWarning, UnknownNameError
+
+
+def test_a_state_is_a_reference_that_rests():
+    model, x = cart(), [0.4, 0.1]
+    law = design_mpc(model, [0, 0], Q=1, R=1, horizon=2.0, dt=DT, limits=(-1, 1))
+    assert law(0.0, x)[0] == pytest.approx(tracker()(0.0, x)[0], abs=1e-12)
+
+
+def fly(controller, x, steps, disturbance=0.0):
+    z, states, commands = None, [], []
+    for k in range(steps):
+        u, z = controller(k * DT, x, z)
+        x = A @ x + B * (u[0] + disturbance)
+        states.append(x)
+        commands.append(u[0])
+    return np.array(states), np.array(commands), z
+
+
+def test_limits_of_states_are_solved_for_sparsely_unless_told_otherwise():
+    limited = {"state_limits": {"v": (-50, 50)}}
+    for options, solver in (({}, "daqp"), (limited, "piqp"), ({**limited, "solver": "daqp"}, "daqp")):
+        (told,) = (fact for fact in tracker(**options).explanation.facts if fact.name == "horizon")
+        assert told.remark.endswith(f"by {solver}")
+
+
+# --- without limits in reach --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
+def test_without_limits_it_is_the_sampled_regulator(solver):
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    controller = tracker(limits=(-100, 100), rate_limits=1e4, state_limits={"v": (-50, 50)}, solver=solver)
+    for x in np.random.default_rng(1).normal(size=(10, 2)):
+        assert controller(0.0, x)[0] == pytest.approx(regulator(0.0, x)[0], abs=1e-9)
+
+
+def test_without_limits_it_is_the_time_varying_regulator_along_a_reference():
+    model, reference = pendulum()
+    controller = design_mpc(model, reference, Q=1, R=1, horizon=1.0, dt=DT, limits=(-100, 100))
+    regulator = design_tvlqr(model, reference, Q=1, R=1, dt=DT)
+    assert controller.explain()["dynamics along the horizon"] == "from the schedule"
+    for t in (0.0, 1.3, 2.5, 2.9, 3.0, 8.0):
+        x = reference.x(t) + np.array([0.1, -0.2])
+        assert controller(t, x)[0] == pytest.approx(regulator(t, x)[0], abs=1e-9)
+
+
+def test_terminal_weight_of_ones_own():
+    """One step ahead the optimum is a formula: v = -(r + B'SB)^-1 (B'SA + n') e."""
+    end = np.diag([3.0, 0.5])
+    controller = tracker(horizon=DT, terminal=end, limits=(-100, 100))
+    s = sample(
+        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
+    )
+    x = np.array([0.4, -0.3])
+    v = -np.linalg.solve(s.r + s.b.T @ end @ s.b, (s.b.T @ end @ s.a + s.n.T) @ x)
+    assert controller(0.0, x)[0] == pytest.approx(v, rel=1e-10)
+    limited = tracker(horizon=DT, rate_limits=2.0, state_limits={"v": (-1, 1)}, terminal=end)
+    assert limited(0.0, [2.0, 0.6])[0] == pytest.approx([-0.2], abs=1e-10)
+
+
+# --- with limits --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("previous", "expected"), [(0.0, -0.4), (-0.9, -1.0), (0.9, 0.5)])
+def test_with_limits_the_first_command_is_that_of_an_independent_optimisation(previous, expected):
+    """The same programme, written in controls and states and solved by scipy."""
+    steps = 8
+    s = sample(
+        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
+    )
+    p = steady(s.a, s.b, s.q, s.r, s.n, ("q", "v"), sampled=True).cost
+    x_0 = np.array([2.0, 0.6])
+
+    def cost(v):
+        e, total = x_0, 0.0
+        for u in v:
+            total += e @ s.q @ e + s.r[0, 0] * u**2 + 2 * (e @ s.n)[0] * u
+            e = s.a @ e + s.b[:, 0] * u
+        return total + e @ p @ e
+
+    before = previous * np.eye(steps)[0]
+    rates = LinearConstraint(np.eye(steps) - np.eye(steps, k=-1), before - 0.4, before + 0.4)
+    best = minimize(
+        cost,
+        np.full(steps, previous),
+        bounds=[(-1, 1)] * steps,
+        constraints=rates,
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    controller = tracker(horizon=steps * DT, rate_limits=4.0)
+    z = controller.initial_memory(0.0, x_0)
+    z[controller.memory.slice("previous_command")] = previous
+    u, z = controller(0.0, x_0, z)
+    assert u[0] == pytest.approx(best.x[0], abs=1e-6)
+    assert u[0] == pytest.approx(expected, abs=1e-9)
+    assert z[0] == u[0]
+    # the limits matter: in later steps the plan meets that of the control
+    assert np.max(np.abs(best.x)) > 0.99
+
+
+def test_limits_of_control_rate_and_state_are_kept():
+    controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, np.inf)})
+    states, commands, z = fly(controller, np.array([3.0, 0.0]), 150)
+    assert np.max(np.abs(commands)) <= 1.0
+    assert np.max(np.abs(np.diff(np.append(0.0, commands)))) <= 0.5 + 1e-12
+    assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)  # met, and kept
+    assert np.allclose(states[-1], 0, atol=1e-4)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+def test_a_state_limit_that_cannot_be_kept_is_left_as_little_as_possible():
+    controller = tracker(state_limits={"v": (-0.5, 0.5)})
+    states, commands, z = fly(controller, np.array([0.0, 2.0]), 40)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert np.allclose(commands[:14], -1.0)  # with all authority back to the limit
+    assert np.max(np.abs(states[16:, 1])) <= 0.5 + 1e-9
+
+
+def test_programmes_far_outside_soft_limits_are_solved():
+    """They always have a solution; the sparse interior point finds that of the dense active set."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        slopes = rng.normal(size=(3, 3))
+        slopes -= (np.max(np.linalg.eigvals(slopes).real) - 0.5) * np.eye(3)  # one mode grows
+        model = go.Model("any")
+        x, u = model.state("x", 3), model.control("u")
+        model.ode({x: ca.DM(slopes) @ x + ca.DM(rng.normal(size=3)) * u})
+        few = {"x": ([-0.3, -np.inf, -np.inf], [0.3, np.inf, np.inf])}
+        task = {"Q": [2, 3, 0.5], "R": 0.3, "horizon": 5.0, "dt": 0.5, "limits": (-1, 1), "state_limits": few}
+        task["state_penalty"] = 1e5
+        sparse, dense = (design_mpc(model, np.zeros(3), **task, solver=solver) for solver in ("piqp", "daqp"))
+        for far in (1.0, 3.0, 10.0):
+            start = far * rng.normal(size=3)
+            (u, z), (expected, _) = sparse(0.0, start), dense(0.0, start)
+            assert z[sparse.memory.slice("qp_alarm")] == 0
+            assert u == pytest.approx(expected, abs=1e-6)
+
+
+def test_prediction_avoids_the_overshoot_of_a_clipped_regulator():
+    regulator = design_lqr(cart(), [0, 0], Q=[100, 0], R=0.01, dt=DT)
+    x, clipped = np.array([5.0, 0.0]), []
+    for _ in range(150):
+        x = A @ x + B * np.clip(regulator(0.0, x)[0][0], -1, 1)
+        clipped.append(x[0])
+    states, _, _ = fly(tracker(Q=[100, 0], R=0.01, horizon=4.0), np.array([5.0, 0.0]), 150)
+    assert min(clipped) < -0.5
+    assert states[:, 0].min() > 0.3 * min(clipped)
+
+
+def test_upcoming_change_of_the_reference_is_anticipated():
+    model = cart()
+    step = Reference.from_functions(
+        model, lambda t: [0, 0], lambda t: [0.0 if t < 1.0 else 0.9], 0, 2, jumps=[1.0], tail="hold"
+    )
+    controller = design_mpc(model, step, Q=1, R=1, horizon=1.5, dt=DT, limits=(-1, 1), rate_limits=2.0)
+    u, _ = controller(0.8, [0, 0], np.r_[0.0, controller.initial_memory(0.8, [0, 0])[1:]])
+    assert u[0] > 0.01  # the feedforward will jump by more than the rate allows: it begins before
+
+
+# --- inside CasADi, and when it fails -----------------------------------------------------------------
+
+
+def test_many_steps_are_one_function():
+    controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, 0.5)})
+    x, z = ca.MX.sym("x", 2), ca.MX.sym("z", controller.memory.size)
+    u, z_next = controller.step(0.0, x, controller.signal(0.0), z)
+    x_next = ca.DM(A) @ x + ca.DM(B) * u
+    loop = ca.Function("loop", [ca.vertcat(x, z)], [ca.vertcat(x_next, z_next), u]).mapaccum(60)
+    start = np.array([3.0, 0.0])
+    path, commands = loop(ca.vertcat(start, controller.initial_memory(0.0, start)))
+    states, expected, _ = fly(controller, start, 60)
+    assert np.allclose(commands.full()[0], expected, atol=1e-12)
+    assert np.allclose(path.full()[:2].T, states, atol=1e-12)
+
+
+def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
+    import gnc_opt.control.mpc as module
+
+    starved = {"verbose": False, "max_iter": 1, "polish": False, "check_termination": 1}
+    monkeypatch.setitem(module._OPTIONS, "osqp", {"osqp": starved})
+    controller = tracker(solver="osqp", rate_limits=5.0)
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    x = np.array([3.0, 0.0])
+    u, z = controller(0.0, x)
+    alarm = controller.memory.slice("qp_alarm")
+    assert z[alarm] == 1
+    assert u[0] == -0.5  # what limit and rate leave of the regulator's command
+    near = np.array([0.3, 0.0])
+    assert controller(0.0, near, np.r_[-0.3, z[1:]])[0] == pytest.approx(regulator(0.0, near)[0], abs=1e-6)
+    assert controller.alarms == ("qp_alarm", "invalid")
+
+
+def test_refusals():
+    with pytest.raises(ArgumentError, match=r"horizon of 0\.25 s is no whole number"):
+        tracker(horizon=0.25)
+    with pytest.raises(DesignError, match="'a' has no authority"):
+        tracker(limits=(1, 1))
+    with pytest.raises(DesignError, match="rate limit of control 'a' is 0"):
+        tracker(rate_limits=0.0)
+    with pytest.raises(DesignError, match="state 'v' leave no room"):
+        tracker(state_limits={"v": (1, -1)})
+    with pytest.raises(ArgumentError, match="no QP solver 'pipq': did you mean 'piqp'"):
+        tracker(solver="pipq")
+    with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
+        tracker(terminal="ricatti")
+    for wrong, message in (
+        ({"horizon": 1e4 * DT * 3}, "30000 steps of"),
+        ({"limits": None}, "has no limits of the controls"),
+        ({"limits": (-np.inf, 0.3)}, "are .*inf.*: give finite ones"),  # left out altogether
+        ({"state_limits": {"v": 3}}, r"limits of state 'v' are 3: give \(lower, upper\)"),
+        ({"state_limits": [1]}, "state_limits of design_mpc.. is a list"),
+        ({"hard": "v", "state_limits": {"v": (-1, 1)}}, "hard of design_mpc.. is 'v': give a list"),
+        ({"name": ""}, "cannot be the name of a controller"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            tracker(**wrong)
+    angles = go.Model("turning")
+    q, w = angles.state("q"), angles.control("w")
+    angles.ode({q: w})
+    angles.difference(q, lambda x, ref: ca.sin(x - ref))
+    with pytest.raises(DesignError, match="error of state 'q' is not a difference"):
+        design_mpc(
+            angles,
+            Reference.constant(angles, [0]),
+            Q=1,
+            R=1,
+            horizon=1.0,
+            dt=DT,
+            limits=(-1, 1),
+            state_limits={"q": (-1, 1)},
+        )
+
+
+# --- hard and soft limits of states -------------------------------------------------------------------
+
+
+def test_where_no_limit_is_met_no_solver_is_asked():
+    """What a solver finds would differ in the last digits."""
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    controller = tracker(state_limits={"v": (-0.5, 0.5)}, rate_limits=50.0)
+    x = np.array([0.2, -0.1])
+    u, z = controller(0.0, x)
+    assert u[0] == pytest.approx(regulator(0.0, x)[0][0], rel=1e-14)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
+@pytest.mark.parametrize("along", [False, True])
+def test_hard_limits_of_states_are_those_of_an_independent_optimisation(solver, along):
+    """Along a reference, too, where the dynamics change: the plan in controls alone, by SciPy."""
+    model, reference = pendulum() if along else (cart(), Reference.constant(cart(), [0, 0]))
+    steps, x_0, room = 6, reference.x(0.0) + np.array([0.9, 0.15]), 0.2
+    bounds = (np.array([-9.0]), np.array([9.0]))
+    limit = reference.x(0.0)[1] + np.array([-room, room]) if along else np.array([-room, room])
+    far = np.array([limit[0], np.inf])
+    controller = design_mpc(
+        model, reference, Q=1, R=0.01, horizon=steps * DT, dt=DT, limits=bounds, solver=solver,
+        state_limits={"v": tuple(far)}, hard=["v"],
+    )  # fmt: skip
+    gains = controller.schedule.windows.gains
+    plants = [gains.steps[min(k, len(gains.steps) - 1)] for k in range(steps)]
+    e_0 = go.control.Deviation(model)(x_0, reference.x(0.0))
+    end = gains.costs[min(steps, len(gains.costs) - 1)]
+
+    def errors(v):
+        path = [e_0]
+        for s, u in zip(plants, v, strict=True):
+            path.append(s.a @ path[-1] + s.b[:, 0] * u)
+        return path
+
+    def cost(v):
+        path = errors(v)
+        total = path[-1] @ end @ path[-1]
+        for s, e, u in zip(plants, path, v, strict=False):
+            total += e @ s.q @ e + s.r[0, 0] * u**2 + 2 * (e @ s.n)[0] * u
+        return total
+
+    ends = reference.x(DT * np.arange(1, steps + 1))[1]
+    kept = {"type": "ineq", "fun": lambda v: np.array([e[1] for e in errors(v)[1:]]) + ends - far[0]}
+    best = minimize(
+        cost, np.zeros(steps), constraints=kept, method="SLSQP", options={"ftol": 1e-12, "maxiter": 500}
+    )
+    assert best.success and np.min(kept["fun"](best.x)) < 1e-7  # the limit matters
+    u, z = controller(0.0, x_0)
+    feedforward = reference.mean_control(np.array([0.0]), DT)[0, 0]
+    assert u[0] - feedforward == pytest.approx(best.x[0], abs=2e-5)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+def test_hard_limits_that_cannot_be_kept_raise_the_alarm_and_are_kept_otherwise():
+    controller = tracker(state_limits={"v": (-0.5, 0.5)}, hard=["v"])
+    assert fly(controller, np.array([0.0, 2.0]), 1)[2][controller.memory.slice("qp_alarm")] == 1
+    states, _, z = fly(controller, np.array([3.0, 0.0]), 150)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)
+    told = controller.explain()
+    assert told["hard limits"] == "controls, v"
+    soft = tracker(state_limits={"v": (-0.5, 0.5)}, rate_limits=1.0).explain()
+    assert (soft["hard limits"], soft["soft limits"]) == ("controls, rates of controls", "v")
+    with pytest.raises(UnknownNameError, match="'q'"):
+        tracker(state_limits={"v": (-0.5, 0.5)}, hard=["q"])
+
+
+def test_limits_that_exclude_the_feedforward_are_refused():
+    with pytest.raises(
+        DesignError, match=r"control 'a' needs 0 at t = 0 s, but its limits are 0\.1 and 0\.2"
+    ):
+        tracker(limits=(0.1, 0.2))
+
+
+def test_limits_of_states_that_exclude_the_reference_are_told():
+    """v = -sin t is slowest at t = pi / 2; where it only touches its limit nothing is said."""
+    model, reference = pendulum()
+    options = {"Q": 1, "R": 1, "horizon": 1.0, "dt": DT, "limits": (-9, 9)}
+    for hard in ([], ["v"]):
+        with pytest.warns(ProblemWarning, match=r"beyond the limits of v: 0\.0999.* \(at t = 1\.5\d s"):
+            law = design_mpc(model, reference, **options, state_limits={"v": (-0.9, 0.9)}, hard=hard)
+        told = law.explain()
+        assert told["reference beyond the limits of v"] == pytest.approx(0.1, abs=1e-3)
+    for least in (-np.inf, -1.0, -1.0 + 1e-8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            within = design_mpc(model, reference, **options, state_limits={"v": (least, 0.5)}).explain()
+        assert not [fact for fact in within if "beyond" in fact.name]

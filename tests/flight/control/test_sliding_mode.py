@@ -1,0 +1,613 @@
+"""Sliding-mode theory: reaching time, invariance, boundary layer, chattering, refusals; a published formation."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing import formation
+from testing.controller_steps import step_through
+
+from gnc_opt.control.reaching_laws import (
+    ConstantRate,
+    ExponentialRate,
+    PowerRate,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    TanhLayer,
+)
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding_mode import design_sliding_mode
+from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.errors import DesignError
+from gnc_opt.model.model import Model
+from gnc_opt.tolerances import LARGEST
+
+DT, SLOPE = 1e-3, 2.0
+START = np.array([1.0, 0.5])
+
+
+def integrators(order: int = 2) -> Model:
+    model = Model("integrators")
+    names = [f"x{i}" for i in range(order)]
+    x = [model.state(n) for n in names]
+    u = model.control("u", unit="N")
+    model.ode(dict(zip(x, [*x[1:], u], strict=True)))
+    return model
+
+
+def design(reaching, boundary, **options):
+    model = integrators()
+    options = {"slopes": SLOPE, "dt": DT, "start": START} | options
+    return design_sliding_mode(
+        model,
+        Reference.constant(model, [0, 0]),
+        outputs="x0",
+        reaching=reaching,
+        boundary=boundary,
+        **options,
+    )
+
+
+def surface(run, slope=SLOPE):
+    return run.x[1] + slope * run.x[0]
+
+
+def constant(value):
+    return lambda t: np.full((1, t.size), value)
+
+
+@pytest.mark.parametrize(
+    ("law", "bound"),
+    [
+        (ConstantRate(1.0), 0.0),
+        (ConstantRate(1.0), 0.6),
+        (ExponentialRate(0.5, 1.5), 0.3),
+        (PowerRate(1.0, 0.5), 0.0),
+    ],
+)
+def test_surface_is_reached_at_the_bound_on_the_reaching_time_and_not_later(law, bound):
+    """The disturbance that works hardest against the law makes the bound an equality, up to the step."""
+    controller = design(law, Sign(), bound=bound)
+    bounded = controller.explain()["reaching time"][0]
+    run = step_through(controller, integrators(), START, dt=DT, tf=bounded + 1, disturbance=constant(bound))
+    s = surface(run)
+    assert controller.explain()["s at the start"] == pytest.approx([s[0]])
+    reached = run.times[np.argmax(s <= 0.002)]
+    assert 0.95 * bounded < reached <= bounded + 2 * DT
+    assert np.max(np.abs(s[run.times > bounded + 2 * DT])) < 3 * DT
+
+
+def test_sliding_is_invariant_to_matched_disturbances_below_the_gain():
+    """On s = 0 the error follows exp(-lambda t) whatever the disturbance."""
+    controller = design(ConstantRate(1.0), Sign(), bound=0.8)
+    runs = [
+        step_through(controller, integrators(), [1.0, -SLOPE], dt=DT, tf=3.0, disturbance=d)
+        for d in (
+            None,
+            constant(0.8),
+            lambda t: 0.8 * np.sin(7 * t)[None],
+            lambda t: 0.8 * np.sign(np.cos(3 * t))[None],
+        )
+    ]
+    for run in runs:
+        assert run.x[0] == pytest.approx(np.exp(-SLOPE * run.times), abs=2 * DT)
+
+
+def test_there_is_no_invariance_above_the_gain():
+    """s runs away at the rate by which the disturbance exceeds the gain."""
+    run = step_through(
+        design(ConstantRate(1.0), Sign()), integrators(), [0.0, 0.0], dt=DT, tf=3.0, disturbance=constant(1.5)
+    )
+    assert surface(run)[-1] == pytest.approx(0.5 * 3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.05), TanhLayer(0.05)])
+@pytest.mark.parametrize("law", [ConstantRate(1.0), ExponentialRate(1.0, 0.01)])
+def test_boundary_layer_bounds_the_steady_error(boundary, law):
+    """A constant disturbance at its bound ends at the stated width; a smaller one stays inside."""
+    controller = design(law, boundary, bound=0.7)
+    stated = controller.explain()["steady error bound"][0]
+    at_bound, inside = (
+        step_through(controller, integrators(), 0.05 * START, dt=DT, tf=8.0, disturbance=constant(d)).x[0, -1]
+        for d in (0.7, 0.35)
+    )
+    assert at_bound == pytest.approx(stated, rel=2e-3)
+    assert at_bound <= stated * (1 + 1e-6)
+    assert inside < 0.55 * stated
+    width = 0.05 * (0.7 if isinstance(boundary, SaturationLayer) else np.arctanh(0.7))
+    assert stated == pytest.approx(width / SLOPE)
+
+
+def test_a_surface_of_first_order_has_no_poles_to_state():
+    """With relative degree one the surface is the error itself; of order two its pole is at -slope."""
+    model = integrators(1)
+    first = design_sliding_mode(
+        model,
+        Reference.constant(model, [0]),
+        outputs="x0",
+        reaching=ConstantRate(1.0),
+        boundary=Sign(),
+        dt=DT,
+    ).explain()
+    assert not any("surface poles" in fact.name for fact in first.facts)
+    assert design(ConstantRate(1.0), Sign()).explain()["surface poles of x0"] == pytest.approx([-SLOPE])
+
+
+def test_power_rate_stays_in_the_band_that_the_disturbance_leaves_it():
+    law = PowerRate(1.0, 0.5)
+    controller = design(law, SaturationLayer(0.01), bound=0.3)
+    band = controller.explain()["band of s"][0]
+    assert band**0.5 * min(band / 0.01, 1) == pytest.approx(0.3)
+    run = step_through(controller, integrators(), START, dt=DT, tf=12.0, disturbance=constant(0.3))
+    assert surface(run)[-1] == pytest.approx(band, rel=1e-3)
+
+
+def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
+    variation = {}
+    for boundary in (Sign(), SaturationLayer(0.02), TanhLayer(0.02)):
+        run = step_through(
+            design(ConstantRate(1.0), boundary, bound=0.5),
+            integrators(),
+            START,
+            dt=DT,
+            tf=10.0,
+            disturbance=lambda t: 0.5 * np.sin(t)[None],
+        )
+        variation[type(boundary)] = np.sum(np.abs(np.diff(run.u[0])))
+    assert variation[Sign] > 100 * variation[SaturationLayer]
+    assert variation[Sign] > 100 * variation[TanhLayer]
+
+
+def test_a_chattering_band_is_told_of_laws_without_a_layer():
+    """s = v + SLOPE x goes further in a step, as x moves on: the mean rate is larger by (e^y - 1) / y, y = SLOPE DT."""
+    band = 0.2 * np.expm1(SLOPE * DT) / SLOPE
+    assert design(ConstantRate(0.2), Sign()).explain()["chattering band of s"] == pytest.approx(band)
+    names = [fact.name for fact in design(ConstantRate(0.2), SaturationLayer(0.1)).explain()]
+    assert "chattering band of s" not in names
+    assert "band of s" in names
+
+
+@pytest.mark.parametrize("push", [-0.15, 0.0, 0.15])
+def test_a_sampled_relay_stays_in_the_band_of_one_step(push):
+    """Held over steps, it goes (gain + bound) dt beyond zero; the steady errors that this allows are no zeros."""
+    model = integrators(1)
+    law = design_sliding_mode(
+        model, [0.0], outputs="x0", reaching=ConstantRate(0.2), boundary=Sign(), bound=0.15, dt=DT
+    )
+    facts = law.explain()
+    run = step_through(law, model, [0.311], dt=DT, tf=40.0, disturbance=constant(push))
+    late = np.max(np.abs(run.x[0, run.x.shape[1] // 2 :]))
+    assert facts["chattering band of s"] == pytest.approx([0.35 * DT])
+    assert facts["steady error bound"] == pytest.approx([0.35 * DT])
+    assert (0.8 * 0.35 * DT if push else 0.0) < late <= 0.35 * DT * (1 + 1e-9)
+
+
+def test_no_steady_error_is_stated_where_none_is_known():
+    """Super-twisting, sampled and disturbed at a rate, has no known band."""
+    options = {"outputs": "x0", "reaching": SuperTwisting(3.0, 2.0), "boundary": Sign(), "dt": DT}
+    still = design_sliding_mode(integrators(1), [0.0], **options).explain()
+    assert still["steady error bound"] == pytest.approx([still["chattering band of s"]])
+    assert still["steady error bound"][0] > 0
+    moved = design_sliding_mode(integrators(1), [0.0], bound=0.5, **options).explain()
+    assert "steady error bound" not in [fact.name for fact in moved.facts]
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(1.5, 1.1), (3.0, 2.0)])
+@pytest.mark.parametrize("dt", [1e-3, 2.0])
+def test_super_twisting_chatters_in_a_band_that_falls_with_the_square_of_the_step(k1, k2, dt):
+    """s = dt^2 sigma turns the sampled law into one map for all steps; an integrator with a held command obeys it."""
+    model = integrators(1)
+    law = design_sliding_mode(
+        model, [0.0], outputs="x0", reaching=SuperTwisting(k1, k2), boundary=Sign(), dt=dt
+    )
+    band = law.explain()["chattering band of s"]
+    for start in (0.3, -0.07):
+        s = step_through(law, model, [start * dt**2], dt=dt, tf=6000 * dt).x[0]
+        assert 0.4 * band < np.max(np.abs(s[3000:])) <= band
+
+
+@pytest.mark.parametrize(
+    ("lag", "slope", "dt", "gains"),
+    [
+        (20.0, 0.1, 0.1, (0.05, 1e-3)),
+        (20.0, 0.5, 0.5, (0.05, 1e-3)),
+        (-2.0, 0.5, 0.5, (0.05, 1e-3)),
+        (3.0, 0.5, 0.1, (0.06, 2e-3)),
+    ],
+)
+def test_the_band_of_super_twisting_holds_on_a_ship_under_any_constant_moment(lag, slope, dt, gains):
+    """lag r' = -r + u + moment, sampled exactly: from 400 moments s comes back to the band."""
+    ship = Model("ship")
+    psi, r, u = ship.state("psi"), ship.state("r"), ship.control("u")
+    ship.ode({psi: r, r: (u - r) / lag})
+    law = design_sliding_mode(
+        ship, [0, 0], outputs="psi", slopes=slope, reaching=SuperTwisting(*gains), boundary=Sign(), dt=dt
+    )
+    band = law.explain()["chattering band of s"]
+    (k1, k2), decay = gains, np.exp(-dt / lag)
+    psi, r, twist = np.full(400, 0.02), np.zeros(400), np.zeros(400)
+    moment, tail = lag * np.linspace(0.0, k2 * dt, 400), []
+    for k in range(4000):
+        s = r + slope * psi
+        told = lag * (r / lag - slope * r - k1 * np.sqrt(np.abs(s)) * np.sign(s) + twist) + moment
+        twist = twist - dt * k2 * np.sign(s)
+        psi, r = psi + told * dt + (r - told) * lag * (1 - decay), told + (r - told) * decay
+        tail += [np.max(np.abs(s))] * (k > 2000)
+    assert 0.8 * band < max(tail) <= band
+
+
+def test_the_band_of_a_sampled_relay_is_that_of_the_plant_that_moves_on():
+    """From beside zero r' = 0.5 r + u goes (e^(0.5 dt) - 1) / 0.5 beyond, more than dt."""
+    model = Model("unstable")
+    r, u = model.state("r"), model.control("u")
+    model.ode({r: 0.5 * r + u})
+    law = design_sliding_mode(model, [0.0], outputs="r", reaching=ConstantRate(1.0), boundary=Sign(), dt=0.4)
+    assert law.explain()["chattering band of s"] == pytest.approx([np.expm1(0.2) / 0.5], rel=1e-12)
+
+
+def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
+    """Inside the layer s+ = (1 - gain dt / phi) s; designed for any step, the law is run on either side of 2."""
+    grown = {}
+    for ratio in (1.9, 2.1):
+        controller = design(ConstantRate(1.0), SaturationLayer(1.0), dt=None, slopes=1e-3)
+        run = step_through(controller, integrators(), [0.0, 1e-3], dt=ratio, tf=60 * ratio)
+        grown[ratio] = abs(surface(run, 1e-3)[-1]) / 1e-3
+    assert grown[1.9] < 0.01 < 100 < grown[2.1]
+    with pytest.raises(DesignError, match=r"gain \* dt / phi = 2.1 is not below 2"):
+        design(ConstantRate(1.0), SaturationLayer(1.0), dt=2.1)
+    facts = design(ConstantRate(1.0), SaturationLayer(1.0), dt=1.9, slopes=1e-3).explain()
+    assert facts["sampling limit"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("poles", [[-1.0, -2.0, -3.0], [-2.0, -1 + 1j, -1 - 1j]])
+def test_surfaces_of_higher_relative_degree_have_the_poles_asked_for(poles):
+    model = integrators(4)
+    controller = design_sliding_mode(
+        model,
+        Reference.constant(model, np.zeros(4)),
+        outputs="x0",
+        slopes={"x0": poles},
+        reaching=ExponentialRate(1.0, 5.0),
+        boundary=SaturationLayer(0.01),
+        bound=0.5,
+        dt=DT,
+    )
+    c = np.poly(poles)[::-1].real
+    run = step_through(controller, model, [1, 0, 0, 0], dt=DT, tf=16.0, disturbance=constant(0.5))
+    s = c @ run.x
+    facts = controller.explain()
+    assert np.sort_complex(facts["surface poles of x0"]) == pytest.approx(np.sort_complex(np.array(poles)))
+    assert abs(s[-1]) <= facts["band of s"][0]
+    # a constant s makes a constant error s / c_0, which is the bound for real poles and below it for the others
+    assert run.x[0, -1] == pytest.approx(s[-1] / c[0], rel=2e-3)
+    assert s[-1] / c[0] <= facts["steady error bound"][0] * (1 + 1e-9)
+
+
+def test_steady_error_bound_with_complex_poles_is_the_integral_of_the_impulse_response():
+    """1 / (p^2 + 2 p + 2): the integral of |exp(-t) sin t| is coth(pi / 2) / 2."""
+    model = integrators(3)
+    controller = design_sliding_mode(
+        model,
+        Reference.constant(model, np.zeros(3)),
+        outputs="x0",
+        slopes={"x0": [-1 + 1j, -1 - 1j]},
+        reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(1.0),
+        bound=0.5,
+    )
+    assert controller.explain()["steady error bound"] == pytest.approx([0.25 / np.tanh(np.pi / 2)], rel=1e-4)
+
+
+def test_super_twisting_law_holds_a_ramp_with_a_continuous_command():
+    """A disturbance that grows at a bounded rate is cancelled exactly, without switching of the command."""
+    controller = design(SuperTwisting(1.5, 1.1), Sign(), bound=0.7)
+    run = step_through(
+        controller, integrators(), START, dt=DT, tf=20.0, disturbance=lambda t: (1 + 0.7 * np.cos(t))[None]
+    )
+    late = run.times > 15
+    assert np.max(np.abs(surface(run)[late])) < 1e-4
+    assert np.max(np.abs(np.diff(run.u[0]))) < 0.1  # a switching law of the same strength jumps by 3.4
+    disturbance = 1 + 0.7 * np.cos(run.times[:-1])
+    assert run.u[0][late[:-1]] == pytest.approx((-disturbance - SLOPE * run.x[1, :-1])[late[:-1]], abs=0.03)
+
+
+def test_an_observer_cancels_what_the_reaching_law_could_not_hold():
+    """A disturbance of 2 against a gain of 0.2: with the observer s still ends at zero."""
+    observer = SuperTwistingObserver(3.0, 2.0, bound=1.0)
+    plain, helped = (
+        step_through(
+            design(ConstantRate(0.2), SaturationLayer(0.05), observer=o),
+            integrators(),
+            [0.0, 0.0],
+            dt=DT,
+            tf=12.0,
+            disturbance=lambda t: (2 + np.sin(t))[None],
+        )
+        for o in (None, observer)
+    )
+    assert abs(surface(plain)[-1]) > 1
+    assert abs(surface(helped)[-1]) < 2e-3
+    estimate = helped.memory("disturbance")[0, -1]
+    assert estimate == pytest.approx(2 + np.sin(12.0), abs=0.02)
+
+
+def test_formation_keeping_agrees_with_the_published_run():
+    """Imani & Bahrami, Table 1, SMC: 1.11 m and 2.358 m/s; the law evaluated continuously, Runge-Kutta of 1 s."""
+    model, plant = formation.nonlinear(j2=False), formation.nonlinear(j2=True)
+    reference = formation.formation(model)
+    controller = design_sliding_mode(
+        model,
+        reference,
+        outputs="r",
+        slopes=1e-3,
+        reaching=ConstantRate(0.96),
+        boundary=SaturationLayer(10.0),
+        bound=1e-5,
+        dt=1.0,
+    )
+    facts = controller.explain()
+    assert facts["sampling limit"] == pytest.approx(20.83, abs=0.01)
+    assert facts["dimension of the zero dynamics"] == 0
+    u, z = controller(0.0, formation.START, dt=1.0)
+    assert z[controller.memory.slice("s")] == pytest.approx([-0.2, 0.8397, -0.3660], abs=5e-5)
+    assert u == pytest.approx([0.01769, -0.08165, 0.03474], abs=2e-5)
+
+    n, h = 6043, formation.PERIOD / 6043
+    half = h / 2 * np.arange(2 * n + 1)
+    x_ref, u_ref = reference.x(half), reference.u(half)
+    rows = np.vstack([x_ref, u_ref])
+    z = controller.initial_memory(0.0, formation.START)
+    x, t = ca.SX.sym("x", 7), ca.SX.sym("t")  # the seventh state is Delta-V
+    r = ca.SX.sym("r", 9)
+    u = controller.step(t, x[:6], r, z)[0]
+    rate = ca.Function("rate", [t, x, r], [ca.vertcat(plant.function(t, x[:6], u, []), ca.sum1(ca.fabs(u)))])
+    r3 = ca.SX.sym("r", 27)
+    k1 = rate(t, x, r3[:9])
+    k2 = rate(t + h / 2, x + h / 2 * k1, r3[9:18])
+    k3 = rate(t + h / 2, x + h / 2 * k2, r3[9:18])
+    k4 = rate(t + h, x + h * k3, r3[18:])
+    step = ca.Function("step", [x, t, r3], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    stacked = np.vstack([rows[:, :-1:2], rows[:, 1::2], rows[:, 2::2]])
+    end = step.mapaccum(n)(np.append(formation.START, 0.0), half[:-1:2], stacked).full()[:, -1]
+    assert np.linalg.norm(end[:3] - x_ref[:3, -1]) == pytest.approx(1.1098, abs=2e-4)
+    assert end[6] == pytest.approx(2.3583, abs=2e-4)
+
+
+def test_a_moving_reference_is_followed_with_its_feedforward():
+    """A pendulum swung through large angles: on the surface from the start, it stays on the reference."""
+    model = Model("pendulum")
+    angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
+    model.ode({angle: rate, rate: -9.81 * ca.sin(angle) + torque})
+
+    def x(t):
+        return [2 * np.sin(t), 2 * np.cos(t)]
+
+    reference = Reference.from_functions(
+        model, x, lambda t: [-2 * np.sin(t) + 9.81 * np.sin(2 * np.sin(t))], 0.0, 6.0
+    )
+    controller = design_sliding_mode(
+        model,
+        reference,
+        outputs="angle",
+        slopes=3.0,
+        reaching=ConstantRate(2.0),
+        boundary=SaturationLayer(0.02),
+        bound=1.5,
+        dt=DT,
+        limits=(-20.0, 20.0),
+    )
+    run = step_through(
+        controller, model, x(0.0), dt=DT, tf=6.0, disturbance=lambda t: 1.5 * np.sin(5 * t)[None]
+    )
+    errors = run.x[0] - 2 * np.sin(run.times)
+    assert np.max(np.abs(errors)) < controller.explain()["steady error bound"][0]
+
+
+def test_reserve_is_what_the_limits_leave_beside_feedforward_and_gain():
+    assert design(ConstantRate(1.0), Sign(), limits=(-1.5, 2.0)).explain()[
+        "saturation reserve"
+    ] == pytest.approx(0.5)
+    with pytest.raises(
+        DesignError, match=r"control 'u' needs 1 besides its feedforward 0 .* limits are -0.9 and 2"
+    ):
+        design(ConstantRate(1.0), Sign(), limits=(-0.9, 2.0))
+    with pytest.raises(DesignError, match="no authority"):
+        design(ConstantRate(1.0), Sign(), limits=(0.0, 0.0))
+
+
+def test_hopeless_designs_are_refused_with_numbers():
+    with pytest.raises(DesignError, match=r"disturbed by 1.2, not less than the gain 1 "):
+        design(ConstantRate(1.0), Sign(), bound=1.2)
+    with pytest.raises(DesignError, match=r"k2 = 0\.5"):
+        design(SuperTwisting(2.0, 0.5), Sign(), bound=0.5)
+    with pytest.raises(DesignError, match=r"k1 = 1 .* sqrt"):
+        design(SuperTwisting(1.0, 1.0), Sign(), bound=0.5)
+    with pytest.raises(DesignError, match="give dt"):
+        design(SuperTwisting(2.0, 1.0), Sign(), dt=None)
+    with pytest.raises(DesignError, match="lambda > 0"):
+        design(ConstantRate(1.0), Sign(), slopes=-1.0)
+    with pytest.raises(DesignError, match="not 2"):
+        design(ConstantRate(1.0), Sign(), slopes={"x0": [-1.0, -2.0]})
+    with pytest.raises(DesignError, match="finite numbers >= 0"):
+        design(ConstantRate(1.0), Sign(), bound=np.nan)
+    with pytest.raises(DesignError, match="the reaching law is 1"):
+        design(1.0, Sign())
+    with pytest.raises(DesignError, match="the boundary is 0"):
+        design(ConstantRate(1.0), 0.1)
+    with pytest.raises(DesignError, match="between 0 and 1"):
+        PowerRate(1.0, 1.5)
+
+
+def swinging() -> Model:
+    """A control that loses its grip at x0 = 0: dx1/dt = x0 u."""
+    model = Model("swinging")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: x * u})
+    return model
+
+
+def singular_design(reference):
+    return design_sliding_mode(
+        reference.model,
+        reference,
+        outputs="x",
+        slopes=1.0,
+        reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(0.1),
+        dt=DT,
+    )
+
+
+def test_singular_decoupling_on_the_reference_is_refused_with_its_time():
+    model = swinging()
+    with pytest.raises(DesignError, match="singular on the reference"):
+        singular_design(Reference.constant(model, [0.0, 0.0], [0.0]))
+    line = Reference.from_functions(model, lambda t: [1 - t, -1.0], lambda t: [0.0], 0.0, 2.0)
+    with pytest.raises(DesignError, match=r"det E = -1 at t = 2 s"):
+        singular_design(line)
+
+
+def test_run_time_guards_hold_the_command_and_raise_alarms():
+    model = swinging()
+    controller = singular_design(Reference.constant(model, [1.0, 0.0], [0.0]))
+    u, z = controller(0.0, [1.2, 0.1])
+    held = {name: controller.memory.slice(name) for name in ("singular", "u_last", "s")}
+    assert z[held["singular"]] == 0
+    again, after = controller(DT, [0.01, 0.0], z)
+    assert again == pytest.approx(u)
+    assert np.all(np.isfinite(after))
+    assert after[held["singular"]] == 1
+    assert after[held["s"]] == z[held["s"]]
+    recovered, later = controller(2 * DT, [1.1, 0.0], after)
+    assert later[held["singular"]] == 1
+    assert recovered == pytest.approx(controller(2 * DT, [1.1, 0.0])[0])
+
+
+def test_measurements_beyond_the_largest_count_as_lost():
+    controller = singular_design(Reference.constant(swinging(), [1.0, 0.0], [0.0]))
+    count = controller.memory.slice("lost")
+    u, z = controller(0.0, [1.2, 0.1])
+    for v, lost in ((0.9 * LARGEST, 0), (1.1 * LARGEST, 1), (-1.1 * LARGEST, 1), (np.inf, 1)):
+        again, after = controller(DT, [1.2, v], z)
+        assert after[count] == lost
+        assert (again == u) == bool(lost)
+
+
+def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
+    """y = x0 - x1 of a double integrator: (1 - p) / p^2 has its zero at +1."""
+    model = integrators()
+    x0, x1 = model.symbol("x0"), model.symbol("x1")
+    with pytest.raises(DesignError, match="unstable: eigenvalue 1"):
+        design_sliding_mode(
+            model,
+            Reference.constant(model, [0, 0]),
+            outputs={"y": x0 - x1},
+            reaching=ConstantRate(1.0),
+            boundary=Sign(),
+        )
+
+
+# --- disturbances above the gain ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05), Sign()], ids=str)
+@pytest.mark.parametrize(("level", "alarm"), [(0.95, 0.0), (1.05, 1.0), (-1.05, 1.0)])
+def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(boundary, level, alarm):
+    """The gain is 1: what is below cannot drive s away, what is above does."""
+    model = integrators()
+    controller = design_sliding_mode(
+        model, [0, 0], outputs="x0", slopes=1.0, reaching=ConstantRate(1.0), boundary=boundary, dt=0.01
+    )
+    run = step_through(
+        controller,
+        model,
+        [0.5, 0.0],
+        dt=0.01,
+        tf=25.0,
+        disturbance=lambda t: level * (t > 20.0)[None, :],  # a step while sliding
+    )
+    flags = run.memory("overpowered")[0]
+    assert flags[-1] == alarm
+    assert not flags[run.times < 20.0].any()  # reaching is no alarm, however long it takes
+    assert ("overpowered" in controller.alarms) and (np.abs(run.memory("s")[0, -1]) > 0.15) == bool(alarm)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05)], ids=str)
+@pytest.mark.parametrize(("level", "alarm"), [(0.9, 0.0), (1.1, 1.0), (-0.9, 0.0), (-1.6, 1.0)])
+def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary, level, alarm):
+    """From the beginning on, so that sliding never begins: s' = -sign(s) + d has the sign of s where |d| > 1."""
+    model = integrators()
+    controller = design_sliding_mode(
+        model, [0, 0], outputs="x0", slopes=1.0, reaching=ConstantRate(1.0), boundary=boundary, dt=0.01
+    )
+    run = step_through(
+        controller,
+        model,
+        [np.copysign(0.5, level), 0.0],
+        dt=0.01,
+        tf=25.0,
+        disturbance=lambda t: level + 0 * t[None, :],
+    )
+    flags = run.memory("overpowered")[0]
+    assert flags[-1] == alarm
+    if alarm:
+        assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two
+
+
+def _twisted(boundary, disturbance, x0=(0.5, 0.0)):
+    """k_2 = 1: what a disturbance may grow by in a second."""
+    model = integrators()
+    law = {"reaching": SuperTwisting(2.0, 1.0), "boundary": boundary, "bound": 0.5, "dt": 0.01}
+    controller = design_sliding_mode(model, [0, 0], outputs="x0", slopes=1.0, **law)
+    run = step_through(controller, model, x0, dt=0.01, tf=15.0, disturbance=lambda t: disturbance(t)[None, :])
+    assert "overpowered" in controller.alarms
+    return run, run.memory("overpowered")[0]
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05), Sign()], ids=str)
+@pytest.mark.parametrize(
+    ("rate", "latest"), [(2.0, 3.0), (-3.0, 2.0), (1.2, 9.0)], ids=["twice", "thrice", "a fifth more"]
+)
+def test_a_disturbance_that_outruns_the_twist_raises_an_alarm(boundary, rate, latest):
+    """z follows d at k_2 = 1 per second and falls behind: s stays on one side and grows with the square of the time."""
+    run, flags = _twisted(boundary, lambda t: rate * np.maximum(t - 5.0, 0))
+    assert not flags[run.times < 5.0].any() and flags[-1] == 1
+    assert run.times[np.argmax(flags)] - 5.0 < latest
+    # s = c t^2 obeys s' = -2 sqrt(s) + (|rate| - 1) t
+    root = (np.sqrt(2 * abs(rate) - 1) - 1) / 2
+    if abs(rate) > 1.5:  # far beyond the layer
+        assert np.abs(run.memory("s")[0, -1]) == pytest.approx((root * 10.0) ** 2, rel=0.1)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), Sign()], ids=str)
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        lambda t: 0.9 * t + 3.0,
+        lambda t: 5.0 * (t > 5.0),
+        lambda t: 2.0 * np.sign(np.sin(t)),
+        lambda t: 0.9 * np.sin(t),
+    ],
+    ids=["slower than the twist", "a jump", "jumps", "waves"],
+)
+def test_what_the_twist_catches_up_with_raises_none(boundary, disturbance):
+    """Overshoot, jumps and waves, from near and from far."""
+    for start in ((0.5, 0.0), (5.0, -3.0), (-0.1, 8.0)):
+        run, flags = _twisted(boundary, disturbance, start)
+        assert not flags.any() and np.abs(run.memory("s")[0, -1]) < 1.0
+
+
+def test_the_reserve_of_super_twisting_claims_no_largest_command():
+    """It asks for k1 |s|^1/2 and more, whatever s; only the feedforward is certain."""
+    model = Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    reserves = {}
+    for law in (SuperTwisting(1.5, 1.1), ConstantRate(0.4)):
+        design = {"outputs": "q", "slopes": 1.0, "reaching": law, "boundary": Sign(), "dt": 0.01}
+        told = design_sliding_mode(model, [0.0, 0.0], **design, limits=(-1.0, 1.0)).explain()
+        line = next(line for line in str(told).splitlines() if "saturation reserve" in line)
+        reserves[type(law)] = (told["saturation reserve"], "gain" in line)
+    assert reserves == {SuperTwisting: (1.0, False), ConstantRate: (0.6, True)}

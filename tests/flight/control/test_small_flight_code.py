@@ -1,0 +1,186 @@
+"""Flight code made smaller: single precision and interpolated gains, with the error that this costs."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.c_compiler import (
+    COMPILER,
+    FLAGS,
+    NO_C,
+    compiled,
+    follower,
+    holder,
+    law_of,
+    needs_compiler,
+    pendulum,
+    python,
+    run,
+    scalar_operations,
+)
+from testing.mpc_designs import DT, A, B, tracker
+
+import gnc_opt as go
+from gnc_opt.control import CodeOptions
+from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT
+from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.variables import Layout, Variable
+
+SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]
+
+
+def flight(law, count=40, seed=5):
+    """Times and measurements beside a reference, and commands of the law."""
+    times = law.span[0] + 0.1 * np.arange(count)
+    measured = np.random.default_rng(seed).normal(size=(2, count))
+    return times, measured, python(law, times, measured.T, 0.1)
+
+
+@needs_compiler
+@pytest.mark.parametrize("design", [follower, holder])
+def test_single_precision_misses_the_law_by_what_is_told(tmp_path, design):
+    law = design(0.1)
+    times, measured, expected = flight(law)
+    options = CodeOptions(precision="float32", samples=(times, measured))
+    code = go.export_c(law, tmp_path, options=options)
+    found = run(compiled(code, *SINGLE), times, measured.T)
+    missed = np.max(np.abs(found - expected), axis=0)
+    assert code.command_error == pytest.approx(missed, rel=0.5)
+    size = np.max(np.abs(expected))
+    assert 1e-9 * size < missed[0] < 2e-6 * size  # some roundings of 6e-8
+    assert f"differ by at most {code.command_error[0]:.2g}" in code.header.read_text()
+    whole = go.export_c(law, tmp_path, options=CodeOptions(samples=(times, measured)))
+    assert whole.command_error[0] < 1e-13 * size
+    assert code.table_bytes * 2 == whole.table_bytes
+
+
+@needs_compiler
+def test_single_precision_keeps_the_row_late_on_the_clock(tmp_path):
+    """At 1e6 s single precision counts in steps of 0.06 s; times are double."""
+    model, _ = pendulum()
+    late = 1e6
+    reference = go.Reference.from_functions(
+        model, lambda t: [np.cos(t - late), 0.0], lambda t: [np.sin(t - late)], late, late + 3.0
+    )
+    law = go.design_tvlqr(model, reference, Q=1, R=1, dt=0.1)
+    times = late + 0.1 * np.arange(20)
+    states = np.zeros((20, 2))
+    code = go.export_c(law, tmp_path, options=CodeOptions(precision="float32"))
+    assert np.allclose(run(compiled(code, "-O0"), times, states), python(law, times, states, 0.1), rtol=1e-5)
+
+
+@needs_compiler
+def test_single_precision_of_a_quadratic_programme(tmp_path):
+    law = tracker(rate_limits=5.0, state_limits={"v": (-0.5, 0.5)})
+    x, z, states = np.array([3.0, 0.0]), None, []
+    for k in range(40):
+        states.append(x)
+        u, z = law(k * DT, x, z)
+        x = A @ x + B * u[0]
+    options = CodeOptions(precision="float32", samples=(DT * np.arange(40), np.transpose(states)))
+    code = go.export_c(law, tmp_path, options=options)
+    compiled(code, *SINGLE)
+    assert 1e-9 < code.command_error[0] < 1e-3
+
+
+def table(columns, tolerance, *names):
+    layout = Layout("signal", tuple(Variable(name, 1) for name in names))
+    return FlightTable(0.0, np.transpose(columns), layout, tolerance)
+
+
+def test_knots_of_known_curves():
+    """A broken line needs its corners; a parabola, by the error h^2 / 4 of its chords, pieces of 2 sqrt(tolerance)."""
+    s = np.linspace(0.0, 1.0, 201)
+    found = table([np.abs(s - 0.3), s**2, np.ones(201), s], 1e-3, "broken", "parabola", "constant", "q_ref")
+    assert list(found.knots[0]) == [0, 60, 200]
+    assert list(found.knots[2]) == [0, 200]
+    assert 3 not in found.knots  # references are kept row by row
+    pieces = np.diff(found.knots[1])[:-1] / 200
+    assert np.all(pieces**2 / 4 <= 1e-3 * (1 + 1e-9)) and np.max((pieces + 0.005) ** 2 / 4) > 1e-3
+    assert found.error == pytest.approx(np.max(pieces) ** 2 / 4, rel=0.03)
+    assert np.array_equal(found.interpolated[:, 3], s)
+    count = sum(len(k) for k in found.knots.values())
+    assert found.size(DOUBLE) == 201 * 8 + 10 * count
+    assert found.size(FLOAT) == 201 * 4 + 6 * count
+    assert table([s], 0.0, "gain").error == 0
+
+
+@needs_compiler
+def test_interpolated_gains_are_found_again_by_the_compiled_code(tmp_path):
+    law = follower(0.02)
+    bare = law.unbridged
+    whole, small = (flight_table(law, 0.02, None, tolerance) for tolerance in (0.0, 1e-2))
+    assert small.size(DOUBLE) < 0.8 * whole.size(DOUBLE)
+    assert 1e-3 < small.error <= 1e-2 * (1 + 1e-9)
+    k = np.array([0, 1, 17, 60, 150])
+    times, states = 0.5 + 0.02 * k, np.full((k.size, 2), 0.3)
+    expected = [
+        float(bare.step(t, x, row, [])[0])
+        for t, x, row in zip(times, states, small.interpolated[k], strict=True)
+    ]
+    options = CodeOptions(table_tolerance=1e-2, samples=(times, states.T))
+    code = go.export_c(law, tmp_path, options=options)
+    found = run(compiled(code, "-O0", "-Wconversion"), times, states)[:, 0]
+    assert np.allclose(found, expected, rtol=1e-13)
+    exact = python(law, times, states, 0.02)[:, 0]
+    assert code.command_error[0] == pytest.approx(np.max(np.abs(found - exact)), rel=1e-9)
+    assert code.command_error[0] > 1e-6
+    header = code.header.read_text()
+    assert f"off by at most {code.table_error:.2g} of the largest of each" in header
+    assert int(re.search(r"_TABLE (\d+)", header)[1]) == code.table_bytes == small.size(DOUBLE)
+
+
+def test_refusals(tmp_path, monkeypatch):
+    law = follower(0.1)
+    good = (0.5 + 0.1 * np.arange(3), np.zeros((2, 3)))
+    for options, message in (
+        (CodeOptions(precision="float16"), "no precision 'float16': did you mean"),
+        (CodeOptions(table_tolerance=-1.0), "table tolerance of export_c"),
+        (
+            CodeOptions(samples=(good[0], np.zeros((3, 2)))),
+            r"shapes \(3,\) and \(3, 2\), and 'TVLQR' measures 2 states",
+        ),
+        (CodeOptions(samples=good[0]), "are no pair"),
+        ({"precision": "float32"}, "the options of export_c"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            go.export_c(law, tmp_path / "none", options=options)
+    with pytest.raises(ArgumentError, match="'MPC' has no gains to interpolate"):
+        go.export_c(tracker(), tmp_path / "none", options=CodeOptions(table_tolerance=0.1))
+    with pytest.raises(ArgumentError, match="1e\\+300 is beyond the numbers of the type 'float'"):
+        FLOAT(1e300)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(go.GncOptError, match=r"no C compiler \(cc\) is found to compare"):
+        go.export_c(law, tmp_path, options=CodeOptions(samples=good))
+
+
+@needs_compiler
+def test_the_task_of_the_page_compiles(tmp_path):
+    page = (Path(__file__).parents[3] / "docs/control/c_code.md").read_text(encoding="utf-8")
+    task = re.search(r"```c\n(.*?)```", page, re.DOTALL)
+    code = go.export_c(follower(0.1), tmp_path, name="cart", options=CodeOptions(precision="float32"))
+    board = "double wait_for_next_step(void);\nvoid read_sensors(float *x);\nvoid send_commands(const float *u);\n"
+    (tmp_path / "task.c").write_text(f"{board}void control_task(void);\n{task[1]}")
+    command = [COMPILER, *FLAGS, "-fsyntax-only", str(tmp_path / "task.c")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert code.header.exists() and done.returncode == 0, done.stderr
+
+
+@needs_compiler
+def test_every_operation_has_its_single_form(tmp_path):
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2)
+    values = [f(x[0], x[1]) for name, f in scalar_operations().items() if name not in NO_C]
+    law = law_of([*values, t, ca.SX(3.5)], t, x)
+    times, measured = 0.1 * np.arange(12), 2 * np.random.default_rng(8).normal(size=(2, 12))
+    measured = measured.astype(np.float32).astype(float)  # the same numbers in both
+    options = CodeOptions(precision="float32", samples=(times, measured))
+    code = go.export_c(law, tmp_path, dt=0.1, options=options)
+    compiled(code, *SINGLE)
+    size = np.max(np.abs(python(law, times, measured.T, 0.1)), axis=0)
+    assert np.all(code.command_error <= 2e-5 * (1 + size))
+    assert np.max(code.command_error) > 1e-8

@@ -1,0 +1,190 @@
+"""Campaigns that are killed, resumed and extended: the same bits, and no run flown twice."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from testing.loops import double_integrator, feedback
+
+import gnc_opt.simulation.campaign_batch as mission_module
+from gnc_opt.errors import GncOptError
+from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Normal, Quantity, Saturation, monte_carlo
+
+ARRAYS = tuple(field.name for field in dataclasses.fields(Campaign) if field.type in ("Array", "Any"))
+"""All numbers of a campaign."""
+
+
+def loop(limit=1.0, **options) -> ClosedLoop:
+    plant = double_integrator()
+    blocks = [Saturation("limit", -limit, limit)], [Noise("gauge", 1e-3, on="q")]
+    return ClosedLoop(plant, feedback(plant, [[1.0, 1.6]]), *blocks, dt=0.1, **options)
+
+
+CASE = {"x0": [1.0, 0.0], "tf": 3.0, "seed": 4, "dispersions": {"plant.m": Normal(0.1, relative=True)}}
+
+
+def fly(n, closed=None, executor="serial", **changes):
+    return monte_carlo(closed or loop(), n, executor=executor, target={"q": 0.0}, **(CASE | changes))
+
+
+def same(a: Campaign, b: Campaign) -> bool:
+    arrays = all(np.array_equal(getattr(a, n), getattr(b, n), equal_nan=True) for n in ARRAYS)
+    return arrays and a.outcomes == b.outcomes and a.asked == b.asked
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return fly(60)
+
+
+@pytest.fixture
+def flown(monkeypatch):
+    """Numbers of the runs that are flown, as they are flown."""
+    numbers, fly_batch = [], mission_module.Mission.fly
+
+    def noted(self, batch):
+        numbers.extend(batch)
+        return fly_batch(self, batch)
+
+    monkeypatch.setattr(mission_module.Mission, "fly", noted)
+    return numbers
+
+
+def test_a_campaign_grows_and_flies_only_what_is_missing(tmp_path, whole, flown):
+    assert same(fly(20, checkpoint=tmp_path / "a" / "b"), fly(20))
+    flown.clear()
+    assert same(fly(60, checkpoint=tmp_path / "a" / "b"), whole)
+    assert flown == list(range(20, 60))
+    flown.clear()
+    assert same(fly(33, checkpoint=tmp_path / "a" / "b"), fly(33)) and flown == list(range(33))
+
+
+def test_of_a_batch_that_is_stored_so_many_runs_are_taken_as_asked_for(tmp_path, monkeypatch):
+    """All that is kept of them, of their events and of their way, too."""
+    monkeypatch.setattr(mission_module, "BATCHES", 1)
+    plant = double_integrator()
+    law, q, v = feedback(plant, [[1.0, 1.6]]), plant.symbol("q"), plant.symbol("v")
+    seen = ClosedLoop(
+        plant, law, events=Event("near", q - 0.5, reset={}), quantities=Quantity("speed", v), dt=0.1
+    )
+    fly(6, seen, checkpoint=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    few = fly(4, seen, checkpoint=tmp_path)
+    assert same(few, fly(4, seen)) and few.event_counts.shape == (1, 4) and few.samples.shape[2] == 4
+
+
+def test_what_is_stored_is_flown_in_smaller_batches(tmp_path, monkeypatch):
+    """So that a campaign that is killed has lost little; without a folder batches are as large as they may be."""
+    monkeypatch.setattr(mission_module, "BATCHES", 2)
+    monkeypatch.setattr(sys.modules["gnc_opt.simulation.monte_carlo"], "MOST_PER_FILE", 3)
+    sizes, fly_batch = [], mission_module.Mission.fly
+    monkeypatch.setattr(
+        mission_module.Mission, "fly", lambda self, batch: sizes.append(len(batch)) or fly_batch(self, batch)
+    )
+    fly(12, tf=0.5)
+    fly(12, tf=0.5, checkpoint=tmp_path)
+    assert sizes == [6, 6, 3, 3, 3, 3]
+
+
+def test_gaps_are_filled(tmp_path, whole, flown):
+    fly(60, checkpoint=tmp_path)
+    files = sorted(tmp_path.iterdir())
+    for path in (files[0], files[7], files[8], files[-1]):
+        path.unlink()
+    (tmp_path / ".runs 00000000 to 00000001.npz.xyz").write_bytes(b"torn")  # left by a writer that was killed
+    flown.clear()
+    assert same(fly(60, checkpoint=tmp_path), whole)
+    assert 4 <= len(flown) == len(set(flown)) < 12
+
+
+@pytest.mark.parametrize(
+    ("change", "culprit"),
+    [
+        ({"seed": 5}, "the seed 4, not 5"),
+        ({"tf": 3.1}, "another loop or span"),
+        ({"closed": loop(accuracy=1e-12)}, None),
+        ({"closed": loop(substeps=3)}, "another loop or span"),
+        ({"closed": loop(limit=0.5)}, "other dispersions, initial states or parameters"),
+        ({"x0": [1.0, 0.1]}, "other dispersions"),
+        ({"dispersions": {"plant.m": Normal(0.2, relative=True)}}, "other dispersions"),
+    ],
+)
+def test_another_campaign_is_refused(tmp_path, change, culprit):
+    fly(3, checkpoint=tmp_path)
+    if culprit is None:  # the bits of the runs are the same: fine enough was fine enough before
+        fly(4, checkpoint=tmp_path, **change)
+        return
+    with pytest.raises(GncOptError, match=culprit):
+        fly(4, checkpoint=tmp_path, **change)
+
+
+@pytest.mark.parametrize("content", [b"", b"torn", None])
+def test_a_damaged_file_is_named_and_can_be_deleted(tmp_path, content):
+    whole = fly(3, checkpoint=tmp_path)
+    path = max(tmp_path.iterdir())
+    bits = bytearray(path.read_bytes())
+    bits[len(bits) // 2] ^= 1
+    path.write_bytes(bytes(bits) if content is None else content)
+    with pytest.raises(GncOptError, match=r"Delete this file") as refusal:
+        fly(3, checkpoint=tmp_path)
+    assert str(path) in str(refusal.value)
+    path.unlink()
+    assert same(fly(3, checkpoint=tmp_path), whole)
+
+
+def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
+    path = whole.save(tmp_path / "campaign")
+    flight = loop().flight([1.0, 0.0], tf=3.0)
+    assert np.array_equal(Campaign.load(path, flight=flight).rerun(7).states[:, -1], whole.states[:, 7])
+    with pytest.raises(GncOptError, match="from 0 s to 3 s, the given flight from 0 s to 5 s"):
+        Campaign.load(path, flight=loop().flight([1.0, 0.0], tf=5.0))
+    plant = double_integrator()
+    other = ClosedLoop(plant, feedback(plant, [[1.0, 1.7]]), loop().actuators, loop().sensors, dt=0.1)
+    with pytest.raises(GncOptError, match="another loop than the given flight: plant, controller"):
+        Campaign.load(path, flight=other.flight([1.0, 0.0], tf=3.0))
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, sys.argv[2])
+import gnc_opt.simulation.campaign_batch as mission
+from test_checkpoint import fly
+import os
+os.cpu_count = lambda: 2
+fly_batch = mission.Mission.fly
+def slowly(self, batch):
+    time.sleep(0.1)
+    return fly_batch(self, batch)
+slowly.__qualname__ = "Mission.fly"
+slowly.__module__ = mission.__name__
+mission.Mission.fly = slowly
+fly(60, executor=None, checkpoint=sys.argv[1])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills processes")
+def test_a_killed_campaign_resumes_with_what_had_ended(tmp_path, whole, flown):
+    folder = str(Path(__file__).parent)
+    main = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path), folder])
+    end = time.monotonic() + 60
+    while len(list(tmp_path.glob("runs *"))) < 8 and time.monotonic() < end and main.poll() is None:
+        time.sleep(0.01)
+    main.send_signal(signal.SIGKILL)
+    main.wait()
+    stored = sum(len(Campaign.load(path)) for path in tmp_path.glob("runs *"))
+    assert 8 <= stored < 60
+    assert same(fly(60, checkpoint=tmp_path), whole)
+    assert len(flown) == 60 - stored
+
+
+def test_a_broken_executor_of_the_users_loses_no_run(whole):
+    with ProcessPoolExecutor(1) as given:
+        given.submit(os._exit, 1).exception()  # broken before the first run
+        assert same(fly(60, executor=given), whole)

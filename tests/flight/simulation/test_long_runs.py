@@ -1,0 +1,99 @@
+"""Long runs: flown leg by leg with the same bits, logged every so often, to disk if need be."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from testing.loops import double_integrator
+
+import gnc_opt as go
+import gnc_opt.simulation.compiled_loop as flight_module
+from gnc_opt.control import design_lqr
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation import ClosedLoop, Lag, Noise, RandomHold
+
+ARRAYS = ("times", "states", "measured", "commands", "applied", "memory", "errors", "reference")
+
+
+def loop() -> ClosedLoop:
+    plant = double_integrator()
+    regulator = design_lqr(plant, [0, 0], Q=1, R=1, dt=0.1, integral={"q": 0.1})
+    return ClosedLoop(
+        plant,
+        regulator,
+        [Lag("lag", 0.2)],
+        [Noise("gauge", 1e-3, on="q")],
+        [RandomHold("gust", 0.1, 0.7, on="a")],
+    )
+
+
+def fly(**options) -> go.simulation.Run:
+    return loop().simulate([1.0, 0.0], tf=23.7, seed=5, **options)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return fly()
+
+
+@pytest.mark.parametrize("leg", [1, 10, 236, 237, 1000])
+def test_legs_change_no_bit(monkeypatch, whole, leg):
+    monkeypatch.setattr(flight_module, "LEG", leg)
+    run = fly()
+    assert all(np.array_equal(getattr(run, name), getattr(whole, name)) for name in ARRAYS)
+    assert np.array_equal(run.effort, whole.effort) and run.integration_error == whole.integration_error
+    flight = loop().flight([1.0, 0.0], tf=23.7)
+    ending = flight.final(np.tile(flight.nominal[:, None], 2), [5, 6])
+    assert np.array_equal(ending.states[:, 0], whole.states[:, -1])
+    assert np.array_equal(ending.states[:, 1], loop().simulate([1.0, 0.0], tf=23.7, seed=6).states[:, -1])
+
+
+@pytest.mark.parametrize("leg", [7, 1000])
+@pytest.mark.parametrize("every", [1, 5, 79, 237, 5000])
+def test_of_so_many_steps_one_is_logged_and_the_end(monkeypatch, whole, every, leg):
+    monkeypatch.setattr(flight_module, "LEG", leg)
+    run = fly(every=every)
+    kept = [*range(0, 237, every), 237]
+    for name in ARRAYS:
+        expected = getattr(whole, name)
+        columns = kept if expected.shape[-1] == 238 else kept[:-1]
+        assert np.array_equal(getattr(run, name), expected[..., columns])
+    assert np.array_equal(run.effort, whole.effort)
+    assert run.outcome == whole.outcome
+
+
+def test_what_is_no_number_of_steps_is_refused():
+    with pytest.raises(ArgumentError, match="control steps of which one is logged"):
+        fly(every=0)
+
+
+@pytest.mark.parametrize("every", [1, 10])
+def test_a_log_on_disk_is_the_same(monkeypatch, tmp_path, every):
+    monkeypatch.setattr(flight_module, "LEG", 50)
+    expected, run = fly(every=every), fly(every=every, folder=tmp_path / "new" / "log")
+    assert all(np.array_equal(getattr(run, name), getattr(expected, name)) for name in ARRAYS)
+    assert np.array_equal(np.load(tmp_path / "new" / "log" / "states.npy"), expected.states)
+    loaded = go.simulation.Run.load(run.save(tmp_path / "run"))
+    assert np.array_equal(loaded.states, expected.states) and str(loaded) == str(expected)
+
+
+GROWTH = """
+import resource
+from test_long_runs import loop
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+loop().simulate([1.0, 0.0], tf=200.0, every=100)
+before = peak()
+loop().simulate([1.0, 0.0], tf=3000.0, every=100)
+print(peak() - before)
+"""
+
+
+def test_memory_grows_by_less_than_a_kilobyte_per_step():
+    """What is known beforehand (times, references) takes some hundred bytes per step; a day has 864 000 of them."""
+    pytest.importorskip("resource")
+    folder = str(__file__).rpartition("/")[0]
+    found = subprocess.run(
+        [sys.executable, "-c", GROWTH], cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert float(found.stdout) < 0.5e-3 * 30_000

@@ -1,0 +1,293 @@
+"""Machine code of a loop: the interpreter's bits, or the interpreter."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.loops import double_integrator
+
+import gnc_opt.simulation.compiled_loop as flight_module
+from gnc_opt.control import design_lqr, design_mpc
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import GncOptError
+from gnc_opt.model.model import Model
+from gnc_opt.simulation import (
+    ClosedLoop,
+    Event,
+    Flight,
+    Lag,
+    Noise,
+    RandomHold,
+    monte_carlo,
+)
+from gnc_opt.simulation import compiled_step as module
+from gnc_opt.simulation import (
+    simd_kernel as lanes,
+)
+from gnc_opt.simulation.compiled_step import Folded
+from gnc_opt.simulation.simd_kernel import in_lanes
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(flight_module, "WORTH", 100)
+    return tmp_path / "gnc_opt"
+
+
+def loop(through: float | None = None, weight: float = 1) -> ClosedLoop:
+    plant = double_integrator()
+    events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
+    regulator = design_lqr(plant, [0, 0], Q=weight, R=1, dt=0.1, integral={"q": 0.1})
+    noise, gust = Noise("gauge", 1e-3, on="q"), RandomHold("gust", 0.1, 0.7, on="a")
+    return ClosedLoop(plant, regulator, [Lag("lag", 0.2)], [noise], [gust], events=events)
+
+
+def flown(through: float | None = None, weight: float = 1) -> Flight:
+    return loop(through, weight).flight([1.0, 0.0], t0=0.0, tf=5.0)
+
+
+def bits(flight: Flight) -> list[bytes]:
+    P = flight.nominal[:, None] * np.array([1.0, 1.01, np.nan])
+    ending = flight.final(P, [1, 2, 3])
+    return [
+        np.asarray(v).tobytes()
+        for v in (ending.states, ending.memory, ending.effort, ending.variation, ending.errors)
+    ]
+
+
+@needs_compiler
+@pytest.mark.parametrize("through", [None, 0.5])
+def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: float | None) -> None:
+    flight = flown(through)
+    quick = flight.natively(2)
+    assert Path(quick.library).parent == cache and not flight.library
+    assert bits(quick) == bits(flight) and quick.fingerprint == flight.fingerprint
+    assert bits(pickle.loads(pickle.dumps(quick))) == bits(flight)
+
+
+@needs_compiler
+def test_a_function_is_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, other = flown().natively(2).library, flown()
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("compiled again"))
+    assert other.natively(2).library == first
+    assert [path.suffix for path in cache.iterdir()] == [".so"]
+
+
+_ONE = (
+    *(
+        ca.sqrt,
+        ca.exp,
+        ca.log,
+        ca.expm1,
+        ca.log1p,
+        ca.sin,
+        ca.cos,
+        ca.tan,
+        ca.asin,
+        ca.acos,
+        ca.atan,
+        ca.sinh,
+        ca.cosh,
+    ),
+    *(
+        ca.tanh,
+        ca.asinh,
+        ca.acosh,
+        ca.atanh,
+        ca.floor,
+        ca.ceil,
+        ca.fabs,
+        ca.sign,
+        lambda a: -a,
+        lambda a: a**2,
+    ),
+    *(lambda a: 2 * a, lambda a: 1 / a, lambda a: a**3.5, ca.logic_not),
+)
+_TWO = (
+    *(lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / b, lambda a, b: a < b),
+    *(
+        lambda a, b: a <= b,
+        lambda a, b: a == b,
+        lambda a, b: a != b,
+        ca.logic_and,
+        ca.logic_or,
+        lambda a, b: ca.if_else(a, b, 0),
+    ),
+    *(ca.copysign, ca.atan2, lambda a, b: a**b, ca.fmin, ca.fmax, ca.hypot, ca.fmod),
+    *(lambda a, b: ca.if_else(a > 0.3, b, np.inf), lambda a, b: ca.if_else(a > 0.3, b, np.nan)),
+)
+_SPECIAL = (0.0, -0.0, 0.5, -0.5, 1.0, 1.5, 7.25, -1e300, 5e-324, np.inf, -np.inf, np.nan)
+
+
+@needs_compiler
+@pytest.mark.parametrize("long", [lanes.LONG, 0])
+def test_both_halves_of_vectors_have_the_bits_of_the_interpreter(
+    long: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every operation, with numbers of all kinds; two flights differ, and one alone may be flown."""
+    monkeypatch.setattr(lanes, "LONG", long)
+    monkeypatch.setattr(lanes, "PART", 7)
+    x, w, c = ca.SX.sym("x", len(_ONE) + len(_TWO)), ca.SX.sym("w", 2), ca.SX.sym("c", 2)
+    a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
+    results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
+    step = ca.Function("step", [x, w, c], [ca.vertcat(*results)])
+    assert in_lanes(step)
+    fly = module.loaded(module.native(step))
+    assert fly is not None
+    X, C = np.zeros((2, x.shape[0])), np.array([1.0, 2.0])
+    X[1, 0] = 0.75
+    final = np.empty_like(X)
+    for known in itertools.product(_SPECIAL, _SPECIAL):
+        row = np.array([known])
+        assert fly(X, row, C, final) == 1
+        told = np.column_stack([step(one, row[0], C).full() for one in X]).T
+        assert np.array_equal(final, told, equal_nan=True)
+        assert np.array_equal(np.signbit(final[told == 0]), np.signbit(told[told == 0]))
+        fly(X[1:], row, C, final[:1])
+        assert np.array_equal(final[0], told[1], equal_nan=True)
+
+
+def test_long_steps_are_many_short_functions() -> None:
+    """A compiler takes far more than twice as long for a function twice as long. In memory is what goes from one to the
+    next, here the last sine, w and nothing else."""
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    y = x
+    for _ in range(lanes.LONG // 2):
+        y = ca.sin(y) * w
+    step = ca.Function("step", [x, w, c], [y])
+    assert step.n_instructions() > lanes.LONG
+    source = in_lanes(step)
+    bodies = source.split("__attribute__((noinline))")[1:]
+    count = -(-step.n_instructions() // lanes.PART)
+    assert len(bodies) == count
+    assert max(body.count("  const pair v") - body.count("= a[") for body in bodies) <= lanes.PART
+    assert source.count("\n  a[") == count and "malloc((2 + 1)" in source
+
+
+def test_what_is_done_twice_is_written_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CasADi does not see it; in a function of its own no compiler would, either."""
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    twice = ca.sin(x * w) - ca.cos(ca.sin(x * w) + 0.25) * (c + 0.25)
+    step = ca.Function("step", [x, w, c], [twice])
+    for part in (lanes.LONG, 1):
+        monkeypatch.setattr(lanes, "LONG", part)
+        monkeypatch.setattr(lanes, "PART", part)
+        source = in_lanes(step)
+        assert [source.count(f"{name}(v") for name in ("sin", "cos")] == [2, 2]  # one for each flight
+        assert source.count(f"PAIR({(0.25).hex()}") == 1
+
+
+def test_what_takes_more_than_operations_on_scalars_is_left_to_casadi() -> None:
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    assert not in_lanes(ca.Function("step", [x, w, c], [ca.erf(x)]))
+    assert not in_lanes(ca.Function("step", [x, w, c], [x, w]))
+
+
+def test_few_steps_are_not_worth_it(cache: Path) -> None:
+    assert flown().natively(1).library == "" and not cache.exists()
+
+
+@pytest.mark.parametrize("why", ["no compiler", "it fails", "no place", "no C"])
+def test_without_machine_code_the_interpreter_flies(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    flight = flown()
+    if why == "no compiler":
+        monkeypatch.setattr(shutil, "which", lambda _: None)
+    elif why == "it fails":
+        broken = shutil.which("false")
+        monkeypatch.setattr(shutil, "which", lambda _: broken)
+    elif why == "no place":
+        cache.write_text("a file")
+    else:
+        monkeypatch.setattr(module, "_compile", _refuse)
+    quick = flight.natively(2)
+    assert quick.library == "" and bits(quick) == bits(flight)
+
+
+@needs_compiler
+def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
+    cache: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plant, law = predictive()
+    flight = ClosedLoop(plant, replace(law, easy=None)).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
+    assert flight.library == "" and list(cache.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def predictive() -> tuple[Model, Controller]:
+    plant = double_integrator()
+    limits: dict[str, Any] = {"limits": (-0.5, 0.5), "state_limits": {"v": (-0.3, 0.3)}}
+    return plant, design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, solver="piqp", **limits)
+
+
+@needs_compiler
+@pytest.mark.parametrize("through", [None, 0.01])
+def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others(
+    monkeypatch: pytest.MonkeyPatch, through: float | None
+) -> None:
+    """From 1 m a limit is in reach for 2 s and no more; the speed reaches its limit on the way."""
+    plant, law = predictive()
+    events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
+    noise = [Noise("gauge", 1e-3, on="q")]
+    flight = ClosedLoop(plant, law, sensors=noise, events=events).flight([1.0, 0.0], t0=0.0, tf=8.0)
+    quick = flight.natively(2)
+    assert quick.library and bits(quick) == bits(flight)
+    asked = flight.run(flight.nominal, 1).commands
+    interpreted: list[int] = []
+    interpret = Folded._interpret
+    monkeypatch.setattr(Folded, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
+    replace(quick, beside=False).final(flight.nominal[:, None], [1])
+    at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
+    assert set(interpreted) == {1} and max(3, at_limit) <= len(interpreted) < 60
+
+
+def _refuse(*_: Any) -> None:
+    raise RuntimeError("no code generation for this operation")
+
+
+def test_a_library_of_another_machine_is_not_missed(tmp_path: Path) -> None:
+    assert bits(replace(flown(), library=str(tmp_path / "gone.so"))) == bits(flown())
+
+
+@needs_compiler
+def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = module.native(flown(weight=2)._folded.step)
+    monkeypatch.setattr(flight_module, "native", lambda _: library)
+    assert library and flown().natively(2).library == ""
+
+
+@needs_compiler
+def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission: dict[str, Any] = {"x0": [1.0, 0.0], "tf": 5.0, "seed": 3, "executor": "serial"}
+    quick = monte_carlo(loop(), 4, **mission)
+    assert quick.flight is not None and quick.flight.library
+    monkeypatch.setattr(flight_module, "WORTH", 10_000)
+    plain = monte_carlo(loop(), 4, **mission)
+    assert plain.flight is not None and not plain.flight.library
+    assert quick.states.tobytes() == plain.states.tobytes()
+
+
+@needs_compiler
+def test_a_step_that_fails_is_told_as_by_the_interpreter() -> None:
+    x, w, c = (ca.MX.sym(name) for name in "xwc")
+    step = ca.Function("only", [x, w, c], [(x - w).attachAssert(x > c, "too low")])
+    fly = module.loaded(module.native(step))
+    final = np.empty(1)
+    assert fly is not None
+    fly(np.array([5.0]), np.array([[1.0], [2.0]]), np.array([3.0]), final)
+    assert final == [2.0]
+    with pytest.raises(GncOptError, match="could not be evaluated"):
+        fly(np.array([5.0]), np.array([[1.0], [2.0], [0.0]]), np.array([3.0]), final)

@@ -1,0 +1,260 @@
+"""Motion in three dimensions in reports: the numbers that the page carries, and what a browser makes of them."""
+
+import base64
+import gzip
+import json
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.browser import BROWSER, PHONE, browser
+
+import gnc_opt as go
+from gnc_opt.plot import Thruster, View
+from gnc_opt.plot.campaign import tube
+from gnc_opt.plot.scene import scene_html
+from gnc_opt.problem_file import example, examples
+from gnc_opt.report import write_campaign_report, write_report, write_run_report
+from gnc_opt.report.page import document
+from gnc_opt.simulation import Normal
+from gnc_opt.spacecraft import mrp_rate
+
+pytest.importorskip("plotly", reason="motion in three dimensions comes with the extra report")
+
+LARGEST = 5_000_000
+"""Bytes of a page."""
+RATE = 0.5
+"""Of the turn about z, rad/s."""
+VIEW = View(
+    "r",
+    "sigma",
+    {"main": Thruster("F[0]", (1, 0, 0), (-0.5, 0, 0)), "side": Thruster("F[1]", (0, 1, 0))},
+    keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))},
+    down=True,
+)
+
+
+def carried(page):
+    """The numbers that a page carries for the scene."""
+    packed = re.search(r'<script type="text/plain" id="motions">(.*?)</script>', page)[1]
+    return json.loads(gzip.decompress(base64.b64decode(packed)))
+
+
+def turning(force):
+    """A body that turns about z while its own thrust carries it along."""
+    model = go.Model("turning body")
+    r, v, sigma = model.state("r", 3, unit="m"), model.state("v", 3, unit="m/s"), model.state("sigma", 3)
+    F = model.control("F", 2, unit="N")
+    c, s = ca.cos(RATE * model.time), ca.sin(RATE * model.time)
+    force_L = ca.vertcat(c * F[0] - s * F[1], s * F[0] + c * F[1], 0)
+    model.ode({r: v, v: force_L, sigma: mrp_rate(sigma, ca.vertcat(0, 0, RATE))})
+    problem = go.Problem("a turn")
+    leg = problem.phase("turn", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(r=0.0, v=0.0, sigma=0.0)
+    leg.bounds(F=(force, force))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return go.solve(turning([2, -1]), mesh="6x4", tol=None)
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    model = go.Model("glider")
+    r = model.state("r", 3, unit="m")
+    u = model.control("u", 3, unit="m/s")
+    model.ode({r: u})
+    loop = go.ClosedLoop(model, go.design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1), dt=0.1)
+    return go.monte_carlo(
+        loop,
+        n=40,
+        seed=3,
+        x0={"r": [5, 0, 0]},
+        tf=2.0,
+        dispersions={"initial.r": Normal([0.2, 0.4, 0.1])},
+        limits={"r": 0.69},
+        executor="serial",
+    )
+
+
+# --- numbers --------------------------------------------------------------------------------------------
+
+
+def test_page_carries_the_motion(solution):
+    data = carried(scene_html({"a turn": solution}, VIEW))
+    t = np.array(data["times"])
+    motion = data["motions"]["a turn"]
+    assert t[0] == 0 and t[-1] == 2
+    c, s = np.cos(RATE * t), np.sin(RATE * t)
+    # r'' = 2 (c, s) - (-s, c), from rest
+    expected = 2 * np.stack([1 - c, RATE * t - s]) - np.stack([s - RATE * t, 1 - c])
+    size = np.ptp(expected, axis=1).max() / RATE**2
+    assert np.allclose(motion["position"][:2], expected / RATE**2, atol=2e-4 * size)
+    assert np.allclose(motion["axes"], [[c, s, 0 * t], [-s, c, 0 * t]], atol=1e-4)
+    assert np.allclose(motion["plumes"]["main"], 1.0) and np.allclose(motion["plumes"]["side"], -0.5)
+    assert data["unit"] == "m" and data["down"]
+    rock = np.array(data["volumes"]["rock"])
+    assert np.allclose((((rock.T - [1, 2, 0]) / [0.5, 0.4, 0.3]) ** 2).sum(axis=-1), 1, atol=1e-2)
+    assert np.all(np.array(data["low"]) < rock.min(axis=(1, 2))) and np.all(
+        np.array(data["high"]) > rock.max(axis=(1, 2))
+    )
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95, 1.0])
+def test_tube_holds_the_share_of_the_runs(share):
+    """Runs beside a helix: of each section, those inside are counted by winding, not by the ellipse's equation."""
+    rng = np.random.default_rng(5)
+    t = np.linspace(0, 4, 9)
+    helix = np.stack([np.cos(t), np.sin(t), 0.3 * t])
+    runs = helix + rng.normal(size=(400, 3, 1)) * np.array([0.02, 0.05, 0.01])[:, None]
+    around = tube(runs, share)
+    mean = runs.mean(axis=0)
+    tangent = np.gradient(mean, axis=1)
+    for k in range(t.size):
+        ring = around[:, k].T - mean[:, k]
+        assert np.allclose(ring @ tangent[:, k], 0, atol=1e-12)  # lies across
+        basis = np.linalg.svd(tangent[:, [k]].T)[2][1:]
+        corners, points = ring @ basis.T, (runs[:, :, k] - mean[:, k]) @ basis.T
+        angle = np.arctan2(*(corners[None, :, :] - points[:, None, :]).transpose(2, 0, 1))
+        turns = np.abs(np.unwrap(angle, axis=1)[:, -1] - np.unwrap(angle, axis=1)[:, 0]) / (2 * np.pi)
+        # a polygon of 24 corners holds a little less than its ellipse
+        assert share - 0.02 - 1 / 400 <= np.mean(turns > 0.5) <= share + 1 / 400
+
+
+def test_tube_of_runs_in_one_plane_and_at_rest():
+    t = np.linspace(0, 1, 5)
+    runs = np.stack([np.stack([np.minimum(t, 0.5), 0 * t + w, 0 * t]) for w in np.linspace(-1, 1, 21)])
+    around = tube(runs, 1.0)
+    assert np.all(np.isfinite(around))
+    assert np.allclose(np.abs(around[1]).max(axis=1), 1.0)  # as wide as the runs, also where they stand
+    assert np.abs(around[2]).max() < 1e-5
+
+
+def test_campaign_carries_any_run(campaign, tmp_path):
+    page = write_campaign_report(campaign, tmp_path, view=View("r", force="u"), runs=30)[0].read_text("utf-8")
+    assert len(page) < LARGEST and "30 of 40 runs" in page
+    data = carried(page)
+    passed = campaign.passed()
+    assert 0 < passed.sum() < 40
+    numbers = [int(re.match(r"run (\d+): ", name)[1]) for name in data["motions"]]
+    assert set(np.flatnonzero(~passed)) <= set(numbers) and len(numbers) == 30  # what failed is there
+    name = next(iter(data["motions"]))
+    flown = campaign.rerun(numbers[0]).state("r")(data["times"])
+    assert np.allclose(data["motions"][name]["position"], flown, atol=1e-3)
+    assert np.shape(data["tube"])[:2] == (3, len(data["times"]))
+
+
+def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
+    flown = {f"run {i}": campaign.rerun(i) for i in range(3)}
+    far = flown["run 1"]
+    vars(far)["states"] = far.states * 1e9
+    data = carried(scene_html(flown, View("r"), regular={"run 1": False}))
+    assert max(data["high"]) < 10 and "run 1" in data["motions"]
+
+
+def test_reports_of_runs(campaign, tmp_path):
+    run = campaign.rerun(4)
+    paths = write_run_report(run, tmp_path, title="the fourth", view=View("r"))
+    assert [p.name for p in paths[:2]] == ["report.html", "run.npz"]
+    page = paths[0].read_text("utf-8")
+    assert "<h1>the fourth</h1>" in page and "scene" in page and len(page) < LARGEST
+    assert str(go.Run.load(paths[1])) == str(run)
+
+
+def test_mistakes_are_told(campaign, solution, tmp_path):
+    with pytest.raises(go.ArgumentError, match="runs to show is 0"):
+        write_campaign_report(campaign, tmp_path, runs=0)
+    saved = campaign.save(tmp_path / "c.npz")
+    with pytest.raises(go.GncOptError, match="came from a file"):
+        write_campaign_report(go.Campaign.load(saved), tmp_path / "new", view=View("r"))
+    with pytest.raises(go.UnknownNameError, match="nose"):
+        write_report(solution, None, tmp_path / "new", view=View("nose"))
+    assert not (tmp_path / "new" / "report.html").exists()
+
+
+def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
+    def missing(package, extra):
+        raise go.GncOptError(f"{package} is not installed: pip install 'gnc_opt[{extra}]'.")
+
+    monkeypatch.setattr("gnc_opt.plot.scene.imported", missing)
+    told = scene_html({"a turn": solution}, VIEW)
+    assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
+
+
+@pytest.mark.parametrize("name", [each.name for each in examples() if hasattr(each.module, "VIEW")])
+def test_views_of_the_problems_name_what_there_is(name):
+    file = example(name).module
+    leg = next(iter(file.build().phases.values()))
+    view, model = file.VIEW, leg.model
+    known = {*model.states.names, *model.controls.names, *model.composed_controls}
+    forces = [t.control for t in view.thrusters.values()] if view.thrusters else view.force
+    for part in (view.position, view.attitude, forces):
+        for each in [part] if isinstance(part, str) else part or ():
+            assert each.partition("[")[0] in known
+
+
+# --- in a browser ---------------------------------------------------------------------------------------
+
+POINTS = """(name => {
+  const trace = document.getElementById("stage").data.find(trace => trace.name === name);
+  return [trace.x, trace.y, trace.z];
+})"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+@pytest.mark.slow
+def test_what_a_browser_shows(solution, tmp_path):
+    shown = {"first": solution, "back": go.solve(turning([-2, 1]), mesh="6x4", tol=None)}
+    page = tmp_path / "scene.html"
+    shown |= {f"run {i}": solution for i in range(9)}
+    page.write_text(document("turns", "", {"Motion": scene_html(shown, VIEW)}), encoding="utf-8")
+    data = carried(page.read_text("utf-8"))
+    with browser() as tab:
+        tab.open(page, PHONE, dark=True)
+        tab.wait("document.getElementById('scene').dataset.ready !== undefined")
+        assert tab.ask("document.documentElement.scrollWidth <= innerWidth")
+        before = tab.look()
+        k = len(data["times"]) // 2
+        tab.ask(f"(s => {{ s.value = {k}; s.oninput(); }})(document.querySelector('#film input'))")
+        assert (
+            tab.ask("document.querySelector('#film output').textContent") == f"t = {data['times'][k]:.2f} s"
+        )
+        assert np.abs(tab.look() - before).max() > 50  # it is seen
+        check_vehicle(tab, data, "first", k)
+        assert tab.ask("[...document.querySelector('#film select').options].map(o => o.value)") == list(shown)
+        tab.ask("(s => { s.selectedIndex = 1; s.onchange(); })(document.querySelector('#film select'))")
+        check_vehicle(tab, data, "back", k)
+        assert tab.ask(f"{POINTS}('{data['tube_name']}')") == data["tube"]
+        click = "(b => { b.click(); return b.textContent; })(document.querySelector('#film button'))"
+        assert tab.ask(f"[{click}, {click}]") == [
+            "Pause",
+            "Play",
+        ]  # at once, lest it come to its end in between
+        tab.ask(click)
+        tab.wait(f"document.querySelector('#film input').value > {k}")  # it plays on from there
+        assert tab.said == [] and tab.asked == [page.as_uri()]
+
+
+def check_vehicle(tab, data, name, k):
+    """Whether vehicle, axes and plumes are where the k-th sample of a motion has them."""
+    motion = data["motions"][name]
+    here = np.array(motion["position"])[:, k]
+    axes = np.array(motion["axes"])[:, :, k]
+    axes = np.vstack([axes, np.cross(*axes)])
+    assert np.allclose(tab.ask(f"{POINTS}('path')"), motion["position"])
+    assert np.allclose(np.array(tab.ask(f"{POINTS}('flown')"))[:, -1], here)
+    assert np.allclose(np.mean(tab.ask(f"{POINTS}('vehicle')"), axis=1), here)
+    for axis, label in zip(axes, ("bx", "by", "bz"), strict=True):
+        root, tip = np.array(tab.ask(f"{POINTS}('{label}')")).T
+        assert np.allclose(root, here) and np.allclose(tip - root, data["axis"] * axis)
+    for label, nozzle, along in (("plumes", [-0.5, 0, 0], axes[0]), ("side", [0, 0, 0], axes[1])):
+        thruster = "main" if label == "plumes" else label  # the first stands for all in the legend
+        share = motion["plumes"][thruster][0][k]  # negative: mirrored
+        root, tip = np.array(tab.ask(f"{POINTS}('{label}')"))[:, :2].T
+        assert np.allclose(root, here + np.sign(share) * data["axis"] * (np.array(nozzle) @ axes))
+        assert np.allclose(tip - root, -share * data["plume"] * along, atol=1e-3 * data["plume"])

@@ -1,0 +1,221 @@
+"""Minimum time: the brachistochrone, and bang-bang problems whose meshes have a node on the switch.
+
+A mesh whose boundaries are fixed fractions of the phase and sit exactly on the switches leaves every control
+on its bound, so fewer variables than equations remain: the program has many multipliers, and H need not be
+continuous across the switch. With the boundary movable (its stationarity is the continuity of H) they are
+unique.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from testing.closed_forms import SCHEMES, Array, Truth, assert_matches, constant, solve
+
+import gnc_opt as go
+
+pytestmark = pytest.mark.parametrize("scheme", SCHEMES)
+
+
+def cart_problem(target: float, lower: float, upper: float) -> tuple[go.Problem, go.Phase]:
+    """Rest to rest in minimum time with lower <= u <= upper."""
+    cart = go.Model("cart")
+    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
+    cart.ode({x: v, v: u})
+    problem = go.Problem("minimum time")
+    leg = problem.phase("leg", cart)
+    leg.time(initial=0.0, final=(0.1, 100.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=target, v=0.0)
+    leg.bounds(u=(lower, upper))
+    problem.minimize(leg.final_time)
+    return problem, leg
+
+
+def bang_bang_truth(switch: float, end: float, upper: float, lower: float, found: float) -> Truth:
+    """Accelerate with ``upper`` until the switch, then brake with ``lower`` < 0 to rest at the end; H = -1.
+
+    ``found`` is the solution's switch, equal up to rounding: which side of it a time lies on is its choice.
+    """
+    slope = 1 / (upper * switch)
+    target = upper * switch**2 / 2 + upper * switch * (end - switch) / 2
+    return Truth(
+        end,
+        states={
+            "x": lambda t: np.where(t < found, upper * t**2 / 2, target + lower * (t - end) ** 2 / 2),
+            "v": lambda t: np.where(t < found, upper * t, lower * (t - end)),
+        },
+        controls={"u": lambda t: np.where(t < found, upper, lower)},
+        costates={"x": constant(-slope), "v": lambda t: slope * (t - switch)},
+        hamiltonian=constant(-1.0),
+    )
+
+
+@pytest.mark.parametrize("degree", [3, 4, 7])
+def test_fixed_node_on_the_switch(degree: int, scheme: str) -> None:
+    """A fixed mesh with a boundary on the switch: t_f, trajectory and lam_x to 1e-8.
+
+    lam_v is left out: its zero may lie anywhere between the points beside the switch. So is LGL's trajectory:
+    it has two controls at the switch, and other pairs than (1, -1) reach the target in the same time.
+    """
+    problem, _ = cart_problem(1.0, -1.0, 1.0)
+    solution = solve(problem, go.Mesh.uniform(2, degree), scheme, tolerance=1e-12)
+    switch = solution.phase().breaks[1]
+    assert switch == pytest.approx(1.0, abs=1e-8)
+    exact = bang_bang_truth(1.0, 2.0, 1.0, -1.0, switch)
+    states, controls = (exact.states, exact.controls) if scheme != "LGL" else ({}, {})
+    assert_matches(solution, Truth(2.0, states, costates={"x": exact.costates["x"]}), 1e-8)
+    assert_matches(
+        solution, Truth(2.0, controls=controls), 1e-7
+    )  # the barrier keeps them that far off their bounds
+
+
+def test_fixed_node_on_the_switch_of_a_symmetric_problem(scheme: str) -> None:
+    """The solver centres multipliers that are not unique; by symmetry that is H = -1 in LG and LGL."""
+    problem, _ = cart_problem(1.0, -1.0, 1.0)
+    solution = solve(problem, go.Mesh.uniform(2, 12), scheme, tolerance=1e-12)
+    assert solution.objective == pytest.approx(2.0, abs=1e-8)
+    # LGR has a point on one side of the switch only: it is off by the distance to the next one.
+    tolerance = 1e-2 if scheme == "LGR" else 1e-7
+    ends = np.array([0.0, solution.phase().final_time])
+    np.testing.assert_allclose(solution.costate("v")(ends), [-1.0, 1.0], atol=tolerance)
+    np.testing.assert_allclose(solution.hamiltonian(ends), -1.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("degree", [3, 4, 7])
+@pytest.mark.parametrize(("lower", "target", "switch", "end"), [(-1, 1, 1, 2), (-2, 300, 20, 30)])
+def test_movable_node_on_the_switch(
+    lower: float, target: float, switch: float, end: float, degree: int, scheme: str
+) -> None:
+    """Controls held on their bounds, the switch a variable, started off it: all to 1e-8, H = -1 too."""
+    problem, leg = cart_problem(target, lower, 1.0)
+    leg.hold([[1, -1]])
+    mesh = go.Mesh.at_times([0.0, 0.6 * end, end], degree, movable=True)
+    solution = solve(problem, mesh, scheme)
+    found = solution.phase().breaks[1]
+    assert found == pytest.approx(switch, rel=1e-8)
+    assert_matches(solution, bang_bang_truth(switch, end, 1.0, lower, found), 1e-8)
+    # A held control is fixed; its multiplier is what the bound would push: minus the switching function.
+    pushes = np.asarray(solution.switching_function("u", solution.phase().point_times))
+    np.testing.assert_allclose(solution.phase().control_multipliers[0], -pushes, atol=1e-8)
+
+
+def test_two_phases_with_different_authority(scheme: str) -> None:
+    """|u| <= 2 until x = 1/2, then |u| <= 1, to rest at x = 1: t_f = 1/2 + sqrt(3/2), and lam_x jumps."""
+    cart = go.Model("cart")
+    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
+    cart.ode({x: v, v: u})
+    problem = go.Problem("two stages")
+    first, second = problem.phase("first", cart), problem.phase("second", cart)
+    first.time(initial=0.0, final=(0.1, 10.0))
+    second.time(initial=(0.1, 10.0), final=(0.2, 20.0))
+    first.initial(x=0.0, v=0.0)
+    second.final(x=1.0, v=0.0)
+    first.bounds(u=(-2.0, 2.0))
+    second.bounds(u=(-1.0, 1.0))
+    first.hold([[1, -1]])
+    second.hold([[-1]])
+    problem.link(first, second)
+    problem.constrain("gate", first.final_state("x"), equals=0.5)
+    problem.minimize(second.final_time)
+    meshes = {"first": go.Mesh((0.0, 0.7, 1.0), (3, 4), (1,)), "second": go.Mesh.uniform(1, 3)}
+    solution = solve(problem, meshes, scheme)
+    slope, switch, middle = 1 / np.sqrt(1.5), np.sqrt(1.5) / 2, np.sqrt(1.5) - 0.5
+    end = middle + 1
+    found = solution.phase("first").breaks[1]
+    assert found == pytest.approx(switch, abs=1e-8)
+    slope_after = slope * (middle - switch) - 1  # lam_v is continuous, and H = -1 = lam_x v - lam_v
+    before = Truth(
+        end,
+        states={"v": lambda t: np.where(t < found, 2 * t, 1 - 2 * (t - middle))},
+        controls={"u": lambda t: np.where(t < found, 2.0, -2.0)},
+        costates={"x": constant(-slope), "v": lambda t: slope * (t - switch)},
+        hamiltonian=constant(-1.0),
+    )
+    after = Truth(
+        end,
+        states={"v": lambda t: end - t, "x": lambda t: 1 - (end - t) ** 2 / 2},
+        controls={"u": constant(-1.0)},
+        costates={"x": constant(slope_after), "v": lambda t: 1 + slope_after * (end - t)},
+        hamiltonian=constant(-1.0),
+    )
+    assert_matches(solution, before, 1e-8, "first")
+    assert_matches(solution, after, 1e-8, "second")
+    assert solution.multiplier("gate") == pytest.approx(-slope - slope_after, abs=1e-8)
+
+
+BRACHISTOCHRONE_MESHES = {
+    "uniform": go.Mesh.uniform(3, 10),
+    "uneven": go.Mesh((0.0, 0.25, 0.65, 1.0), (10, 10, 10)),
+    "mixed": go.Mesh((0.0, 0.2, 0.5, 1.0), (10, 11, 12)),
+}
+
+
+@pytest.mark.parametrize("mesh", BRACHISTOCHRONE_MESHES.values(), ids=BRACHISTOCHRONE_MESHES)
+def test_brachistochrone(mesh: go.Mesh, scheme: str) -> None:
+    """The cycloid to (2, 2) m, y down (Bryson & Ho 1975): with th = a / 2, lam_x v = -sin th, H = -1.
+
+    The bounds keep the angle from wrapping. Even far away an interior-point method lets a bound push by
+    about its tolerance over the point's weight, hence 1e-12.
+    """
+    g, target = 9.8, 2.0
+    bead = go.Model("bead")
+    x, y, v, th = bead.state("x"), bead.state("y"), bead.state("v"), bead.control("th")
+    bead.ode({x: v * ca.sin(th), y: v * ca.cos(th), v: g * ca.cos(th)})
+    problem = go.Problem("brachistochrone")
+    leg = problem.phase("leg", bead)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(x=0.0, y=0.0, v=0.0)
+    leg.final(x=target, y=target)
+    leg.bounds(th=(-1.0, np.pi))
+    leg.guess(th=(0.2, 1.2), v=(0.0, 6.0))
+    problem.minimize(leg.final_time)
+    solution = solve(problem, mesh, scheme, tolerance=1e-12)
+
+    a_end = brentq(lambda a: (a - np.sin(a)) - (1 - np.cos(a)), 1.0, 4.0, xtol=1e-15)
+    radius = target / (1 - np.cos(a_end))
+    rate = np.sqrt(g / radius)
+    lam_y = -np.cos(a_end / 2) / (2 * np.sqrt(g * radius) * np.sin(a_end / 2))
+
+    def speed(t: Array) -> Array:
+        return 2 * np.sqrt(g * radius) * np.sin(rate * t / 2)
+
+    truth = Truth(
+        a_end / rate,
+        states={
+            "x": lambda t: radius * (rate * t - np.sin(rate * t)),
+            "y": lambda t: radius * (1 - np.cos(rate * t)),
+            "v": speed,
+        },
+        controls={"th": lambda t: rate * t / 2},
+        costates={
+            "x": constant(-1 / (2 * np.sqrt(g * radius))),
+            "y": constant(lam_y),
+            "v": lambda t: -(np.cos(rate * t / 2) + lam_y * speed(t)) / g,
+        },
+        hamiltonian=constant(-1.0),
+    )
+    assert_matches(solution, truth, 1e-8)
+
+
+def test_an_arc_cannot_be_shorter_than_nothing(scheme: str) -> None:
+    """x' = u from 0 to 1: after u = 1 an arc with u = -1 only costs time, unless it lasted less than nothing.
+
+    Arcs of t_1 and t_2 need t_1 - t_2 = 1 and take 1 + 2 t_2: 1 s with t_2 = 0, and less and less below.
+    """
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one way")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    mesh = go.Mesh.at_times([0.0, 1.2, 1.4], 3, movable=True)
+    solution = solve(problem.with_arcs(arcs=[[1, -1]]), mesh, scheme)
+    assert solution.objective == pytest.approx(1.0, abs=1e-7)
+    assert np.min(np.diff(solution.phase().breaks)) >= 0.0

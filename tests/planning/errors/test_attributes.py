@@ -1,0 +1,118 @@
+"""Misspelt attributes are refused, when they are read and when they are assigned, with a "did you mean"."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import pytest
+from testing.wrong_arguments import cart, mistake, rest_to_rest
+
+import gnc_opt as go
+
+
+@mistake(go.UnknownAttributeError, "phase 'leg' has no 'intial'", "did you mean 'initial'?")
+def test_misspelt_call_on_a_phase() -> None:
+    rest_to_rest()[1].intial(q=1.0)  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "model 'cart' has no 'sate'", "did you mean 'state'?")
+def test_misspelt_call_on_a_model() -> None:
+    cart().sate("x")  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'minimise'", "did you mean 'minimize'?")
+def test_misspelt_call_on_a_problem() -> None:
+    rest_to_rest()[0].minimise(0.0)  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'initial'", "belongs to a Phase")
+def test_forgotten_phase() -> None:
+    problem, _ = rest_to_rest()
+    problem.initial(q=1.0)  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "phase 'leg' has no 'minimize'", "belongs to a Problem")
+def test_cost_stated_on_the_phase() -> None:
+    _, leg = rest_to_rest()
+    leg.minimize(leg.final_time)  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'ode'", "belongs to a Model")
+def test_dynamics_stated_on_the_problem() -> None:
+    rest_to_rest()[0].ode({})  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "phase 'leg' has no 'bound'", "did you mean 'bounds'?")
+def test_misspelt_attribute_assigned() -> None:
+    _, leg = rest_to_rest()
+    leg.bound = {"a": (-1.0, 1.0)}  # type: ignore[attr-defined]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "phase 'leg'", "bounds(...)")
+def test_method_assigned_instead_of_called() -> None:
+    _, leg = rest_to_rest()
+    leg.bounds = {"a": (-1.0, 1.0)}  # type: ignore[method-assign, assignment]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "problem 'rest to rest'", "minimize(...)")
+def test_cost_assigned_instead_of_stated() -> None:
+    problem, leg = rest_to_rest()
+    problem.minimize = leg.final_time  # type: ignore[method-assign]  # wrong
+
+
+@mistake(go.UnknownAttributeError, "'states' of model 'cart'", "declarations")
+def test_property_assigned() -> None:
+    model = cart()
+    model.states = ()  # type: ignore[assignment, misc]  # wrong
+
+
+def test_the_error_is_an_attribute_error_too() -> None:
+    _, leg = rest_to_rest()
+    assert not hasattr(leg, "intial")
+    with pytest.raises(AttributeError):
+        _ = leg.intial  # type: ignore[attr-defined]
+
+
+def test_copies_work() -> None:
+    problem, leg = rest_to_rest()
+    twin = copy.copy(leg)
+    assert twin.name == "leg" and twin.model is leg.model
+    assert problem.with_final(q=0.5).phases["leg"].numbers.final.lower[0] == 0.5
+
+
+def test_protocols_that_are_missing_are_asked_for_without_a_search_for_what_was_meant() -> None:
+    _, leg = rest_to_rest()
+    with pytest.raises(AttributeError) as caught:
+        leg.__deepcopy__  # type: ignore[attr-defined]  # noqa: B018
+    assert type(caught.value) is AttributeError
+
+
+def test_subclasses_may_have_attributes_of_their_own() -> None:
+    class Cart(go.Model):
+        def __init__(self) -> None:
+            super().__init__("my cart")
+            self.q = self.state("q")
+            self.ode({self.q: self.control("a")})
+
+    assert Cart().states.names == ("q",)
+    with pytest.raises(go.UnknownAttributeError, match="did you mean 'state'"):
+        Cart().stat  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_misspelt_attribute_of_a_result_is_an_error() -> None:
+    solution = go.solve(rest_to_rest()[0], mesh="2x3", tol=None)
+    with pytest.raises(AttributeError):
+        solution.objectve = 1.0  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError):
+        solution.objective = 1.0  # type: ignore[misc]
+    with pytest.raises(TypeError, match="max_iteration"):
+        go.SolverOptions(max_iteration=10)  # type: ignore[call-arg]
+
+
+def test_errors_survive_pickling() -> None:
+    """Parallel campaigns send errors between processes."""
+    with pytest.raises(go.GncOptError) as caught:
+        rest_to_rest()[1].initial(vv=0.0)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value) and type(again) is type(caught.value)

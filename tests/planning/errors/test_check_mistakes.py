@@ -1,0 +1,340 @@
+"""Mistakes that show only when a problem is complete: `check` finds them before the solver starts."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.wrong_arguments import assert_clear, cart, mistake, rest_to_rest, scalar, ship
+
+import gnc_opt as go
+
+# --- completeness -----------------------------------------------------------------------------------------
+
+
+@mistake(go.ProblemError, "problem 'p' has no phase", "phase(name, model)")
+def test_no_phase() -> None:
+    go.Problem("p").check()  # wrong
+
+
+@mistake(go.ProblemError, "problem 'decay' has no cost", "minimize()")
+def test_no_cost() -> None:
+    _, problem, _ = scalar()
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "phase 'leg' of problem 'p' has no times", "time(initial=..., final=...)")
+def test_time_never_stated() -> None:
+    problem, model = go.Problem("p"), cart()
+    leg = problem.phase("leg", model)
+    problem.minimize(leg.integral(model.symbol("a") ** 2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "no cost")
+def test_solve_checks_before_anything_else() -> None:
+    _, problem, _ = scalar()
+    go.solve(problem, tol=None)  # wrong
+
+
+# --- numbers that contradict each other -------------------------------------------------------------------
+
+
+@mistake(go.ProblemError, "phase 'leg'", "ends before it starts", "initial time 5 s, final time [1, 2] s")
+def test_crossed_times() -> None:
+    problem, leg = rest_to_rest()
+    leg.time(initial=5.0, final=(1.0, 2.0))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "phase 'leg'", "no duration", "initial time 1 s, final time 1 s")
+def test_zero_duration() -> None:
+    problem, leg = rest_to_rest()
+    leg.time(initial=1.0, final=1.0)
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "phase 'leg'", "cannot last [8, 9] s", "final time of [1, 2] s")
+def test_duration_that_the_times_do_not_permit() -> None:
+    problem, leg = rest_to_rest()
+    leg.time(initial=0.0, final=(1.0, 2.0), duration=(8.0, 9.0))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "phase 'leg'", "cannot last [0, 2] s", "final time of 5 s")
+def test_duration_shorter_than_fixed_times() -> None:
+    problem, leg = rest_to_rest()
+    leg.time(initial=0.0, final=5.0, duration=(None, 2.0))
+    problem.check()  # wrong
+
+
+@pytest.mark.parametrize("times", [{"initial": 0.0, "final": None}, {"initial": None, "final": 0.0}])
+def test_duration_holds_when_only_one_time_is_free(times: dict[str, float | None]) -> None:
+    model, problem, leg = scalar()
+    leg.time(**times, duration=(2.0, 3.0))
+    problem.minimize(leg.duration + leg.integral(model.symbol("u") ** 2))
+    solution = go.solve(problem, mesh="3x3", tol=None)
+    assert solution.phase().duration == pytest.approx(
+        2.0, abs=1e-7
+    )  # interior point: within tolerance / multiplier
+
+
+@mistake(go.ProblemError, "initial value of 'q' in phase 'leg'", "is 1", "bounds [-0.5, 0.5]", "correct")
+def test_initial_value_outside_the_bounds() -> None:
+    problem, leg = rest_to_rest()
+    leg.bounds(q=(-0.5, 0.5))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "final value of 'r[1]' in phase 'leg'", "is [5, 6]", "bounds [-1, 1]")
+def test_final_range_outside_the_bounds() -> None:
+    problem, model = go.Problem("p"), ship()
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.bounds(r=(-1.0, 1.0))
+    leg.final(r=([0.0, 5.0, 0.0], [0.0, 6.0, 0.0]))
+    problem.minimize(leg.final_time)
+    problem.check()  # wrong
+
+
+def test_value_that_rounding_puts_outside_its_bound() -> None:
+    problem, leg = rest_to_rest()
+    leg.bounds(q=(0.0, 0.3))
+    leg.initial(q=0.1 + 0.2)  # 0.30000000000000004
+    assert go.solve(problem, mesh="3x3", tol=None).status.solved
+
+
+@mistake(
+    go.ProblemError, "path constraint 'wall'", "final values of phase 'leg'", "it is [0.5, 2.5] there", "0.3]"
+)
+def test_end_that_a_path_constraint_forbids_for_every_control() -> None:
+    problem, model = go.Problem("p"), cart()
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.final(q=1.0)
+    leg.bounds(a=(-1.0, 1.0))
+    leg.path("wall", 1.5 * model.symbol("q") + model.symbol("a"), upper=0.3)
+    problem.minimize(leg.integral(model.symbol("a") ** 2))
+    problem.check()  # wrong
+
+
+@pytest.mark.parametrize("limit", [0.5, 0.5 - 1e-7])
+def test_end_at_which_a_path_constraint_is_just_met(limit: float) -> None:
+    problem, leg = rest_to_rest()
+    leg.path("wall", leg.model.symbol("q") / 2, upper=limit)
+    problem.check()
+
+
+def two_legs(first_final: Any = None, **second_time: Any) -> tuple[go.Problem, go.Phase]:
+    """A cart moved in two phases that are linked, in least time."""
+    model, problem = cart(), go.Problem("two")
+    a, b = problem.phase("a", model), problem.phase("b", model)
+    for leg in (a, b):
+        leg.bounds(a=(-1.0, 1.0))
+    a.time(final=first_final)
+    b.time(**second_time)
+    a.initial(q=0.0, v=0.0)
+    b.final(q=1.0, v=0.0)
+    problem.link(a, b)
+    problem.minimize(b.final_time)
+    return problem, a
+
+
+@mistake(go.ProblemError, "phase 'b'", "follows phase 'a'", "starts at 0 s", "b.time(initial=None")
+def test_phase_that_follows_another_and_starts_at_zero_as_well() -> None:
+    problem, _ = two_legs()  # time() fixes the initial time at 0: nothing is left for the first phase
+    problem.check()  # wrong
+
+
+@pytest.mark.parametrize("initial", [None, (1.0, 2.0)])
+def test_phase_that_follows_another_later(initial: Any) -> None:
+    two_legs(initial=initial)[0].check()
+
+
+@pytest.mark.parametrize("limits", [{"equals": 4.5}, {"lower": 4.5}, {"upper": 1.5}])
+def test_boundary_constraint_that_no_end_meets(limits: dict[str, float]) -> None:
+    problem, a = two_legs(first_final=(1.0, 2.0), initial=None)
+    problem.constrain("meet", 2 * a.final_time, **limits)
+    with pytest.raises(go.ProblemError, match=r"constraint 'meet' .* cannot hold .* \[2, 4\]"):
+        problem.check()
+
+
+def test_boundary_constraint_that_the_last_end_meets() -> None:
+    problem, a = two_legs(first_final=(1.0, 2.0), initial=None)
+    problem.constrain("meet", 2 * a.final_time, equals=4.0)
+    problem.check()
+
+
+# --- declared and not used --------------------------------------------------------------------------------
+
+
+@mistake(go.ProblemError, "control 'spare' of phase 'leg' of problem 'p'", "no dynamics", "remove it")
+def test_unused_control() -> None:
+    model = go.Model("cart")
+    q, a = model.state("q"), model.control("a")
+    model.control("spare")
+    model.ode({q: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(a**2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "control 'force[2]'")
+def test_unused_component_of_a_control() -> None:
+    model = go.Model("plane")
+    r, force = model.state("r", 2), model.control("force", 3)
+    model.ode({r: force[:2]})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(force[0] ** 2 + force[1] ** 2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "parameter 'mas' of problem 'p'", "no function", "did you mean 'mass'?")
+def test_unused_free_parameter() -> None:
+    problem, model = go.Problem("p"), ship()
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.parameter("mas", lower=1.0, upper=2.0)
+    problem.minimize(leg.integral(ca.sumsqr(model.symbol("force")) + ca.sumsqr(model.symbol("tilt"))))
+    problem.check()  # wrong
+
+
+def test_unused_model_parameter_is_a_warning_at_the_users_line() -> None:
+    other = go.Model("other")
+    x, u = other.state("x"), other.control("u")
+    other.parameter("mass", 1.0)
+    other.ode({x: u})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", other)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(u**2))
+    with pytest.warns(go.ProblemWarning, match="parameter 'mass' of model 'other' is used nowhere") as caught:
+        go.solve(problem, mesh="2x2", tol=None)
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.check()  # once is enough
+
+
+# --- functions that are not finite at the guess -----------------------------------------------------------
+
+
+@mistake(
+    go.ProblemError, "rate of state 'x' is nan", "phase 'leg' of problem 'p'", "t = 0.", "(x = -", "guess()"
+)
+def test_nan_in_the_dynamics() -> None:
+    model = go.Model("log")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u * ca.log(x)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=-1.0)
+    problem.minimize(leg.integral(u**2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "path constraint 'angle'", "is nan", "phase 'leg'", "t = ")
+def test_nan_in_a_path_constraint() -> None:
+    model, problem, leg = scalar()
+    leg.path("angle", ca.acos(2.0 + model.symbol("x")), upper=1.0)
+    problem.minimize(leg.integral(model.symbol("u") ** 2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "integral 'loss'", "is nan", "phase 'leg'", "t = ")
+def test_nan_in_an_integrand() -> None:
+    model, problem, leg = scalar()
+    problem.minimize(leg.integral(ca.sqrt(model.symbol("x") - 2.0), name="loss"))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "derivative of integral 'loss' with respect to 'x' is inf", "phase 'leg'", "x = 0")
+def test_infinite_derivative() -> None:
+    model, problem, leg = scalar()
+    leg.initial(x=None)
+    leg.guess(x=0.0)
+    problem.minimize(leg.integral(ca.sqrt(model.symbol("x")), name="loss"))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "derivative of the rate of state 'x' with respect to 'u' is", "phase 'leg'")
+def test_infinite_derivative_of_the_dynamics() -> None:
+    model = go.Model("root")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: ca.sqrt(u)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.guess(u=0.0)
+    problem.minimize(leg.final_state("x"))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "cost of problem 'decay' is nan", "end points of the guess")
+def test_nan_in_the_cost() -> None:
+    _, problem, leg = scalar()
+    problem.minimize(ca.log(leg.final_state("x") - 5.0))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "derivative of constraint 'root' with respect to 'final x of leg' is inf")
+def test_infinite_derivative_of_a_boundary_constraint() -> None:
+    _, problem, leg = scalar()
+    problem.constrain("root", ca.sqrt(leg.final_state("x") - 1.0), upper=1.0)
+    problem.minimize(leg.final_state("x"))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "guess of 'x' in phase 'leg'", "at t = 0", "finite")
+def test_guess_function_that_returns_nan() -> None:
+    model, problem, leg = scalar()
+    leg.guess(x=lambda t: np.nan)
+    problem.minimize(leg.integral(model.symbol("u") ** 2))
+    problem.check()  # wrong
+
+
+@mistake(go.ProblemError, "guess of 'x' in phase 'leg'", "at t = 0 s", "2 values", "give one value")
+def test_guess_function_that_returns_the_wrong_size() -> None:
+    model, problem, leg = scalar()
+    leg.guess(x=lambda t: [t, t])
+    problem.minimize(leg.integral(model.symbol("u") ** 2))
+    problem.check()  # wrong
+
+
+def test_singularity_at_a_bound_is_left_to_the_solver() -> None:
+    """Fine: solvers stay off bounds, Gauss points off the ends of a phase."""
+    model = go.Model("root")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(x=(0.0, None))
+    problem.minimize(leg.integral(u**2 + 0.1 * ca.sqrt(x)))
+    problem.check()
+    assert go.solve(problem, mesh="4x3", tol=None).status.solved
+
+
+def test_large_models_are_not_printed_state_by_state() -> None:
+    model = go.Model("large")
+    x, u = model.state("x", 20), model.control("u", 20)
+    model.ode({x: ca.log(x) + u})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=-1.0)
+    problem.minimize(leg.integral(ca.sumsqr(u)))
+    with pytest.raises(go.ProblemError) as caught:
+        problem.check()
+    assert_clear(str(caught.value), "rate of state 'x[0]'")
+    assert "x[1]" not in str(caught.value)

@@ -1,0 +1,270 @@
+"""Every error for bad input is a `GncOptError`: in the source, and for whatever junk the public calls get."""
+
+from __future__ import annotations
+
+import ast
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.wrong_arguments import cart, mistake, rest_to_rest, ship, voyage
+
+import gnc_opt as go
+
+# --- the source -------------------------------------------------------------------------------------------
+
+HANDED_IN = {"error", "failure", "run.error"}
+"""Names under which a function is told what to raise (`read_integer(..., error=ModelError)`)."""
+
+ALLOWED = {
+    "NotImplementedError": "abstract methods",
+    "SystemExit": "the command line's exit code",
+    "FileNotFoundError": "a missing file is what Python says it is",
+    "__init__.py: AttributeError": "what Python expects of a module's __getattr__",
+    "strict.py: AttributeError": "what Python expects where a class has not one of its protocols",
+    "integration.py: EndedError": "caught at once: why a propagation ended",
+    "integration.py: SpentError": "one of those",
+    "refining.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
+    "refine.py: KeyboardInterrupt": "Ctrl-C in an attempt, passed on to the refinement, which keeps the best one",
+    "following.py: KeyboardInterrupt": "Ctrl-C before there is a solution that could be kept",
+    "resolve.py: KeyboardInterrupt": "the same",
+    "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
+    "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
+    "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
+}
+
+
+SOURCES = sorted(Path(go.__file__).parent.rglob("*.py"))
+
+
+@cache
+def trees() -> dict[Path, ast.Module]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+
+
+@cache
+def own() -> set[str]:
+    """Names of the error classes of gnc_opt, and of the functions that return one to raise."""
+    everywhere = [node for tree in trees().values() for node in ast.walk(tree)]
+    names = {"GncOptError"}
+    for _ in range(4):  # the depth of the hierarchy
+        classes = [n for n in everywhere if isinstance(n, ast.ClassDef)]
+        names |= {c.name for c in classes if any(isinstance(b, ast.Name) and b.id in names for b in c.bases)}
+    functions = [n for n in everywhere if isinstance(n, ast.FunctionDef)]
+    return names | {f.name for f in functions if isinstance(f.returns, ast.Name) and f.returns.id in names}
+
+
+@pytest.mark.slow
+def test_the_source_raises_only_errors_of_gnc_opt() -> None:
+    strangers = []
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Raise) and node.exc is not None:
+                raised = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
+                what = ast.unparse(raised)
+                method = what.removeprefix("self.")
+                if not {method, f"{path.name}: {what}"} & (own() | HANDED_IN | set(ALLOWED)):
+                    strangers.append(f"{path.name}, line {node.lineno}: raise {what}")
+    assert strangers == []
+
+
+def test_every_error_is_a_gnc_opt_error_and_what_python_users_expect() -> None:
+    for error in (
+        go.ModelError,
+        go.ProblemError,
+        go.ArgumentError,
+        go.UnknownNameError,
+        go.UnknownAttributeError,
+    ):
+        assert issubclass(error, go.GncOptError)
+    for error in (go.ModelError, go.ProblemError, go.ArgumentError, go.UnknownNameError):
+        assert issubclass(error, ValueError)
+    assert issubclass(go.UnknownNameError, KeyError) and issubclass(go.UnknownAttributeError, AttributeError)
+    assert issubclass(go.SolveError, RuntimeError)
+
+
+# --- junk -------------------------------------------------------------------------------------------------
+
+JUNK: tuple[Any, ...] = (
+    None, "text", "", b"bytes", object(), int, lambda t: t, True, 1j,
+    float("nan"), float("inf"), -1, 0, 1.5,
+    [], {}, set(), [1, 2, 3], (1, 2, 3), (1,), (2, 1), ("a", "b"), [[1, 2], [3, 4]], [[1], [2, 3]], [None],
+    (None, None), ([1, 2], [3]), {"q": 1}, np.zeros((2, 2)), np.array([]), np.array(["a"]),
+    ca.SX.sym("z"), ca.SX.sym("z", 3), ca.SX.sym("z", 2, 2), ca.MX.sym("z"), ca.DM([1, 2]), [ca.SX.sym("z")],
+)  # fmt: skip
+"""Things that users have passed to other people's functions."""
+
+QUICK = "2x2"
+
+
+@cache
+def solution() -> go.Solution:
+    return go.solve(rest_to_rest()[0], mesh=QUICK, tol=None)
+
+
+def model() -> go.Model:
+    fresh = go.Model("fresh")
+    fresh.state("x")
+    return fresh
+
+
+def unfinished() -> tuple[go.Problem, go.Phase]:
+    problem = go.Problem("p")
+    leg = problem.phase("leg", cart())
+    leg.time(0.0, 1.0)
+    return problem, leg
+
+
+CALLS: dict[str, Callable[[Any], object]] = {
+    "Model": lambda j: go.Model(j),
+    "state name": lambda j: model().state(j),
+    "state size": lambda j: model().state("n", j),
+    "state unit": lambda j: model().state("n", unit=j),
+    "state nominal": lambda j: model().state("n", nominal=j),
+    "control name": lambda j: model().control(j),
+    "parameter name": lambda j: model().parameter(j, 1.0),
+    "parameter value": lambda j: model().parameter("n", j),
+    "ode": lambda j: model().ode(j),
+    "ode value": lambda j: model().ode({"x": j}),
+    "output name": lambda j: model().output(j, 1.0),
+    "output value": lambda j: model().output("y", j),
+    "model with_parameters": lambda j: ship().with_parameters(mass=j),
+    "symbol": lambda j: model().symbol(j),
+    "output_expression": lambda j: model().output_expression(j),
+    "f t": lambda j: cart().f(j, np.zeros(2), np.zeros(1)),
+    "f x": lambda j: cart().f(0.0, j, np.zeros(1)),
+    "f u": lambda j: cart().f(0.0, np.zeros(2), j),
+    "f p": lambda j: ship().f(0.0, np.zeros(5), np.zeros(5), j),
+    "linearize x": lambda j: cart().linearize(0.0, j, np.zeros(1)),
+    "Problem": lambda j: go.Problem(j),
+    "phase name": lambda j: go.Problem("p").phase(j, cart()),
+    "phase model": lambda j: go.Problem("p").phase("leg", j),
+    "get_phase": lambda j: rest_to_rest()[0].get_phase(j),
+    "free parameter name": lambda j: unfinished()[0].parameter(j),
+    "free parameter size": lambda j: unfinished()[0].parameter("s", j),
+    "free parameter lower": lambda j: unfinished()[0].parameter("s", lower=j),
+    "free parameter upper": lambda j: unfinished()[0].parameter("s", upper=j),
+    "free parameter guess": lambda j: unfinished()[0].parameter("s", guess=j),
+    "constrain name": lambda j: unfinished()[0].constrain(j, 1.0, lower=0),
+    "constrain expression": lambda j: unfinished()[0].constrain("c", j, lower=0),
+    "constrain equals": lambda j: unfinished()[0].constrain("c", 1.0, equals=j),
+    "link": lambda j: rest_to_rest()[0].link("leg", j),
+    "link states": lambda j: rest_to_rest()[0].link("leg", "leg", states=j, time=False),
+    "link jump": lambda j: rest_to_rest()[0].link("leg", "leg", jump=j, time=False),
+    "link jump value": lambda j: rest_to_rest()[0].link("leg", "leg", jump={"q": j}, time=False),
+    "minimize": lambda j: unfinished()[0].minimize(j),
+    "maximize": lambda j: unfinished()[0].maximize(j),
+    "with_initial": lambda j: rest_to_rest()[0].with_initial(q=j),
+    "with_initial phase": lambda j: rest_to_rest()[0].with_initial(j, q=0.0),
+    "with_final vector": lambda j: voyage()[0].with_final(r=j),
+    "with_bounds": lambda j: rest_to_rest()[0].with_bounds(a=j),
+    "with_time initial": lambda j: rest_to_rest()[0].with_time(initial=j),
+    "with_time final": lambda j: rest_to_rest()[0].with_time(final=j),
+    "with_time duration": lambda j: rest_to_rest()[0].with_time(duration=j),
+    "with_parameters": lambda j: voyage()[0].with_parameters(mass=j),
+    "with_scale": lambda j: voyage()[0].with_scale(r=j),
+    "with_guess time": lambda j: rest_to_rest()[0].with_guess(time=j),
+    "with_guess": lambda j: rest_to_rest()[0].with_guess(q=j).check(),
+    "with_guess over time": lambda j: rest_to_rest()[0].with_guess(time=[0, 1], q=j).check(),
+    "with_guess function": lambda j: rest_to_rest()[0].with_guess(q=lambda t: j).check(),
+    "path name": lambda j: unfinished()[1].path(j, 1.0, lower=0),
+    "path expression": lambda j: unfinished()[1].path("n", j, lower=0),
+    "path lower": lambda j: unfinished()[1].path("n", 1.0, lower=j),
+    "path equals": lambda j: unfinished()[1].path("n", 1.0, equals=j),
+    "integral": lambda j: unfinished()[1].integral(j),
+    "integral name": lambda j: unfinished()[1].integral(1.0, name=j),
+    "final_state": lambda j: unfinished()[1].final_state(j),
+    "solve": lambda j: go.solve(j, tol=None),
+    "solve mesh": lambda j: go.solve(rest_to_rest()[0], mesh=j, tol=None),
+    "solve mesh of a phase": lambda j: go.solve(rest_to_rest()[0], mesh={"leg": j}, tol=None),
+    "solve scheme": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, scheme=j, tol=None),
+    "solve guess": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, guess=j),
+    "solve options": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, options=j, tol=None),
+    "option solver": lambda j: go.SolverOptions(solver=j),
+    "option linear_solver": lambda j: go.SolverOptions(linear_solver=j),
+    "option tolerance": lambda j: go.SolverOptions(tolerance=j),
+    "option max_iterations": lambda j: go.SolverOptions(max_iterations=j),
+    "option max_wall_time": lambda j: go.SolverOptions(max_wall_time=j),
+    "option bound_relax": lambda j: go.SolverOptions(bound_relax=j),
+    "option mu_init": lambda j: go.SolverOptions(mu_init=j),
+    "option extra": lambda j: go.SolverOptions(extra=j),
+    "Mesh breaks": lambda j: go.Mesh(j, (3,)),
+    "Mesh degrees": lambda j: go.Mesh((0.0, 1.0), j),
+    "Mesh.uniform segments": lambda j: go.Mesh.uniform(j, 3),
+    "Mesh.uniform degree": lambda j: go.Mesh.uniform(3, j),
+    "Mesh.at_times": lambda j: go.Mesh.at_times(j, 3),
+    "Mesh.at_times degree": lambda j: go.Mesh.at_times([0, 1, 2], j),
+    "Mesh movable": lambda j: go.Mesh((0.0, 0.5, 1.0), (3, 3), j),
+    "Mesh.at_times movable": lambda j: go.Mesh.at_times([0, 1, 2], 3, movable=j),
+    "with_arcs": lambda j: rest_to_rest()[0].with_arcs(arcs=j),
+    "Mesh.parse": lambda j: go.Mesh.parse(j),
+    "solution phase": lambda j: solution().phase(j),
+    "solution state": lambda j: solution().state(j),
+    "solution costate": lambda j: solution().costate(j),
+    "solution control": lambda j: solution().control(j),
+    "solution flown_control": lambda j: solution().flown_control(j),
+    "solution parameter": lambda j: solution().parameter(j),
+    "solution multiplier": lambda j: solution().multiplier(j),
+    "solution integral": lambda j: solution().phase().integral(j),
+    "solution state of a phase": lambda j: solution().state("q", j),
+    "time of a state": lambda j: solution().state("q")(j),
+    "time of a flown control": lambda j: solution().flown_control("a")(j),
+    "side of a state": lambda j: solution().state("q")(0.5, j),
+    "hamiltonian": lambda j: solution().hamiltonian(j),
+    "switching_function": lambda j: solution().switching_function(j, 0.5),
+    "time of switching_function": lambda j: solution().switching_function("a", j),
+    "evaluate": lambda j: solution().evaluate(j, 0.5),
+    "time of evaluate": lambda j: solution().evaluate("q", j),
+    "with_problem": lambda j: solution().with_problem(j),
+    "verify": lambda j: go.verify(j),
+}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_junk_is_accepted_or_refused_by_an_error_of_gnc_opt(call: str) -> None:
+    refused = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # neither NumPy nor CasADi may grumble on the way
+        for junk in JUNK:
+            try:
+                CALLS[call](junk)
+            except go.GncOptError as error:
+                refused += 1
+                message = str(error)
+                assert message.endswith((".", "?")) and "\n" not in message, f"{call}: {message}"
+            except Exception as error:  # say which junk it was
+                pytest.fail(f"{call} of {junk!r}: {type(error).__name__}: {error}")
+    assert refused > len(JUNK) // 2, f"{call} takes too much"
+
+
+def test_numbers_too_large_for_a_float_are_refused() -> None:
+    for option in ("tolerance", "max_wall_time", "bound_relax", "mu_init"):
+        with pytest.raises(go.ArgumentError, match=f"{option} is 1000.*000: give a finite number"):
+            go.SolverOptions(**{option: 10**400})
+
+
+def test_the_tests_of_mistakes_can_fail() -> None:
+    @mistake(go.UnknownNameError, "did you mean 'v'?")
+    def elsewhere() -> None:
+        rest_to_rest()[1].initial(vv=0.0)  # this line is not marked
+
+    @mistake(go.UnknownNameError, "did you mean 'q'?")
+    def other_words() -> None:
+        rest_to_rest()[1].initial(vv=0.0)  # wrong
+
+    @mistake(go.ArgumentError)
+    def other_error() -> None:
+        rest_to_rest()[1].initial(vv=0.0)  # wrong
+
+    for test, failure in (
+        (elsewhere, "raised at"),
+        (other_words, "did you mean 'v'"),
+        (other_error, "no state"),
+    ):
+        with pytest.raises((AssertionError, go.UnknownNameError), match=failure):
+            test()

@@ -1,0 +1,486 @@
+"""What a solution answers, what is wrong with an iterate, and which tries there are: by hand."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.constructed_solutions import cart, phase, rest, solution
+
+import gnc_opt as go
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.planning.direct import second_solve as again
+from gnc_opt.planning.direct import solve_mesh as tries
+from gnc_opt.planning.direct.failure import SolveError, bounds_to_give, failure_message
+from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.nlp import NlpResult, SolverOptions, Status
+from gnc_opt.planning.solution.diagnosis import Violation, find_violations
+from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.planning.solution.solution import Solution, load
+from gnc_opt.planning.transcription.mesh import Mesh
+
+# --- answers ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def moved() -> Solution:
+    problem = cart()
+    return solution(problem, phase(problem))
+
+
+def test_a_phase_is_found_by_name_or_by_being_the_only_one(moved: Solution) -> None:
+    leg = moved.phases["leg"]
+    assert moved.phase() is leg and moved.phase("leg") is leg and moved.scheme == "LG"
+    two = replace(moved, phases={"leg": leg, "b": replace(leg, name="b")})
+    assert two.phase("b").name == "b"
+    for act, message in (
+        (lambda: two.phase(), r"has 2 phases: name one of \['leg', 'b'\]"),
+        (lambda: moved.phase("lag"), "did you mean 'leg'"),
+        (lambda: moved.phase(3), "no phase"),  # type: ignore[arg-type]
+        (lambda: replace(moved, phases={}).phase(), "has 0 phases"),
+    ):
+        with pytest.raises(go.ProblemError, match=message):
+            act()
+
+
+def test_signals_of_a_solution(moved: Solution) -> None:
+    assert moved.state("q")(0.5) == pytest.approx(0.5) and moved.control("a", "leg")(0.0) == pytest.approx(
+        6.0
+    )
+    assert moved.costate("q")(0.3) == pytest.approx(-12.0) and moved.flown_control("a")(1.0) == pytest.approx(
+        -6.0
+    )
+
+
+def test_functions_along_a_solution_are_numbers_or_vectors(moved: Solution) -> None:
+    """H is a^2 / 2 (weight 1) + lam_q v + lam_v a = -18, dH/du = a + lam_v = 0 with weight 1/2 on a^2."""
+    right = replace(moved, phases={"leg": replace(moved.phase(), integral_weights=np.array([0.5]))})
+    assert isinstance(right.hamiltonian(0.25), float) and right.hamiltonian(0.25) == pytest.approx(-18.0)
+    assert right.hamiltonian([0.0, 0.5, 1.0]) == pytest.approx([-18.0] * 3)
+    slope = right.switching_function("a", 0.25)
+    assert isinstance(slope, float) and slope == pytest.approx(0.0, abs=1e-12)
+    assert np.shape(right.switching_function("a", [0.1, 0.2])) == (2,)
+    assert moved.switching_function("a", 0.25) == pytest.approx(3.0)
+    model = moved.need_problem("evaluate").get_phase().model
+    value = moved.evaluate(model.symbol("q"), 0.5)
+    assert isinstance(value, float) and value == pytest.approx(0.5)
+    assert moved.evaluate(model.symbol("q") * 2, [0.0, 0.5]) == pytest.approx([0.0, 1.0])
+    both = ca.vertcat(ca.SX(model.symbol("q")), ca.SX(model.symbol("v")))
+    assert moved.evaluate(both, [0.0, 0.5, 1.0]) == pytest.approx(
+        rest(np.array([0.0, 0.5, 1.0]), 0), abs=1e-12
+    )
+    assert np.shape(moved.evaluate(both, 0.5)) == (2,)
+
+
+def test_at_a_boundary_between_segments_the_right_hand_side_is_meant() -> None:
+    """q = 1, v = 2, a = 3, lam = (4, 5) before 1/2 s, ten times that after it: H = a^2 + lam_q v + lam_v a."""
+    problem = cart()
+
+    def jump(*values: float) -> Any:
+        return lambda t, k: [value * (1 + 9 * k) + 0 * t for value in values]
+
+    found = solution(problem, phase(problem, jump(1, 2), jump(3), jump(4, 5)))
+    model = found.need_problem("evaluate").get_phase().model
+    for sides, factor in ((("left",), 1.0), (("right",), 10.0), ((), 10.0)):
+        side: dict[str, Any] = dict.fromkeys(("side",) if sides else (), sides[0] if sides else None)
+        assert found.hamiltonian(0.5, **side) == pytest.approx(factor**2 * (9 + 8 + 15))
+        assert found.switching_function("a", 0.5, **side) == pytest.approx(factor * (6 + 5))
+        assert found.evaluate(model.symbol("q"), 0.5, **side) == pytest.approx(factor)
+        for signal, value in ((found.state("v"), 2), (found.control("a"), 3), (found.costate("v"), 5)):
+            assert signal(0.5, *sides) == pytest.approx(factor * value)
+
+
+def test_vector_controls_have_a_switching_function_each() -> None:
+    model = go.Model("plane")
+    r, u = model.state("r", 2), model.control("u", 2)
+    model.ode({r: u})
+    problem = go.Problem("plane")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(u[0] ** 2 + 3 * u[1]))
+    found = solution(
+        problem, phase(problem, lambda t, k: [t, t], lambda t, k: [2 * t, t], lambda t, k: [5 + 0 * t, 7 + t])
+    )
+    assert found.switching_function("u", 0.5) == pytest.approx([2 * 1.0 + 5, 3 + 7.5])
+    assert np.shape(found.switching_function("u", [0.5])) == (2, 1)
+
+
+def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
+    free = replace(
+        moved, free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))),
+        parameter_values=np.array([1.0, 2.0, 3.0]),
+        constraint_labels=("c", "d[0]", "d[1]"),
+        constraint_multipliers=np.array([4.0, 5.0, 6.0]),
+    )  # fmt: skip
+    assert free.parameter("p") == 1.0 and isinstance(free.parameter("p"), float)
+    assert list(free.parameter("q")) == [2.0, 3.0]  # type: ignore[arg-type]
+    assert free.multiplier("c") == 4.0 and isinstance(free.multiplier("c"), float)
+    assert list(free.multiplier("d")) == [5.0, 6.0]  # type: ignore[arg-type]
+    for act in (lambda: free.parameter("r"), lambda: free.multiplier("e"), lambda: free.multiplier("d[0]")):
+        with pytest.raises(go.UnknownNameError):
+            act()
+
+
+def test_quality_travels_with_a_file_and_is_measured_with_the_problem(moved: Solution, tmp_path: Any) -> None:
+    path = moved.save(tmp_path / "s")
+    alone = load(path)
+    assert alone.problem is None and alone.quality == moved.quality and not alone.converged
+    again = load(alone.save(tmp_path / "t"))
+    assert again.quality == moved.quality and again.provenance == moved.provenance
+    bare = load(replace(moved, problem=None).save(tmp_path / "u"))
+    for act in (lambda: bare.quality, lambda: bare.hamiltonian(0.5), lambda: bare.propagate()):
+        with pytest.raises(go.GncOptError, match="without its problem"):
+            act()
+    joined = load(path, moved.need_problem("x"))
+    assert joined.problem is not None and joined.propagate().error == pytest.approx(0.0, abs=1e-9)
+    other = cart()
+    other.get_phase().time(0.0, 2.0)
+    with pytest.raises(go.ProblemError, match="is not the one"):
+        alone.with_problem(other)
+    with pytest.raises(go.GncOptError, match=r"cannot refine the solution of 'cart' without its problem"):
+        alone.need_problem("refine")
+
+
+def test_a_solution_is_shown_without_its_problem(moved: Solution) -> None:
+    assert "Problem(" not in repr(moved) and "cart" in repr(moved)
+
+
+def test_propagation_by_either_control(moved: Solution) -> None:
+    assert moved.propagate("leg", control="polynomial", rtol=1e-9).states[:, -1] == pytest.approx(
+        [1.0, 0.0], abs=1e-7
+    )
+
+
+# --- histories --------------------------------------------------------------------------------------------
+
+
+def one_pass(segments: int, seconds: float) -> Pass:
+    meshes = {"a": Mesh.uniform(segments, 3), "b": Mesh.uniform(2, 5)}
+    return Pass(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))
+
+
+def test_a_history_of_passes() -> None:
+    passes = (one_pass(3, 0.5), one_pass(4, 1.5))
+    history = History(RefinementStatus.CONVERGED, 1e-6, passes, 1, "done")
+    assert history.converged and history.final is passes[1]
+    assert (passes[0].points, passes[0].segments) == (19, 5)
+    assert not replace(history, status=RefinementStatus.STALLED).converged
+    lines = str(history).splitlines()
+    assert [line[3] for line in lines[1:3]] == [" ", "*"] and lines[-1].startswith("done")
+    assert all(status.remedy.endswith(".") for status in RefinementStatus)
+    assert len({status.remedy for status in RefinementStatus}) == len(RefinementStatus)
+
+
+def test_actions_add_up() -> None:
+    total = Actions(1, 2, 3, 4) + Actions(10, 20, 30, 40)
+    assert total == Actions(11, 22, 33, 44) and Actions() == Actions(0, 0, 0, 0)
+    assert str(Actions(split=2, lowered=1)) == "2 split, 1 lowered" and str(Actions()) == "-"
+
+
+@pytest.mark.parametrize("history", [None, "stalled", "converged"])
+def test_a_solution_has_converged_if_its_refinement_has(moved: Solution, history: str | None) -> None:
+    passed = None if history is None else History(RefinementStatus(history), 1e-6, (one_pass(3, 1.0),), 0, "")
+    assert replace(moved, history=passed).converged is (history == "converged")
+
+
+# --- what is wrong with an iterate ------------------------------------------------------------------------
+
+
+def attempt() -> tuple[Attempt, NlpResult]:
+    """A cart's program and an iterate that meets everything."""
+    problem = cart()
+    problem.get_phase().bounds(a=(-8.0, 8.0))
+    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    point = tried.point(tried.start)
+    return tried, tried.solver.solve(point)
+
+
+def broken(
+    status: Status, x: dict[int, float] | None = None, g: dict[int, float] | None = None
+) -> tuple[Violation, ...]:
+    tried, result = attempt()
+    values, rows = result.x.copy(), result.g.copy()
+    for place, value in (x or {}).items():
+        values[place] = value
+    for place, value in (g or {}).items():
+        rows[place] = value
+    failed = replace(result, status=status, x=values, g=rows)
+    phases = {"leg": phase(tried.problem)}
+    return find_violations(tried.transcription, tried.problem, failed, tried.scaling, phases, np.zeros(0))
+
+
+def test_a_solution_has_no_violations() -> None:
+    assert broken(Status.OPTIMAL, g={0: 9.0}) == () == broken(Status.ACCEPTABLE, g={0: 9.0})
+    assert broken(Status.INFEASIBLE) == ()
+
+
+def test_violations_are_named_in_shares_of_their_scales_worst_first() -> None:
+    found = broken(Status.INFEASIBLE, x={4: 50.0}, g={0: -0.25, 3: 0.5, 5: math.nan})
+    tried, _ = attempt()
+    rows, names = tried.transcription.row_labels, tried.transcription.variable_labels
+    above = 50.0 - 8.0 / tried.scaling.variables[4]
+    assert names[4].startswith("a, ") and [v.name for v in found] == [
+        rows[5],
+        f"bound of {names[4]}",
+        rows[3],
+        rows[0],
+    ]
+    assert math.isnan(found[0].amount) and [v.amount for v in found[1:]] == pytest.approx([above, 0.5, 0.25])
+    below = broken(Status.INFEASIBLE, x={4: -50.0})
+    assert below[0].amount == pytest.approx(above)
+    assert broken(Status.INFEASIBLE, g={0: 1e-10}) == () and len(broken(Status.INFEASIBLE, g={0: 2e-9})) == 1
+    controls = {i: 99.0 for i, name in enumerate(names) if name.startswith("a,")}
+    assert len(controls) == 3 and len(broken(Status.INFEASIBLE, controls, dict.fromkeys(range(8), 1.0))) == 10
+
+
+def test_an_unbounded_problem_names_what_runs_off_once_each() -> None:
+    tried, _ = attempt()
+    names = tried.transcription.variable_labels
+    q = [i for i, name in enumerate(names) if name.startswith("q,")]
+    v = [i for i, name in enumerate(names) if name.startswith("v,")]
+    found = broken(Status.UNBOUNDED, x={q[1]: 2e6, q[2]: -5e6, v[1]: 3e6, v[2]: 0.9e6})
+    assert [f.name for f in found[:2]] == [
+        f"{names[q[2]]} runs off to infinity",
+        f"{names[v[1]]} runs off to infinity",
+    ]
+    assert [f.amount for f in found[:2]] == [5e6, 3e6]
+    assert not any("runs off" in f.name for f in broken(Status.INFEASIBLE, x={q[1]: 2e6}))
+    rows = dict.fromkeys(range(8), 1.0)
+    controls = {i: 99.0 for i, name in enumerate(names) if name.startswith("a,")}
+    assert len(broken(Status.UNBOUNDED, {q[1]: 2e6, v[1]: 3e6, **controls}, rows)) == 10  # in all
+    assert not any("runs off" in f.name for f in broken(Status.UNBOUNDED, x={q[1]: 1e6}))
+
+
+def test_what_is_not_finite_is_named_with_its_time() -> None:
+    model = go.Model("root")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u + ca.sqrt(x)})
+    problem = go.Problem("root")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.guess(x=(1.0, 1.0))
+    problem.minimize(leg.integral(u**2))
+    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    n = tried.transcription.n_constraints
+    result = NlpResult(
+        tried.start.x, 0.0, np.zeros(n), np.zeros(tried.start.x.size), np.zeros(n),
+        Status.NOT_A_NUMBER, "", 1, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+
+    def found(sign: float, status: Status) -> tuple[Violation, ...]:
+        phases = {
+            "leg": phase(problem, lambda t, k: [1 + sign * 2 * t], lambda t, k: 0 * t, lambda t, k: [t])
+        }
+        failed = replace(result, status=status)
+        return find_violations(tried.transcription, problem, failed, tried.scaling, phases, np.zeros(0))
+
+    lost = found(-1.0, Status.NOT_A_NUMBER)
+    assert len(lost) == 1 and ", phase leg, t = 0." in lost[0].name and math.isnan(lost[0].amount)
+    assert float(lost[0].name.split("t = ")[1].split()[0]) == pytest.approx(0.533, abs=0.05)
+    assert found(1.0, Status.NOT_A_NUMBER) == () == found(-1.0, Status.INFEASIBLE)
+
+
+def test_a_failure_in_words(moved: Solution) -> None:
+    failed = replace(moved, status=Status.INFEASIBLE)
+    text = failure_message(failed)
+    assert text.startswith(
+        "no solution of 'cart' after 5 iterations, status infeasible; all constraints hold"
+    )
+    assert f"{Status.INFEASIBLE.remedy} Guesses that help" in text
+    assert "worst: w (0.25 of its scale)" in failure_message(
+        replace(failed, violations=(Violation("w", 0.25),))
+    )
+    assert "worst: w. " in failure_message(
+        replace(failed, violations=(Violation("w", math.nan), Violation("v", 1.0)))
+    )
+    error = SolveError(text, failed)
+    again = pickle.loads(pickle.dumps(SolveError(text, replace(failed, problem=None))))
+    assert str(again) == text and again.solution.problem is None and error.solution.problem is not None
+    assert error.__reduce__()[1][1].problem is None
+
+
+# --- which tries there are --------------------------------------------------------------------------------
+
+
+def test_only_plain_endings_are_without_another_try() -> None:
+    assert Status.INTERRUPTED not in tries.TRAJECTORY_ONLY and Status.OPTIMAL not in tries.TRAJECTORY_ONLY
+    assert set(tries.TRAJECTORY_ONLY) == set(Status) - {Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED}
+
+
+def knowing(**guess: Any) -> bool:
+    problem = cart()
+    problem.get_phase().guess(**guess)
+    return tries.knows_trajectory(problem)
+
+
+def test_a_trajectory_is_more_than_end_values() -> None:
+    assert not knowing() and not knowing(q=(0.0, 1.0)) and not knowing(time=(0.0, 1.0), q=(0.0, 1.0))
+    assert knowing(time=(0.0, 0.5, 1.0), q=[0.0, 0.1, 1.0]) and knowing(q=lambda t: t)
+
+
+def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random() -> None:
+    """A final time guessed at 2 s, at most 9 s: free, held at 2, 8 and 9 (once), a flight, then two random ones."""
+    problem = cart()
+    leg = problem.get_phase()
+    leg.time(0.0, (0.5, 9.0))
+    leg.guess(time=(0.0, 2.0))
+    leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
+    tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    place = int(tried.transcription.parts["leg"].times[-1])
+    starts = list(tries.feasibility_starts(tried.transcription, problem, tried.start.x))
+    assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], [], []]
+    assert [s.variables[place] for s in starts[:4]] == pytest.approx([2.0, 2.0, 8.0, 9.0])
+    assert np.array_equal(starts[0].variables, tried.start.x)
+    rest_of = np.delete(np.arange(tried.start.x.size), place)
+    assert all(np.array_equal(s.variables[rest_of], tried.start.x[rest_of]) for s in starts[:4])
+    q, v = starts[4].variables[tried.transcription.parts["leg"].collocation.boundary_states[:, -1]]
+    assert v != 0 and q == pytest.approx(v, rel=1e-9), "under a constant push from rest over 2 s: v t / 2"
+    assert not np.allclose(starts[5].variables, starts[6].variables)
+    fixed = cart()
+    fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
+    still = Attempt.prepare(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    assert [s.held.tolist() for s in tries.feasibility_starts(still.transcription, fixed, still.start.x)] == [
+        []
+    ] * 4
+
+
+@pytest.mark.parametrize(
+    ("options", "objective", "status", "found"),
+    [
+        ({}, 5.0, Status.OPTIMAL, True), ({}, 5.999, Status.OPTIMAL, False), ({}, 5.0, Status.INFEASIBLE, False),
+        ({"solver": "sqpmethod", "extra": {}}, 5.0, Status.OPTIMAL, False),
+        ({"extra": {"ipopt.mu_strategy": "monotone"}}, 5.0, Status.OPTIMAL, False),
+        ({"extra": {"ipopt": {"mu_strategy": "monotone"}}}, 5.0, Status.OPTIMAL, False),
+        ({"extra": {"ipopt": {"tol": 1e-9}}}, 5.0, Status.OPTIMAL, True),
+    ],
+)  # fmt: skip
+def test_another_way_is_taken_if_it_is_clearly_better(
+    moved: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+    options: Any,
+    objective: float,
+    status: Status,
+    found: bool,
+) -> None:
+    asked: list[SolverOptions] = []
+
+    def solve(problem: Any, mesh: Any, *, scheme: Any, options: SolverOptions) -> Solution:
+        asked.append(options)
+        return replace(moved, objective=objective, status=status)
+
+    monkeypatch.setattr(again, "solve_mesh", solve)
+    chosen: Any = SimpleNamespace(**options) if "solver" in options else SolverOptions(**options)
+    better = again.another_way(moved.need_problem("x"), moved, None, "LG", chosen)
+    assert (better is not None) is found
+    if asked:
+        assert asked[0].extra["ipopt.mu_strategy"] == "adaptive"
+        assert set(chosen.extra) <= set(asked[0].extra)
+
+
+@pytest.mark.parametrize("status", [Status.OPTIMAL, Status.INFEASIBLE])
+def test_a_sharper_solution_is_kept_if_there_is_one(
+    moved: Solution, monkeypatch: pytest.MonkeyPatch, status: Status
+) -> None:
+    sharp = replace(moved, status=status)
+    seen: dict[str, Any] = {}
+    monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
+    assert again.sharper(moved) is (sharp if status is Status.OPTIMAL else moved)
+    assert seen["options"].tolerance == again.SHARP and seen["guess"] is moved and seen["scheme"] == "LG"
+
+
+def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
+    moved: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Any] = []
+    monkeypatch.setattr(
+        tries._Task, "solve", lambda task, guess=None, **_: taken.append((task, guess)) or moved
+    )
+    problem = moved.need_problem("x")
+    tries.solve_mesh(problem, guess=moved)
+    tries.solve_mesh(problem, "3x2", guess=moved)
+    tries.solve_mesh(problem)
+    tries.solve_mesh(problem, guess=replace(moved, phases={}))
+    assert [str(task.meshes["leg"]) for task, _ in taken] == ["2x4", "3x2", "20x4", "20x4"]
+    assert [guess is not None for _, guess in taken] == [True, True, False, True]
+    assert taken[0][0].scheme == "LG" and taken[0][0].options == SolverOptions()
+
+
+def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[Any] = []
+
+    def solve(task: Any, guess: Any = None, *, after: Any = None) -> Solution:
+        taken.append((guess, task.options.max_iterations, task.options.mu_init, after))
+        return replace(moved, status=Status.ITERATION_LIMIT if guess is not None else Status.OPTIMAL)
+
+    monkeypatch.setattr(tries._Task, "solve", solve)
+    problem = moved.need_problem("x")
+    found = tries.solve_mesh(
+        problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
+    )
+    assert [entry[:3] for entry in taken] == [
+        (moved, 7, SolverOptions().mu_init),
+        (None, 50, tries.COLD_MU),
+    ]
+    assert (
+        taken[0][3] is None and taken[1][3].status is Status.ITERATION_LIMIT
+    )  # what the first one took counts
+    assert found.status is Status.OPTIMAL
+    tries.solve_mesh(
+        problem, guess=moved, limits=tries.SolveLimits(70), options=SolverOptions(max_iterations=50)
+    )
+    assert taken[2][1] == 50
+    monkeypatch.setattr(tries._Task, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
+    assert tries.solve_mesh(problem, guess=moved, limits=tries.SolveLimits(7)).status is Status.INTERRUPTED
+
+
+def test_missing_bounds_in_least_time_are_named() -> None:
+    """Of a bound on each side, a path limit, an integral, a heading, or another cost, none must be told."""
+
+    def least_time() -> tuple[go.Problem, go.Phase]:
+        model = go.Model("cart")
+        q, v, w = model.state("q"), model.state("v"), model.state("w")
+        a, b, heading = model.control("a"), model.control("b"), model.control("heading")
+        model.ode({q: v, v: a + b, w: ca.cos(heading)})
+        problem = go.Problem("least time")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, (0.0, 10.0))
+        leg.bounds(b=(-1.0, 1.0))
+        problem.minimize(2 * leg.final_time)
+        return problem, leg
+
+    problem, leg = least_time()
+    assert "neither bounds nor path constraints limit 'a' to both sides: give bounds()" in bounds_to_give(
+        problem
+    )
+    assert "limit 'a' to both sides" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
+    assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
+    leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
+    assert bounds_to_give(problem) == ""
+    problem, leg = least_time()
+    problem.constrain("effort", leg.integral(leg.model.symbol("a") ** 2), upper=1.0)
+    assert bounds_to_give(problem) == ""
+    problem, leg = least_time()
+    problem.cost = leg.final_time + leg.final_state("w")
+    assert bounds_to_give(problem) == ""
+
+
+def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> None:
+    """The solve ends at the limit, with costates that are rounding."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("least time")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.01, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="4x4")
+    assert solution.objective == pytest.approx(0.01)
+    assert not go.verify(solution).ok and "limit 'a' to both sides" in str(solution)

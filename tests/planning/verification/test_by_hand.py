@@ -1,0 +1,783 @@
+"""Parts of the verdict on trajectories that are given by hand, against figures worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+from numpy.typing import NDArray
+from testing import constructed_solutions as by_hand
+
+import gnc_opt as go
+from gnc_opt.planning.optimality.accessory import AccessoryEquations
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
+from gnc_opt.planning.optimality.costate_jumps import (
+    Pushers,
+    _responses,
+    _without_pushes,
+    jumps_explained,
+    pushed_beside,
+)
+from gnc_opt.planning.optimality.kkt import variation_weights
+from gnc_opt.planning.optimality.multiplier_estimate import _quadrature, _ranges, _state_rows, _variables
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification import feasibility
+from gnc_opt.planning.verification.bang_bang_second_order import least_squares
+from gnc_opt.planning.verification.conjugate_points import _free, _system, _worth
+from gnc_opt.planning.verification.control_conditions import undetermined
+from gnc_opt.planning.verification.costate_conditions import (
+    _slack_offence,
+    _time_transversality,
+    _unexplained,
+    hamiltonian,
+)
+from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
+from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
+from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
+from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
+
+Array = NDArray[np.float64]
+
+
+# --- feasibility ------------------------------------------------------------------------------------------
+
+
+def plain(matrix: Any, cost: Any = None) -> go.Problem:
+    """x' = matrix x + (0, u)."""
+    model = go.Model("plain")
+    x, u = model.state("x", 2), model.control("u")
+    model.ode({x: ca.mtimes(ca.DM(matrix), x) + ca.vertcat(0, u)})
+    problem = go.Problem("plain")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x")[0] if cost is None else leg.integral(cost(model.time, x, u)))
+    return problem
+
+
+def arc(problem: go.Problem, **changes: Any) -> PhaseSamples:
+    """x = (1 + t, 2 - t^2) and u = t over 2 s."""
+    weights = (1.0,) * len(problem.get_phase().integrands)
+    values = {"breaks": (0.0, 0.5, 2.0)} | changes
+    return by_hand.samples(
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t, 1 + 2 * t]),
+        weights=weights,
+        **values,
+    )
+
+
+@pytest.mark.parametrize(
+    "matrix", [[[1.5, 0.0], [0.0, -2.0]], [[-0.5, 0.0], [0.0, -3.0]], [[0.0, 4.0], [0.0, 0.0]]]
+)
+def test_growth_is_the_largest_norm_of_the_transition_matrices(matrix: Any) -> None:
+    """From the start to the end of each segment, in shares of the spans; at least 1."""
+    s = arc(plain(matrix))
+    scaled = np.diag(1 / s.state_scale) @ np.array(matrix) @ np.diag(s.state_scale)
+    norms = [np.linalg.norm(scipy.linalg.expm(scaled * t), 2) for t in (0.5, 2.0)]
+    assert feasibility._growth(s) == pytest.approx(max(1.0, *norms), rel=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "whole"), [(13.0, True), (14.5, False)])
+def test_what_grows_beyond_hope_is_not_flown_in_one_go(
+    rate: float, whole: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors grow by exp(26) = 2e11 or exp(29) = 4e12 over 2 s; the logarithmic norm says the same of a diagonal."""
+    s, flown = arc(plain([[rate, 0.0], [0.0, -1.0]])), []
+    far = feasibility.Worst(1.0, "far off")
+    monkeypatch.setattr(
+        feasibility, "worst_terminal_error", lambda _, anew=(): flown.append(len(anew)) or far
+    )
+    found = feasibility.propagation([s], 1e-5)
+    assert flown == ([0, 1] if whole else [1])
+    assert (found.result, found.sufficient) == (
+        Result.CANNOT_TELL,
+        True,
+    ) and found.where == "far off, in parts"
+
+
+def test_growth_of_what_has_no_derivative() -> None:
+    model = go.Model("root")
+    x, u = model.state("x", 2), model.control("u")
+    model.ode({x: ca.vertcat(ca.sqrt(x[1]), u)})
+    problem = go.Problem("root")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x")[0])
+    assert feasibility._growth(arc(problem, breaks=(0.0, 1.9, 2.0))) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("origin", "off", "excused"), [(0.0, 5e-9, True), (0.0, 5e-7, False), (1e6, 5e-7, True)]
+)
+def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
+    origin: float, off: float, excused: bool
+) -> None:
+    """12 digits of 1e6 s end at a microsecond."""
+    problem = plain(np.zeros((2, 2)))
+    leg = problem.get_phase()
+    leg.time(origin, origin + 2.0)
+    s = arc(problem, breaks=(origin, origin + 0.5, origin + 2.0))
+    legs = replace(s.leg, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf))
+    solution = by_hand.solution(problem, legs)
+    samples = [PhaseSamples.of(legs, s.functions)]
+    condition = feasibility.boundary(solution, samples, ends_of(solution), np.zeros(0), 1e-9)
+    assert (condition.result is Result.PASS) is excused, condition
+    if not excused:
+        assert condition.value == pytest.approx((off - 1e-8) / 2.0, rel=1e-3)
+        assert condition.where.startswith("phase leg, end of the trajectory")
+
+
+def test_no_singular_arc_asks_for_nothing() -> None:
+    problem = plain(np.zeros((2, 2)), lambda t, x, u: u**2)
+    s = arc(problem)
+    arcs = singular_arcs(problem, s, *undetermined(s, 1e-5), 1e-5)
+    condition = generalised_legendre_clebsch(arcs, 1e-5)
+    assert (condition.result, condition.value, condition.tolerance) == (Result.PASS, 0.0, 0.0)
+
+
+# --- costates ---------------------------------------------------------------------------------------------
+
+
+def test_multipliers_that_bounds_cannot_exert() -> None:
+    """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
+    box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
+    values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
+    np.testing.assert_allclose(_unexplained(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
+    np.testing.assert_allclose(_unexplained(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
+
+
+def test_room_to_the_limit_that_could_push() -> None:
+    """0.3 above the lower and 0.7 below the upper limit, at most the scale of 0.5."""
+    box = by_hand.interval([0.0, 0.0], [1.0, np.inf])
+    offence = _slack_offence(np.array([[2.0, -2.0], [2.0, -2.0]]), np.full((2, 2), 0.3), box, np.full(2, 0.5))
+    np.testing.assert_allclose(offence, [[1.0, 0.6], [1.0, 0.6]])
+
+
+def test_difference_in_shares_of_the_larger() -> None:
+    a, b = np.array([1.0, 4.0, np.inf, np.inf, 0.0, -3.0]), np.array([1.0, 5.0, np.inf, 2.0, 0.0, 3.0])
+    np.testing.assert_allclose(_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
+    np.testing.assert_allclose(_difference(a[:2], a[:3]), [np.inf])
+    assert _difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
+
+
+# --- what cost and integrals amount to --------------------------------------------------------------------
+
+
+def test_spans_of_integrals() -> None:
+    """t from 0 to 2 s: 2 above its least and below its largest value; 10 + t^2: 8/3 above, 16/3 below."""
+    model = go.Model("clocks")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("clocks")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    t = model.time
+    problem.minimize(
+        leg.integral(t)
+        + leg.integral(10 + t**2) ** 2
+        + leg.integral(1 + 0 * t) ** 3
+        + leg.integral(4 - t**2) ** 4
+    )
+
+    def samples(**changes: Any) -> PhaseSamples:
+        signals = (lambda t, k: np.array([t]), lambda t, k: np.array([1 + 0 * t]), lambda t, k: np.array([t]))
+        return by_hand.samples(problem, *signals, weights=(1.0,) * 4, breaks=(0.0, 0.5, 2.0), **changes)
+
+    spans = dict(zip(problem.get_phase().integrands, integral_spans(samples()), strict=True))
+    assert list(spans.values()) == pytest.approx([2.0, 8 / 3, 0.0, 8 / 3], abs=1e-9)
+    longer = samples(final_time_bounds=by_hand.interval(1.0, 3.0))
+    assert integral_spans(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
+
+
+def test_magnitudes_of_cost_constraints_and_parameters() -> None:
+    """States move by 2 and 4 within the box flown, the final time by 2, and k, which has no range, by its size of 3."""
+    model = go.Model("two")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: 1.0, y: u})
+    problem = go.Problem("two")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (1.0, 4.0))
+    k = problem.parameter("k")
+    problem.constrain("a", leg.initial_state("x") + 5 * leg.final_state("y"), upper=100.0)
+    problem.constrain("b", 7 * leg.final_time, upper=100.0)
+    problem.constrain("c", 0 * k + 11.0, upper=100.0)
+    problem.minimize(leg.final_state("x") - 9 * k)
+    signals = (
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([-2 * t]),
+        lambda t, k: np.array([3 - t, 1 + 2 * t]),
+    )
+    solution = from_problem(
+        by_hand.solution(
+            problem, by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)), parameter_values=np.array([3.0]),
+            parameter_multipliers=np.zeros(1), constraint_multipliers=np.zeros(3),
+            constraint_labels=("a", "b", "c"),
+        )
+    )  # fmt: skip
+    samples = list(solution.samples().values())
+    np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
+    found = Magnitudes.of(solution, samples)
+    assert found.cost == pytest.approx(27.0)
+    np.testing.assert_allclose(found.parameters, [9.0])
+    np.testing.assert_allclose(found.constraints[:2], [20.0, 14.0])
+    assert 0 < found.constraints[2] < 1e-3  # nothing changes it: a share of its size
+
+
+# --- conjugate points -------------------------------------------------------------------------------------
+
+
+def quadratic_problem() -> go.Problem:
+    """x' = A(t) x + B u and a cost that is quadratic in both, with products; A grows with time."""
+    model = go.Model("linear")
+    states = model.state("q"), model.state("r")
+    x, u = ca.vertcat(*states), model.control("u", 2)
+    t = model.time
+    a = ca.vertcat(ca.horzcat(0.1, 1 + 0.5 * t), ca.horzcat(-2.0, 0.3))
+    rates = ca.mtimes(a, x) + ca.mtimes(ca.DM(B), u)
+    model.ode({states[0]: rates[0], states[1]: rates[1]})
+    problem = go.Problem("quadratic")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    z = ca.vertcat(x, u)
+    problem.minimize(leg.integral(0.5 * ca.dot(z, ca.mtimes(ca.DM(WEIGHT), z))))
+    return problem
+
+
+B = np.array([[1.0, 0.5], [0.0, 2.0]])
+WEIGHT = np.array([[3.0, 0.5, 0.2, -0.4], [0.5, -1.0, 0.6, 0.1], [0.2, 0.6, 2.0, 0.3], [-0.4, 0.1, 0.3, 4.0]])
+
+
+def linear_system(s: PhaseSamples, t: float, free: list[int]) -> Array:
+    """The linear Hamiltonian system in shares of the states' sizes, by hand."""
+    a = np.array([[0.1, 1 + 0.5 * t], [-2.0, 0.3]])
+    b, q, n, r = B[:, free], WEIGHT[:2, :2], WEIGHT[:2, 2:][:, free], WEIGHT[2:, 2:][np.ix_(free, free)]
+    inverse = np.linalg.inv(r) if free else np.zeros((0, 0))
+    own, push, bend = a - b @ inverse @ n.T, -b @ inverse @ b.T, -(q - n @ inverse @ n.T)
+    size, worth = np.array([3.0, 2.0]), _worth(s)
+    d, e = np.diag(size), np.diag(1 / size)
+    return np.block([[e @ own @ d, worth * e @ push @ e], [d @ bend @ d / worth, -d @ own.T @ e]])
+
+
+@pytest.mark.parametrize("free", [[0, 1], [0], [1], []])
+def test_linear_hamiltonian_system(free: list[int]) -> None:
+    """Controls on their bounds do not answer to variations."""
+    box = by_hand.interval([-9.0 if 0 in free else 0.5, -9.0 if 1 in free else -1.0], [9.0, 9.0])
+    s = by_hand.samples(
+        quadratic_problem(),
+        lambda t, k: np.array([1 + t, 2 - t**2 / 2]),
+        lambda t, k: np.array([0.5 + 0 * t, -1.0 + 0 * t]),
+        lambda t, k: np.array([1 + t, 1 - t]),
+        weights=(1.0,), breaks=(0.0, 0.5, 2.0), control_bounds=box,
+    )  # fmt: skip
+    equations = AccessoryEquations(s.leg, s.functions, s.control_scale)
+    found = equations.matrices(np.array([0.25, 1.5]), _worth(s), lambda u: _free(s, u))
+    for k, t in enumerate((0.25, 1.5)):
+        np.testing.assert_allclose(found[k], linear_system(s, t, free), rtol=1e-9, atol=1e-12)
+    if free != [0, 1]:
+        return
+    times, flows = _system(s, np.linspace(0.0, 2.0, 41))
+    whole = np.linalg.multi_dot(flows[::-1])
+    exact = scipy.integrate.solve_ivp(
+        lambda t, y: (linear_system(s, t, free) @ y.reshape(4, 4)).ravel(), (0.0, 2.0), np.eye(4).ravel(),
+        rtol=1e-10, atol=1e-12, method="DOP853",
+    )  # fmt: skip
+    np.testing.assert_allclose(whole, exact.y[:, -1].reshape(4, 4), rtol=2e-6, atol=2e-6)
+    assert times.size == 41 and flows.shape == (40, 4, 4)
+    back = equations.flows(times, _worth(s), backward=True)
+    np.testing.assert_allclose(back @ flows, np.tile(np.eye(4), (40, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        equations.matrices(times, 7.0), equations.matrices(times, 7.0, lambda u: _free(s, u))
+    )
+
+
+# --- pushes -----------------------------------------------------------------------------------------------
+
+
+def limited(**changes: Any) -> PhaseSamples:
+    """x = (1 + t, 2 - t^2); x_0 reaches 1.5 at the first break."""
+    return arc(plain([[0.2, 1.0], [-0.5, 0.4]]), **changes)
+
+
+def test_sides_of_state_bounds_that_are_active() -> None:
+    s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
+    times = np.array([0.2, 0.5])
+    found = Pushers.at(s, times, s.leg.x(times), s.leg.flown(times))
+    np.testing.assert_array_equal(
+        found.active, [[False, True], [False, False], [False, False], [False, True]]
+    )
+    np.testing.assert_allclose(found.directions[:, :, 0], [[1, 0, -1, 0], [0, 1, 0, -1]])
+
+
+@pytest.mark.parametrize(
+    ("jump", "left"), [((2.0, 0.0), (0.0, 0.0)), ((-2.0, 0.0), (-2.0, 0.0)), ((2.0, 1.0), (0.0, 1.0))]
+)
+def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple[float, float]) -> None:
+    """lambda(t-) - lambda(t+) > 0 at an upper limit, in the component that is limited."""
+    s = by_hand.samples(
+        plain(np.zeros((2, 2))),
+        lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t, 1 + t]) - k * np.array(jump)[:, None],
+        weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
+    )  # fmt: skip
+    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], left, atol=1e-9)
+
+
+@pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
+def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float, left: float) -> None:
+    """200 over half a hundredth of 2 s may be taken back: 2."""
+    s = by_hand.samples(
+        plain(np.zeros((2, 2))),
+        lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
+        weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
+    )  # fmt: skip
+    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], [left, 0.0], atol=1e-9)
+
+
+def test_costates_without_pushes_and_what_pushes_add() -> None:
+    """lambda' = -A^T lambda from the start of the second segment; a push in between starts another such flow."""
+    s = limited(state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]))
+    here = np.flatnonzero(s.segments == 1)
+    costates, fundamental = _without_pushes(s, 1, here)
+    a = np.array([[0.2, 1.0], [-0.5, 0.4]])
+    times = s.times[here]
+    exact = np.stack([scipy.linalg.expm(-a.T * (t - 0.5)) for t in times], axis=2)
+    np.testing.assert_allclose(fundamental, exact, atol=1e-8)
+    np.testing.assert_allclose(costates, np.einsum("abt,b->at", exact, [2.5, 2.0]), atol=1e-8)
+    pushers = Pushers.at(s, times, s.x[:, here], s.u[:, here])
+    responses = _responses(pushers, fundamental)
+    assert responses.shape == (2, times.size, times.size - 1)  # x_0 is beyond its limit from 0.5 s on
+    j = 4
+    at = [np.linalg.solve(exact[:, :, k], [1.0, 0.0]) for k in (j, j + 1)]
+    expected = -np.einsum("abt,b->at", exact, 0.5 * (at[0] + at[1]))
+    expected[:, : j + 1] = 0.0
+    np.testing.assert_allclose(responses[:, :, j], expected, atol=1e-8)
+
+
+# --- the induced problem ----------------------------------------------------------------------------------
+
+
+def test_induced_problem_in_closed_form() -> None:
+    """x' = k u with one switch s, everything free: x_f = x_0 + k (2 s - t_0 - t_f), and the integral of x."""
+    model = go.Model("integrator")
+    x, u, k = model.state("x"), model.control("u"), model.parameter("k", 1.0)
+    model.ode({x: k * u})
+    problem = go.Problem("everything free")
+    free_k = problem.parameter("k", lower=0.5, upper=5.0)
+    leg = problem.phase("leg", model)
+    leg.time((0.0, 0.5), (1.5, 3.0))
+    leg.initial(x=(0.0, 1.0))
+    leg.final(x=(-1.0, 5.0))
+    leg.bounds(u=(-1.0, 1.0))
+    first, last = leg.initial_state("x"), leg.final_state("x")
+    problem.constrain("both", last * free_k - 2 * first * leg.final_time, upper=100.0)
+    problem.minimize(leg.final_time**2 + leg.integral(x) * last)
+    hand = {"t0": 0.2, "s": 1.0, "tf": 2.0, "x0": 0.7, "k": 1.5}
+    signals = (
+        lambda t, k: np.array([0.7 + 1.5 * np.minimum(t - 0.2, 1.8 - t)]),
+        lambda t, k: np.array([1.0 - 2.0 * k + 0 * t]),
+        lambda t, k: np.array([t - 1.0]),
+    )
+    base = by_hand.solution(
+        problem, by_hand.phase(problem, *signals, breaks=(0.2, 1.0, 2.0)), parameter_values=np.array([1.5]),
+        parameter_multipliers=np.zeros(1), constraint_multipliers=np.array([0.3]), constraint_labels=("both",),
+    )  # fmt: skip
+    solution = from_problem(base)
+    samples, ends = list(solution.samples().values()), ends_of(solution)
+    switches = {"leg": Switches.of(samples[0])}
+    unknowns = Unknowns.of(solution, samples, switches)
+    found = InducedProblem.of(solution, samples, ends, unknowns, {"leg": switches["leg"].pieces((0,))}, 4)
+
+    t0, s, tf, x0, factor = theta = [ca.SX.sym(name) for name in hand]
+    end = x0 + factor * (2 * s - t0 - tf)
+    up, down = s - t0, tf - s
+    integral = x0 * (tf - t0) + factor * (up**2 / 2 + up * down - down**2 / 2)
+    cost, both = tf**2 + integral * end, end * factor - 2 * x0 * tf
+    rows = ca.vertcat(end, both, x0, t0, tf, tf - t0, factor)
+    lagrangian = cost + 0.4 * end - 0.6 * both
+    everything = ca.vertcat(*theta)
+    exact = ca.Function(
+        "exact", [everything],
+        [ca.gradient(cost, everything), ca.jacobian(rows, everything), ca.hessian(lagrangian, everything)[0], rows],
+    )  # fmt: skip
+    gradient, jacobian, hessian, values = (v.full() for v in exact(list(hand.values())))
+    size = float(samples[0].state_scale[0])
+    scale = np.array([1.8, 1.8, 1.8, size, 0.45])
+    np.testing.assert_allclose(unknowns.scale, scale)
+    assert (
+        unknowns.labels[1].startswith("phase leg, switch of u at 1") and unknowns.labels[-1] == "parameter k"
+    )
+    assert np.all(unknowns.free)
+    np.testing.assert_allclose(found.gradient, gradient.ravel() * scale, rtol=1e-9)
+    conditions = found.conditions
+    np.testing.assert_allclose(conditions.jacobian, jacobian * scale, atol=1e-9)
+    np.testing.assert_allclose(conditions.values, values.ravel(), atol=1e-9)
+    assert [label.split(", ")[-1] for label in conditions.labels] == [
+        "final x", "constraint both", "initial x", "initial time", "final time", "duration", "parameter k",
+    ]  # fmt: skip
+    np.testing.assert_allclose(conditions.limits.lower[[0, 2, 3, 4, 6]], [-1.0, 0.0, 0.0, 1.5, 0.5])
+    np.testing.assert_allclose(conditions.limits.upper[[0, 1, 2, 3, 4, 6]], [5.0, 100.0, 1.0, 0.5, 3.0, 5.0])
+    # lambda_f - d(cost + nu both)/dx_f, nu, -(lambda_0 + d(...)/dx_0), and nothing of times and parameters.
+    area = float(ca.Function("area", [everything], [integral])(list(hand.values())))
+    expected = [1.0 - (area + 0.3 * 1.5), 0.3, -(-0.8 + 0.3 * -4.0), 0, 0, 0, 0]
+    np.testing.assert_allclose(conditions.multipliers, expected, atol=1e-9)
+    curved, terms = found.hessian(np.array([0.4, -0.6, 9.0, 9.0, 9.0, 9.0, 9.0]))
+    np.testing.assert_allclose(curved, hessian * np.outer(scale, scale), atol=1e-8)
+    assert terms >= np.linalg.norm(curved) * (1 - 1e-9)
+
+
+def test_multipliers_nearest_to_the_solutions_own() -> None:
+    """Two unknowns vary; of four conditions one is not at a limit, and one is changed by what is given only."""
+    jacobian = np.array([[3.0, 4.0, 7.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0], [6.0, 8.0, 0.0]])
+    at_lower, at_upper = np.array([True, False, True, False]), np.array([True, False, False, True])
+    induced: Any = SimpleNamespace(
+        unknowns=SimpleNamespace(free=np.array([True, True, False])),
+        conditions=SimpleNamespace(active=(at_lower, at_upper), multipliers=np.array([1.0, 5.0, 5.0, 0.5])),
+    )
+    active, rows, norms, multipliers = least_squares(np.array([-9.0, -12.0, 4.0]), jacobian, induced)
+    np.testing.assert_array_equal(active, [0, 3])
+    np.testing.assert_allclose(rows, [[0.6, 0.8], [0.6, 0.8]])
+    np.testing.assert_allclose(norms, [5.0, 10.0])
+    # Both together explain 15; the guesses of 5 each lack 5, which both share.
+    np.testing.assert_allclose(multipliers, [7.5, 7.5])
+
+
+# --- estimates and the critical cone ----------------------------------------------------------------------
+
+
+def free_cart() -> go.Problem:
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("cart")
+    k = problem.parameter("k", lower=0.0, upper=5.0)
+    leg = problem.phase("leg", model)
+    leg.time((0.0, 1.0), (1.0, 9.0))
+    problem.constrain("length", leg.integral(q) ** 2, upper=50.0)
+    problem.minimize(leg.final_time + k)
+    return problem
+
+
+def test_variables_of_the_program_at_a_trajectory() -> None:
+    """q = t^3, v = 3 t^2, a = 6 t from 0.5 s to 2.5 s, the integral of q, and k = 3."""
+    problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
+    fitted = fit(
+        Samples(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
+    )
+    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
+    x = _variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    points = 0.5 + 2 * collocation.fractions
+    np.testing.assert_allclose(x[collocation.boundary_states], [t**3, 3 * t**2], atol=1e-12)
+    np.testing.assert_allclose(x[collocation.point_states], [points**3, 3 * points**2], atol=1e-12)
+    np.testing.assert_allclose(x[collocation.point_controls], [6 * points], atol=1e-12)
+    np.testing.assert_allclose(x[part.times], [0.5, 2.5])
+    np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
+    np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
+    exact, weights = _state_rows(transcription), _quadrature(transcription)
+    assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
+    assert np.sum(exact) == 2 * (points.size + 4)
+    for places in (collocation.point_states, collocation.point_controls):
+        np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
+    assert np.sum(weights == 1.0) == weights.size - 3 * points.size
+
+
+@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
+    mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
+    transcription = transcribe(free_cart(), {"leg": mesh}, scheme)
+    collocation = next(iter(transcription.parts.values())).collocation
+    times = np.full(transcription.n_variables, np.nan)
+    times[collocation.boundary_states], times[collocation.point_states] = mesh.breaks, collocation.fractions
+    for k, degree in enumerate(mesh.degrees):
+        nodes = _nodes(collocation, k)
+        assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
+        assert np.all(np.diff(times[nodes], axis=1) > 0)
+        np.testing.assert_allclose(times[nodes[:, [0, -1]]], [mesh.breaks[k : k + 2]] * 2)
+
+
+def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
+    """A control whose push comes to zero at the end of its arc is held by the other nodes of its segment alone."""
+    mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    collocation = next(iter(transcription.parts.values())).collocation
+    lines = [list(map(int, line)) for line in _variable_lines(SimpleNamespace(transcription=transcription))]
+    controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
+    states = [list(map(int, row)) for k in range(2) for row in _nodes(collocation, k)]
+    assert sorted(lines) == sorted(states + controls)
+
+
+def test_arcs_on_a_limit_are_held_throughout() -> None:
+    """What is doubtful is held where it is at the value of a pushed node of its own line."""
+    lines = [np.array([0, 1, 2, 3]), np.array([4, 5]), np.array([6, 7])]
+    values = np.array([1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 2.0, 2.0])
+    pushed = np.array([True, False, False, False, False, False, True, False])
+    held, doubtful = pushed.copy(), np.array([False, True, True, False, True, True, False, False])
+    _close_arcs(lines, values, pushed, held, doubtful)
+    np.testing.assert_array_equal(held, [True, True, False, False, False, False, True, False])
+    np.testing.assert_array_equal(doubtful, [False, False, True, False, True, True, False, False])
+
+
+def test_metric_of_variations_is_an_integral() -> None:
+    """Along the phase weights add up to 1; inner boundaries count by what lies beside them, ends and parameters 1."""
+    mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    weights = variation_weights(transcription)
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    for places in (collocation.point_states, collocation.point_controls):
+        np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
+    np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 0.25, 0.375, 1.0]] * 2)
+    np.testing.assert_allclose(weights[transcription.parameter_places], 1.0)
+
+
+# --- means, kinds and what is missing -----------------------------------------------------------------------
+
+
+def test_what_is_brief_counts_by_its_mean() -> None:
+    """Over a hundredth of 2 s: a step of 1 at 0.5 s is a ramp of that width, and what is constant stays so."""
+    s = arc(plain(np.zeros((2, 2))))
+    step = (s.segments == 1).astype(float)
+    means = lasting(s.times, np.array([step, 3.0 + 0 * step]))
+    expected = np.clip((s.times - 0.5) / 0.02 + 0.5, 0.0, 1.0)
+    np.testing.assert_allclose(means[0], expected, atol=1e-9)
+    np.testing.assert_allclose(means[1], 3.0)
+
+
+def test_what_multipliers_push_beside_a_boundary() -> None:
+    """Densities 2 before and 3 after it, over half a hundredth of 2 s; of two signs the larger one."""
+    s = arc(plain(np.zeros((2, 2))), degree=4)
+    before = np.repeat([True, False], 4)
+    found = pushed_beside(s, np.array([np.where(before, 2.0, 3.0), np.where(before, -5.0, 4.0)]))
+    np.testing.assert_allclose(found, [[0.03], [-0.05]])
+    short = arc(plain(np.zeros((2, 2))), degree=4, breaks=(0.0, 0.004, 2.0))
+    np.testing.assert_allclose(pushed_beside(short, np.where(before, 5.0, 1.0)[None]), [[0.02]])
+
+
+def test_steps_of_free_parameters() -> None:
+    """A tenth of a range, or the size, or 1."""
+    problem = plain(np.zeros((2, 2)))
+    for name, limits in (("a", (-1.0, 3.0)), ("b", (0.0, None)), ("c", (None, None)), ("d", (2.0, 2.0))):
+        problem.parameter(name, lower=limits[0], upper=limits[1])
+    solution = by_hand.solution(problem, parameter_values=np.array([0.5, -7.0, 0.0, 2.0]))
+    np.testing.assert_allclose(parameter_scale(solution), [0.4, 7.0, 1.0, 2.0])
+
+
+def test_a_copy_of_a_solution_has_no_verdict() -> None:
+    problem = plain(np.zeros((2, 2)))
+    solution = by_hand.solution(problem, arc(problem).leg)
+    first = Verdict("first", ())
+    assert solution.verdict is None
+    with_one = solution.with_verdict(first)
+    assert with_one.verdict is first and solution.verdict is None and replace(with_one).verdict is None
+
+
+@pytest.mark.parametrize(
+    ("costates", "weight", "amount", "told"),
+    [
+        (1e-9, 0.0, 1.0, True),
+        (0.0, 0.0, 1.0, False),
+        (0.0, 0.0, 3e5, True),
+        (0.0, 2.0, 1.0, True),
+        (np.nan, 2.0, 1.0, False),
+    ],
+)
+def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
+    costates: float, weight: float, amount: float, told: bool
+) -> None:
+    """The cost changes by the final x_0, which moves by 2: nothing beside 3e5, where a ten-thousandth does."""
+    problem = plain(np.zeros((2, 2)))
+    base = arc(problem)
+    leg = by_hand.phase(
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([costates + 0 * t, 0 * t]),
+        breaks=(0.0, 0.5, 2.0),
+    )
+    ends = ends_of(by_hand.solution(problem, base.leg))
+    s = PhaseSamples.of(replace(leg, integral_weights=np.array([weight])), base.functions)
+    assert has_costates([s], ends, amount) is told
+
+
+def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
+    """H at free ends against the cost's slopes by the times, with the duration's multiplier, which has a sign."""
+    problem = plain(np.zeros((2, 2)))
+    base = arc(problem)
+    ends = ends_of(by_hand.solution(problem, base.leg))
+    free = by_hand.interval(-9.0, 9.0)
+    for limits, multiplier, counts in (
+        ((0.1, 2.0), 0.3, True),
+        ((2.0, 9.0), 0.3, False),
+        ((2.0, 9.0), -0.3, True),
+    ):
+        leg = replace(
+            base.leg, initial_time_bounds=free, final_time_bounds=free,
+            duration_bounds=by_hand.interval(*limits), duration_multiplier=multiplier,
+        )  # fmt: skip
+        s = PhaseSamples.of(leg, base.functions)
+        # H = lambda_1 u = (1 + 2 t) t: 0 at the start, 10 at the end; the cost does not depend on the times.
+        np.testing.assert_allclose(s.hamiltonian[[0, -1]], [0.0, 10.0], atol=1e-9)
+        offence = 10.0 + (multiplier if counts else 0.0)
+        worst = _time_transversality(s, ends, np.zeros(2))
+        assert (
+            worst.value == pytest.approx(offence / s.hamiltonian_scale)
+            and worst.where == "phase leg, H at its end"
+        )
+
+
+def test_ranges_of_the_program_s_variables() -> None:
+    """By what they vary, or by their limits; what rests counts by its size, each state by its own, and 0 by 1."""
+    problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
+    problem.phases["leg"].bounds(a=(-2.0, 8.0))
+    states = np.array([2e13 + 0 * t, (t - 0.5) / 2])
+    fitted = fit(Samples(t, states, (0 * t)[None]), lambda t, x, u: np.array([0 * t, 0.5 + 0 * t]))
+    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
+    x = _variables(transcription, problem, {"leg": fitted}, np.array([-3.0]))
+    scales = _ranges(transcription, problem, {"leg": fitted}, x)
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    varied = np.ptp(x[collocation.point_states[1]])
+    np.testing.assert_allclose(scales[collocation.point_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.point_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.boundary_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.boundary_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.point_controls], 10.0)
+    np.testing.assert_allclose(scales[part.times], 2.0)
+    np.testing.assert_allclose(scales[transcription.parameter_places], 3.0)
+    none = _ranges(transcription, free_cart(), {"leg": fitted}, x)
+    np.testing.assert_allclose(none[collocation.point_controls], 1.0)
+
+
+def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
+    """Or the variable that varies most, if that is none; controls of other phases vary less."""
+    mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    solution: Any = SimpleNamespace(
+        phases={
+            "leg": SimpleNamespace(
+                initial_time=2.0, duration=4.0, controls=SimpleNamespace(labels=("a",)), name="leg"
+            )
+        }
+    )
+    point: Any = SimpleNamespace(
+        transcription=transcription, variables=SimpleNamespace(labels=transcription.variable_labels)
+    )
+    collocation = next(iter(transcription.parts.values())).collocation
+    direction = np.full(transcription.n_variables, 0.1)
+    direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
+    time = 2.0 + 4.0 * collocation.fractions[5]
+    assert _place(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    direction[transcription.parameter_places] = -1.0
+    assert (
+        _place(point, solution, direction) == transcription.variable_labels[transcription.parameter_places[0]]
+    )
+
+
+def test_doubt_says_whether_it_is_flat() -> None:
+    for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
+        curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
+        assert ("flat" in _doubt(curvature, 1e-4)) is flat
+    assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
+    up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
+    assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_hamiltonian_off_to_either_side(sign: float) -> None:
+    """H = lambda_0, as the rates are (1, 0): 3, and in the last segment more or less by 1."""
+    model = go.Model("drift")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: 1.0, y: u})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x"))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 1) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 1.5, 2.0),
+        degree=4,
+    )
+    # As many samples in each segment: the median is in between, and either half is off by 0.5.
+    condition = hamiltonian([s], 1e-5)
+    assert condition.result is Result.FAIL
+    assert condition.value == pytest.approx(0.5 / s.hamiltonian_scale)
+    lone = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 2) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 0.5, 1.5, 2.0),
+    )
+    condition = hamiltonian([lone], 1e-5)
+    assert condition.value == pytest.approx(1.0 / lone.hamiltonian_scale)
+    assert condition.where.endswith(f"H = {3 + sign:g} (median 3)")
+
+
+@pytest.mark.parametrize(("side", "expected"), [(1.0, [0.5, 0.0, 0.5]), (-1.0, [0.0, 1.0, 1.0])])
+def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: list[float]) -> None:
+    """x_0 reaches its limit of 3 at 2 s, x_1 is at or below its own from 1 s on, and x_0 - 2 u + t - 1 is at 0.
+
+    They change by 4 - t: 2 of 4 at the end; 3 t; and 4 - 3 t, from 4 to -2.
+    """
+    problem = plain(np.zeros((2, 2)))
+    leg = problem.get_phase()
+    x, u = leg.model.symbol("x"), leg.model.symbol("u")
+    leg.path("mixed", x[0] - 2 * u + leg.model.time - 1, lower=0.0, upper=9.0)
+    s = arc(problem, state_bounds=by_hand.interval([-9.0, 1.0], [3.0, 9.0]), breaks=(0.0, 1.0, 2.0), degree=4)
+    assert s.functions.paths(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
+    transcription = transcribe(problem, {"leg": s.leg.mesh}, "LG")
+    collocation = next(iter(transcription.parts.values())).collocation
+    scales = 2.0 + np.arange(transcription.n_variables)
+    direction = np.zeros(transcription.n_variables)
+
+    def states(t: Array) -> Array:
+        return np.array([4 - t, 3 * t])
+
+    direction[collocation.boundary_states] = states(np.array([0.0, 1.0, 2.0]))
+    points = 2 * collocation.fractions
+    direction[collocation.point_states] = states(points)
+    direction[collocation.point_controls] = points
+    point: Any = SimpleNamespace(transcription=transcription, scaling=SimpleNamespace(variables=scales))
+    cone = CriticalCone(point, np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
+    found = cone._outwards_between(s, side * direction / scales)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    small = cone._outwards_between(s, 1e-3 * side * direction / scales)
+    np.testing.assert_allclose(small, expected, atol=1e-9)  # in shares of the direction's largest
+
+
+def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:
+    """-1000 q at its limit of -1000 to 5e-4: a multiplier holds the end, though no entry of the row is positive."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(v=0.0)
+    problem.constrain("far enough", -1000 * leg.final_state("q"), upper=-1000.0)
+    problem.minimize(0.5 * leg.integral(a**2))
+    t, way = np.linspace(0.0, 1.0, 5), 1 + 5e-7
+    states = {"q": way * (3 * t**2 - 2 * t**3), "v": way * (6 * t - 6 * t**2)}
+    verdict = go.verify_trajectory(problem, t, states, {"a": way * (6 - 12 * t)})
+    assert verdict.ok, verdict.explain()

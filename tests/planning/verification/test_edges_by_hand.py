@@ -1,0 +1,761 @@
+"""Corners of the verdict by hand: phases that begin late, few samples, missing numbers, and what is said of them."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+from numpy.typing import NDArray
+from testing import constructed_solutions as by_hand
+
+import gnc_opt as go
+from gnc_opt.planning.optimality import kkt as null_space
+from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
+from gnc_opt.planning.optimality.kkt import FOUND, SETTLED, NullSpace, _settled, lanczos
+from gnc_opt.planning.optimality.multiplier_estimate import _or_one, estimate
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, _vanishing
+from gnc_opt.planning.optimality.switching_problem import Unknowns
+from gnc_opt.planning.optimality.trajectory_fit import (
+    Samples,
+    _Controls,
+    _interpolants,
+    _Jump,
+    _kinks_of,
+    _place,
+    _unmarked_jumps,
+    fit,
+)
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution import Result
+from gnc_opt.planning.solution.quality import Worst
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.verification import (
+    conjugate_points,
+    feasibility,
+)
+from gnc_opt.planning.verification import (
+    control_conditions as controls,
+)
+from gnc_opt.planning.verification import (
+    singular_arcs as singular,
+)
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    _on_bound,
+    _precedences,
+    _worst_crossing,
+    least_squares,
+)
+from gnc_opt.planning.verification.critical_cone import _close_arcs
+from gnc_opt.planning.verification.feasibility import _worst_miss
+from gnc_opt.planning.verification.goh import straight
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem, has_costates, missing_number
+from gnc_opt.planning.verification.reduced_hessian import _least_direction
+from gnc_opt.planning.verification.verify_trajectory import _shaped, _solution
+
+Array = NDArray[np.float64]
+
+
+# --- phases that begin late -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("begin", [0.0, 50.0, -3.0])
+def test_what_is_brief_is_a_share_of_the_duration(begin: float) -> None:
+    """A step in the middle of 2 s, averaged over 0.02 s."""
+    times = begin + np.unique(np.append(np.linspace(0.0, 2.0, 401), 1.0))
+    means = lasting(times, (times >= begin + 1.0).astype(float)[None])[0]
+    at = (times - begin - 1.0) / 0.02
+    np.testing.assert_allclose(means[np.abs(at) > 0.8], np.clip(at + 0.5, 0, 1)[np.abs(at) > 0.8], atol=1e-9)
+    assert means[np.argmin(np.abs(at))] == pytest.approx(0.5, abs=0.15)
+
+
+def bang(
+    begin: float = 0.0, late: float = 1.2, lam: Any = None, cost: float = 1.0, unit: float = 1.0
+) -> PhaseSamples:
+    """Three controls over 2 s: u switches at 0.7 s, w at ``late``, r rests on a bound."""
+    model = go.Model("three")
+    x = model.state("x", 3)
+    u = [model.control(name) for name in "uwr"]
+    model.ode({x: ca.vertcat(*u)})
+    problem = go.Problem("three")
+    leg = problem.phase("leg", model)
+    leg.time(begin, begin + 2.0)
+    problem.minimize(leg.final_time)
+    levels = np.array([[-1.0, 1.0, 1.0], [0.0, 0.0, 4.0], [2.0, 2.0, 2.0]]) * unit
+    slopes = (lambda t: np.array([0.7 - t, 1.2 - t, -1 + 0 * t])) if lam is None else lam
+    return by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, t, t]) * unit,
+        lambda t, k: np.tile(levels[:, [k]], t.size),
+        lambda t, k: cost / unit * slopes(t - begin),
+        weights=(),
+        breaks=begin + np.array([0.0, 0.7, late, 2.0]),
+        control_bounds=by_hand.interval([-unit, 0.0, -3 * unit], [unit, 4 * unit, 2 * unit]),
+    )
+
+
+@pytest.mark.parametrize("begin", [0.0, 1e4, -1.0])
+def test_switches_are_simultaneous_to_a_ten_millionth_of_the_duration(begin: float) -> None:
+    """2e-7 of 2 s, wherever these begin."""
+    for apart, together in ((1e-7, True), (4e-7, False)):
+        found = Switches.of(bang(begin, 0.7 + apart))
+        assert found.channels.tolist() == [0, 1] and bool(found.times[0] == found.times[1]) is together
+        np.testing.assert_allclose(
+            found.times - begin, [0.7, 0.7 + apart * (not together)], atol=3e-12 * max(1, begin)
+        )
+
+
+@pytest.mark.parametrize(("cost", "unit"), [(1.0, 1.0), (1e4, 1e-3), (1e-4, 1e3)])
+@pytest.mark.parametrize("sample", [0, -1])
+def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
+    cost: float, unit: float, sample: int
+) -> None:
+    """That of w over its range of 4; of u and r it does not."""
+
+    def away(t: Array) -> Array:
+        return t if sample == 0 else 2.0 - t
+
+    base = bang(cost=cost, unit=unit, lam=lambda t: np.array([0.7 - t, 1.2 * away(t), -1 + 0 * t]))
+    scale = base.hamiltonian_scale / cost
+    for sign in (1.0, -1.0):
+        for factor, vanishes in ((0.9, True), (1.2, False)):
+            level = sign * factor * GRAZES * scale / 4
+
+            def lam(t: Array, level: float = level) -> Array:
+                return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
+
+            s = bang(cost=cost, unit=unit, lam=lam)
+            assert _vanishing(s, sample).tolist() == ([1] if vanishes else [])
+    still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
+    assert _vanishing(still, 0).tolist() == [2]
+    given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
+    assert _vanishing(PhaseSamples.of(given, still.functions), 0).tolist() == []  # it has no range
+
+
+def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
+    """In a segment of 2e-5 s the switching function of w is three times as steep as in its neighbours."""
+    for short_first in (True, False):
+        edges = (
+            np.array([0.0, 1.0 - 2e-5, 1.0, 2.0]) if short_first else np.array([0.0, 1.0, 1.0 + 2e-5, 2.0])
+        )
+        switch, brief = 1.0, 1
+        model = go.Model("one")
+        x, u = model.state("x"), model.control("u")
+        model.ode({x: u})
+        problem = go.Problem("one")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 2.0)
+        problem.minimize(leg.final_time)
+        s = by_hand.samples(
+            problem,
+            lambda t, k: np.array([t]),
+            lambda t, k, e=edges, at=switch: np.array([(-1.0 if e[k] < at else 1.0) + 0 * t]),
+            lambda t, k, b=brief, e=switch: np.array([(e - t) * (1.0 if k == b else 3.0)]),
+            weights=(),
+            breaks=edges,
+            control_bounds=by_hand.interval(-1.0, 1.0),
+        )
+        worst = _worst_crossing(s)
+        assert worst is not None and worst.where == "phase leg, t = 1 s, u"
+        assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
+
+
+# --- the induced problem ----------------------------------------------------------------------------------
+
+
+def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
+    """Two rows that differ by 1e-12 are one: each takes half."""
+    rows = np.array([[1.0, 0.0], [1.0, 1e-12]])
+    induced: Any = SimpleNamespace(
+        unknowns=SimpleNamespace(free=np.array([True, True])),
+        conditions=SimpleNamespace(
+            active=(np.array([True, True]), np.array([True, True])), multipliers=np.zeros(2)
+        ),
+    )
+    multipliers = least_squares(np.array([4.0, 1.0]), rows, induced)[3]
+    np.testing.assert_allclose(multipliers, [-2.0, -2.0], rtol=1e-6)
+
+
+def test_precedences_are_those_of_the_places_of_each_phase() -> None:
+    """Two switches of the second phase come at one time; free starts and parameters follow the times."""
+    unknowns: Any = SimpleNamespace(
+        scale=np.ones(9), places={"one": np.array([0, 1, 2, 8]), "two": np.array([3, 4, 5, 6, 7, 8])}
+    )
+    one = Switches(np.array([0.5]), np.array([0]), np.zeros(1), np.array([0.0, 1.0]), np.ones(1), ("",))
+    two = Switches(
+        np.array([1.5, 1.5]), np.array([0, 1]), np.zeros(2), np.array([1.0, 2.0]), np.ones(2), ("", "")
+    )
+    switches = {"one": one, "two": two}
+    for order, sign in (((0, 1), 1.0), ((1, 0), -1.0)):
+        rows = _precedences(unknowns, {"one": (0,), "two": order}, switches)
+        expected = np.zeros((1, 9))
+        expected[0, [4, 5]] = -sign, sign
+        np.testing.assert_array_equal(rows, expected)
+    none = _precedences(unknowns, {"one": (0,)}, switches)
+    assert none.shape == (0, 9)
+
+
+def test_unknowns_of_two_phases() -> None:
+    """Scales are durations and spans; worths those of H, of each switch's control, of states, of the dearest phase."""
+    model = go.Model("one")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: u, y: 1.0})
+    problem = go.Problem("two")
+    q = problem.parameter("q", lower=0.0, upper=5.0)
+    r = problem.parameter("r", lower=2.0, upper=2.0)
+    legs = [problem.phase(name, model) for name in ("one", "two")]
+    legs[0].time(0.0, (0.5, 2.0))
+    legs[1].time((0.5, 2.0), 3.0)
+    legs[0].initial(x=0.5)
+    legs[1].initial(x=(0.0, 9.0), y=1.0)
+    for leg in legs:
+        leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(legs[1].final_state("x") + q + r)
+    phases = []
+    for leg, edges, cost in zip(legs, ((0.0, 0.4, 1.0), (1.0, 2.0, 3.0)), (1.0, 5.0), strict=True):
+        single = go.Problem("single")
+        single.phases[leg.name] = leg
+        phases.append(
+            by_hand.phase(
+                single,
+                lambda t, k: np.array([t, 2 * t]),
+                lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
+                lambda t, k, c=cost, e=edges[1]: np.array([c * (t - e), 0.3 * c + 0 * t]),
+                breaks=edges,
+            )
+        )
+    solution = from_problem(
+        by_hand.solution(
+            problem, *phases, parameter_values=np.array([3.0, 2.0]), parameter_multipliers=np.zeros(2)
+        )
+    )
+    samples = list(solution.samples().values())
+    found = Unknowns.of(solution, samples, {s.leg.name: Switches.of(s) for s in samples})
+    assert [label.split(", ")[-1].split(" at ")[0] for label in found.labels] == [
+        *("initial time", "switch of u", "final time", "initial y"),
+        *("initial time", "switch of u", "final time", "initial x"),
+        *("parameter q", "parameter r"),
+    ]
+    one, two = samples
+    np.testing.assert_allclose(
+        found.scale, [1, 1, 1, one.state_scale[1], 2, 2, 2, two.state_scale[0], 0.5, 2.0]
+    )
+    np.testing.assert_array_equal(found.free, [False, True, True, True, True, True, False, True, True, False])
+    h, k = one.hamiltonian_scale, two.hamiltonian_scale
+    np.testing.assert_allclose(
+        found.worth,
+        [h, 0.6 * 2, h, one.cost_scale, 2 * k, 2 * 5.0 * 2, 2 * k, two.cost_scale, *[two.cost_scale] * 2],
+        rtol=1e-6,
+    )
+    np.testing.assert_array_equal(found.places["one"], [0, 1, 2, 3, 8, 9])
+    np.testing.assert_array_equal(found.places["two"], [4, 5, 6, 7, 8, 9])
+    assert found.free_start["one"].tolist() == [1] and found.free_start["two"].tolist() == [0]
+
+
+# --- linear algebra ---------------------------------------------------------------------------------------
+
+
+def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
+    """((0, 1), (1, 0)) from (1, 0): the first curvature is nothing, the second step finds both."""
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    values, _ = lanczos(lambda v: swap @ v, np.array([1.0, 0.0]), 10)
+    np.testing.assert_allclose(values, [-1.0, 1.0], atol=1e-12)
+    nearly = np.diag([5.0, 1.0]) + 0.1 * FOUND * swap
+    assert lanczos(lambda v: nearly @ v, np.array([1.0, 0.0]), 10)[0].size == 1
+    # Where a later curvature is small beside the first, the first tells what counts.
+    chain = np.diag([5.0, 1e-9, 3.0]) + np.diag([1.0, 1e-8], 1) + np.diag([1.0, 1e-8], -1)
+    assert lanczos(lambda v: chain @ v, np.array([1.0, 0.0, 0.0]), 10)[0].size == 2
+
+
+def test_least_direction_where_everything_curves_downwards() -> None:
+    """All inverse curvatures beside the shift are negative: that nearest to zero is the most negative curvature."""
+    hessian = scipy.sparse.csc_array(np.diag([-3.0, -2.0, -5.0]))
+    every = scipy.sparse.eye_array(3, format="csc")
+    space = NullSpace(every, np.zeros(0, dtype=int), np.ones(0), scipy.sparse.csc_array((0, 3)))
+    direction = _least_direction(space, hessian)
+    assert direction is not None
+    # 1 / (-2 + 0.1) is the most negative: a curvature is found, not the least one; it is negative all the same.
+    np.testing.assert_allclose(np.abs(direction), [0.0, 1.0, 0.0], atol=1e-6)
+    up = _least_direction(space, scipy.sparse.csc_array(np.diag([3.0, 2.0, 5.0])))
+    assert up is not None
+    np.testing.assert_allclose(np.abs(up), [0.0, 1.0, 0.0], atol=1e-3)
+    assert _least_direction(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
+
+
+def test_arcs_are_closed_at_each_of_two_limits() -> None:
+    """A line that is pushed at 1 and at -1 holds what is doubtful at either, and not what is at 0.5."""
+    line = [np.arange(5)]
+    values = np.array([1.0, -1.0, 1.0, -1.0, 0.5])
+    pushed = np.array([True, True, False, False, False])
+    held, doubtful = pushed.copy(), np.array([False, False, True, True, True])
+    _close_arcs(line, values, pushed, held, doubtful)
+    np.testing.assert_array_equal(held, [True, True, True, True, False])
+    np.testing.assert_array_equal(doubtful, [False, False, False, False, True])
+
+
+@pytest.mark.parametrize("rate", [1e-13, -1e-13, 0.0])
+def test_planes_that_hardly_turn_are_not_reached(rate: float) -> None:
+    """To either side of zero by rounding, for half of the phase; a quarter of a turn is told from there."""
+    times = np.linspace(0.0, 1.0, 101)
+    flows = []
+    for k in range(100):
+        angle = rate if k < 50 else 0.02
+        flows.append([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    s: Any = SimpleNamespace(leg=SimpleNamespace(duration=1.0, states=SimpleNamespace(size=1)))
+    frame = np.array([[0.0], [1.0]])
+    system = (times, np.array(flows))
+    assert conjugate_points._first_crossing(s, system, frame, conjugate_points.START) is None
+    early = (times, np.array(flows[50:] + flows[:50]))
+    assert conjugate_points._first_crossing(s, early, frame, conjugate_points.START) == np.inf
+
+
+# --- samples ----------------------------------------------------------------------------------------------
+
+
+def test_two_jumps_are_movable_in_their_order() -> None:
+    """At the third and eighth of the breaks, however they are found."""
+    t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 4.5, 5.0, 5.5])
+    u = np.select([np.arange(14) < 3, np.arange(14) < 11], [1.0, -2.0], 3.0)
+    x = np.select([t <= 1.0, t <= 4.5], [t, 1.0 - 2 * (t - 1.0)], -6.0 + 3 * (t - 4.5))
+    fitted = fit(Samples(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    assert fitted.mesh.movable == (2, 9)
+    np.testing.assert_allclose(fitted.u(np.array([0.9, 1.1, 4.4, 4.6]))[0], [1.0, -2.0, -2.0, 3.0])
+    later = np.concatenate([t, [6.0, 6.0, 6.5, 7.0]])
+    levels = np.concatenate([u, [3.0, -1.0, -1.0, -1.0]])
+    ways = np.concatenate([x, [-1.5, -1.5, -2.0, -2.5]])
+    assert fit(Samples(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x).mesh.movable == (2, 9, 12)
+
+
+def test_which_interpolant_is_taken_is_told_interval_by_interval() -> None:
+    """Of a time the interval to its left ends with it; before the first and after the last sample their own count."""
+    t = np.arange(6.0)
+    u = np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
+    controls_at = _Controls(Samples(t, u[None], u[None]), [])
+    smooth, akima = _interpolants(t, u)
+    for k in range(5):
+        controls_at._kinked[:] = False
+        controls_at._kinked[k] = True
+        for j in range(5):
+            middle = j + 0.5
+            expected = akima(j + 0.3) if j == k else smooth(j + 0.3)
+            assert controls_at(j + 0.3, middle)[0, 0] == pytest.approx(float(expected), rel=1e-12)
+    controls_at._kinked[:] = [True, False, False, False, True]
+    assert controls_at(-0.2, -0.1)[0, 0] == pytest.approx(float(akima(-0.2)))
+    assert controls_at(5.2, 5.1)[0, 0] == pytest.approx(float(akima(5.2)))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_few_samples_are_interpolated_by_polynomials_wherever_they_are(n: int) -> None:
+    t = 1e4 + np.array([0.0, 1e-3, 3e-3])[:n]
+    u = 5.0 + 1e3 * (t - 1e4) - 2e5 * (t - 1e4) ** 2
+    smooth, other = _interpolants(t, u)
+    assert smooth is other
+    np.testing.assert_allclose(smooth(t), u, rtol=1e-9)
+    if n == 3:
+        at = 1e4 + np.array([5e-4, 2e-3])
+        np.testing.assert_allclose(smooth(at), 5.0 + 1e3 * (at - 1e4) - 2e5 * (at - 1e4) ** 2, rtol=1e-7)
+
+
+def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
+    """x' = u / (1 - x)^(1/2): where u = 2 lasts too long there is no root, and no number to compare with."""
+    t = np.array([0.0, 0.2, 0.4, 0.6])
+    switch, first, second = 0.26, 2.0, -1.0
+
+    def way(s: Array) -> Array:
+        return np.where(s < switch, first * s, first * switch + second * (s - switch))
+
+    def rates(t: Array, x: Array, u: Array) -> Array:
+        with np.errstate(invalid="ignore"):
+            return u * np.sqrt(np.where(x < 0.7, 1.0, np.nan))
+
+    u = np.where(t < switch, first, second)
+    samples = Samples(t, way(t)[None], u[None])
+    jump = _Jump(1, 0.3, (0,))
+    _place(samples, _Controls(samples, [jump]), [jump], rates)
+    assert jump.time == pytest.approx(switch, abs=1e-7)
+
+
+# --- what is said -----------------------------------------------------------------------------------------
+
+
+def test_misses_are_told_in_their_units() -> None:
+    """The worst in shares of its scale, with its excess in its own unit."""
+    box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
+    values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
+    worst = _worst_miss(values, box, scale, ["a", "b"], ["m", "kg"])
+    assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
+    assert _worst_miss(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
+    assert _worst_miss(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
+    gone = _worst_miss(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
+    assert gone.value == np.inf and gone.where.startswith("b off by")
+    assert _worst_miss(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
+
+
+def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
+    """`by_hand.cart` with its cost of 6, in some unit, and what the flight changes it by."""
+    problem = by_hand.cart()
+    leg = replace(by_hand.phase(problem), integrals=np.array([12.0]), integral_weights=np.array([0.5]))
+    solution = from_problem(by_hand.solution(problem, leg))
+    return solution, [replace(s, cost_magnitude=amount) for s in solution.samples().values()]
+
+
+@pytest.mark.parametrize("amount", [0.5, 1.0, 30.0])
+def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: float) -> None:
+    solution, samples = energetic(amount)
+    ends = ends_of(solution)
+    assert ends.cost == pytest.approx(6.0)
+    for stored in (5.75, 6.25):
+        off = feasibility.cost(replace(solution, objective=stored), samples, ends, True, 1e-6)
+        assert off.value == pytest.approx(0.25 / amount, rel=1e-6)
+        assert off.where == f"objective = {stored:g}, not 6"
+
+
+@pytest.mark.parametrize(
+    ("told", "what"), [(True, "weight of integral"), (True, "integral"), (False, "integral")]
+)
+def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> None:
+    """The integral of a^2 is 12, its weight 1 / 2: 0.3 of the one is worth 0.15, 0.1 of the other 1.2."""
+    solution, samples = energetic(2.0)
+    leg = solution.phase()
+    changes = {
+        "weight of integral": {"integral_weights": np.array([0.6])},
+        "integral": {"integrals": np.array([12.3])},
+    }
+    wrong = replace(solution, phases={"leg": replace(leg, **changes[what])})
+    found = feasibility.cost(wrong, samples, ends_of(solution), told, 1e-6)
+    assert found.value == pytest.approx(0.6 if "weight" in what else 0.075, rel=1e-6)
+    assert found.where.startswith(f"phase leg, {what} ")
+    if what == "integral" and not told:
+        lost = replace(solution, phases={"leg": replace(leg, integral_weights=np.array([np.nan]))})
+        assert feasibility.cost(lost, samples, ends_of(solution), False, 1e-6).value < 1e-9
+
+
+def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
+    """u is without slope and curvature from 0.5 s of 2 s on."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(x))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([1.0 - k + 0 * t]),
+        lambda t, k: np.array([k - 1.0 + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
+        control_bounds=by_hand.interval(-1.0, 1.0),
+    )
+    condition = controls.singular_arcs([s], 1e-5, [controls.undetermined(s, 1e-5)[0]])
+    assert condition.result is Result.CANNOT_TELL and condition.sufficient
+    assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
+    assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
+    none = controls.singular_arcs([], 1e-5, [])
+    assert none.result is Result.PASS and none.where == "nowhere" and none.sufficient
+
+
+def test_a_missing_costate_among_zeros_is_none() -> None:
+    """Of two phases one has zeros and one has nothing: neither is told."""
+    problem = by_hand.cart()
+    zero = by_hand.phase(problem, lam=lambda t, k: np.zeros((2, t.size)))
+    gone = by_hand.phase(problem, lam=lambda t, k: np.full((2, t.size), np.nan))
+    solution = by_hand.solution(problem, zero)
+    ends = ends_of(solution)
+    samples = {
+        name: PhaseSamples.of(leg, by_hand.functions(problem)) for name, leg in (("z", zero), ("g", gone))
+    }
+    assert has_costates([samples["z"]], ends, 1.0)
+    assert not has_costates([samples["z"], samples["g"]], ends, 1.0)
+    assert not has_costates([samples["g"]], ends, 1.0)
+
+
+def test_the_first_missing_number_has_its_place() -> None:
+    problem = by_hand.cart()
+    base = by_hand.phase(problem)
+    assert missing_number(by_hand.solution(problem, base), True).value == 0.0
+
+    def hole(t: Array, k: int) -> Array:
+        return by_hand.rest(t, k) * (np.nan if k == 1 else 1.0)
+
+    gone = by_hand.solution(problem, by_hand.phase(problem, hole))
+    worst = missing_number(gone, False)
+    assert worst.value == np.inf and worst.where == "phase leg, segment 2 (0.5 to 1 s), x is not finite"
+    dual = by_hand.solution(problem, replace(base, lam_start=np.full_like(base.lam_start, np.nan)))
+    assert missing_number(dual, False).value == 0.0
+    assert missing_number(dual, True).where == "phase leg, lam_start is not finite"
+    cost = by_hand.solution(problem, base, objective=float("nan"))
+    assert missing_number(cost, False).where == "objective is not finite"
+
+
+def test_integrals_without_integrands_have_no_span() -> None:
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.final_state("x"))
+    one = (lambda t, k: np.array([t]),) * 3
+    assert integral_spans(by_hand.samples(problem, *one, weights=())).shape == (0,)
+
+
+def test_a_trajectory_without_controls_needs_none() -> None:
+    assert _shaped([], (0, 5), "controls").shape == (0, 5)
+    with pytest.raises(go.ProblemError, match=r"has shape \(1,\) where \(0, 5\)"):
+        _shaped([3.0], (0, 5), "controls")
+    np.testing.assert_array_equal(_shaped([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
+    with pytest.raises(go.ProblemError, match="not every number is finite"):
+        _shaped([1.0, np.inf], (1, 2), "x")
+
+
+@pytest.mark.parametrize("maximised", [False, True])
+def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: bool) -> None:
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 5)
+    sign = 1.0 if maximised else -1.0
+    samples = {"leg": Samples(t, sign * t[None], sign + 0 * t[None])}
+    found = _solution(problem, samples, np.zeros(0), parts=1)
+    assert found.maximised is maximised and found.objective == pytest.approx(sign)
+    assert go.verify(found).ok
+
+
+@pytest.mark.parametrize(
+    ("told", "missing", "judged"),
+    [(True, 0.0, True), (True, np.inf, False), (False, 0.0, False), (False, np.inf, False)],
+)
+def test_variations_are_judged_only_with_all_numbers(
+    monkeypatch: pytest.MonkeyPatch, told: bool, missing: float, judged: bool
+) -> None:
+    module = importlib.import_module(
+        "gnc_opt.planning.verification.engine"
+    )  # the name is that of the function, too
+    problem = by_hand.cart()
+    leg = by_hand.phase(problem)
+    asked = []
+    monkeypatch.setattr(module, "has_costates", lambda *given: told)
+    monkeypatch.setattr(module, "missing_number", lambda *given: Worst(missing, "there"))
+    monkeypatch.setattr(module, "_second_order", lambda *given: asked.append(1) or [])
+    verdict = go.verify(by_hand.solution(problem, leg, objective=6.0))
+    assert bool(asked) is judged
+    if not judged:
+        second = verdict["second order"]
+        assert second.result is Result.CANNOT_TELL and second.sufficient
+        assert second.where == ("there" if told else "everywhere")
+    assert verdict.not_judged == ("" if told else "no costates")
+
+
+# --- more corners -----------------------------------------------------------------------------------------
+
+
+def test_both_ends_of_a_spectrum_must_have_settled() -> None:
+    """((0, b), (b, c)): eigenvectors whose last components are known; in shares of the largest eigenvalue."""
+    diagonal, beside = [0.0, 3.0], [1.0]
+    values, vectors = np.linalg.eigh(np.array([[0.0, 1.0], [1.0, 3.0]]))
+    worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
+    for factor, settled in ((0.99, True), (1.01, False)):
+        assert _settled(diagonal, beside, factor * SETTLED * largest / worst) is settled
+
+
+def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that what they curve by counts as it is; the others are scaled to unit gradients."""
+    point: Any = SimpleNamespace(
+        x=np.zeros(2),
+        transcription=None,
+        jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
+    )
+    monkeypatch.setattr(null_space, "variation_weights", lambda transcription: np.array([1.0, 4.0]))
+    found = NullSpace.of(point, np.array([False, False, True, True]))
+    np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
+    np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
+    np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])
+
+
+def test_ones_take_the_place_of_nothing() -> None:
+    np.testing.assert_array_equal(_or_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> None:
+    """Farthest in one direction in 1 s at |u| <= 1: the costate is minus the direction, the bound pushes along it."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("far")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(-sign * leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 5)
+    fitted = {"leg": fit(Samples(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)}
+    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    found = estimate(transcription, problem, fitted, np.zeros(0))
+    part = transcription.parts["leg"].collocation
+    np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature, sign, rtol=1e-6)
+    assert found.lam_x[part.boundary_states[0, 0]] == pytest.approx(sign, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
+    """w over its range of 4, in any unit; u rests on its own."""
+    for off, told in ((3e-6, True), (5e-6, False)):
+        s = bang(unit=unit)
+        box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
+        s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
+        assert bool(np.all(_on_bound(s)[1])) is told and np.all(_on_bound(s)[[0, 2]])
+
+
+def test_given_times_do_not_change_the_cost() -> None:
+    """The final time is given, the initial one is not: it moves by the 2 s of the phase."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("times")
+    leg = problem.phase("leg", model)
+    leg.time((-9.0, 9.0), 2.0)
+    problem.minimize(1000 * leg.final_time + 3 * leg.initial_time)
+    base = by_hand.phase(
+        problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
+        breaks=(0.0, 0.5, 2.0),
+    )  # fmt: skip
+    solution = from_problem(by_hand.solution(problem, base))
+    found = Magnitudes.of(solution, list(solution.samples().values()))
+    assert found.cost == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("maximised", [False, True])
+def test_what_is_judged_is_maximised_as_its_problem_says(maximised: bool) -> None:
+    problem = go.Problem("way")
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
+    one = (lambda t, k: np.array([t]),) * 3
+    stored = by_hand.solution(problem, by_hand.phase(problem, *one), maximised=not maximised)
+    assert from_problem(stored).maximised is maximised
+
+
+def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(x**2))
+    s = by_hand.samples(
+        problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
+        weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
+    )  # fmt: skip
+    monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
+    (arc,) = singular.singular_arcs(problem, s, *controls.undetermined(s, 1e-5), 1e-5)
+    assert (arc.order, arc.least) == (0, 0.0)
+    assert arc.why == "the switching function has too large a derivative of order 0"
+
+
+def test_unmarked_jumps_begin_in_the_middle_of_their_interval() -> None:
+    """Ten times the changes beside it; one given twice is none of them."""
+    t = np.array([1.0, 2.0, 4.0, 5.0, 5.0, 6.0, 7.0])
+    u = np.array([[0.0, 0.1, 5.0, 5.1, 9.0, 9.1, 9.2], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])
+    (jump,) = _unmarked_jumps(Samples(t, u, u), np.array([3]))
+    assert (jump.after, jump.time, jump.channels, jump.of_slope) == (1, 3.0, (0,), False)
+
+
+def test_the_first_sample_without_a_number_ends_the_flight() -> None:
+    """A state that has none from the second segment on, a parameter that has none at all."""
+    problem = by_hand.cart()
+
+    def hole(t: Array, k: int) -> Array:
+        return by_hand.rest(t, k) * np.array([[1.0], [np.nan if k else 1.0]])
+
+    s = by_hand.samples(problem, hole)
+    worst = feasibility._missing_number(s)
+    assert worst is not None and worst.value == np.inf and worst.where == "phase leg, t = 0.5 s: not finite"
+    assert feasibility._missing_number(by_hand.samples(problem)) is None
+    lost = replace(s.functions, q=np.array([np.nan]))
+    gone = feasibility._missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
+    assert gone is not None and gone.where == "a free parameter is not finite"
+
+
+def test_a_verdict_is_kept_for_its_tolerance() -> None:
+    problem = by_hand.cart()
+    solution = by_hand.solution(problem, by_hand.phase(problem))
+    first = go.verify(solution, tol=1e-3)
+    assert not first.estimated
+    assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
+
+
+def test_a_fit_takes_the_interpolant_that_carries_the_states() -> None:
+    """Beside a kink that is not located, in seven samples, a spline ripples by 1e-2."""
+    t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
+    u = np.maximum(t - 1.2, 0.0)
+    fitted = fit(Samples(t, np.array([u**2 / 2, t]), u[None]), lambda t, x, u: np.array([u[0], 1 + 0 * t]))
+    np.testing.assert_allclose(fitted.u(np.array([0.2, 0.6]))[0], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("turn", "seen"), [(0.015, False), (0.03, True)])
+def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool) -> None:
+    """In 0.1 s by a thousandth of the range of 2."""
+    t = np.linspace(0.0, 2.0, 21)
+    u = t + turn * np.maximum(t - 1.03, 0.0)
+    found = _kinks_of(t, u, 5, 2)
+    assert len(found) == seen
+    for kink in found:
+        assert kink.after == 15 and kink.time == pytest.approx(1.03, abs=1e-6)
+        assert kink.channels == (2,) and kink.of_slope
+
+
+def test_interpolants_are_the_spline_and_the_modified_akima_spline() -> None:
+    """Between a flat stretch and a slope Akima's own has an undershoot where the modified one stays flat."""
+    t, u = np.arange(7.0), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
+    smooth, akima = _interpolants(t, u)
+    slopes = np.diff(u)
+    # Weights |m3 - m2| + |m3 + m2| / 2 and |m1 - m0| + |m1 + m0| / 2 of the slopes beside the sample at 3.
+    left, right = abs(slopes[4] - slopes[3]) + abs(slopes[4] + slopes[3]) / 2, 0.0
+    right = abs(slopes[2] - slopes[1]) + abs(slopes[2] + slopes[1]) / 2
+    expected = (left * slopes[2] + right * slopes[3]) / (left + right)
+    assert float(akima(3.0, 1)) == pytest.approx(expected)
+    left = abs(slopes[3] - slopes[2]) + abs(slopes[3] + slopes[2]) / 2
+    right = abs(slopes[1] - slopes[0]) + abs(slopes[1] + slopes[0]) / 2
+    assert float(akima(2.0, 1)) == pytest.approx((left * slopes[1] + right * slopes[2]) / (left + right))
+    assert float(akima(1.5)) == 0.0 and abs(float(smooth(1.5))) > 1e-2
+
+
+@pytest.mark.parametrize("cost", [1.0, 1e3])
+def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) -> None:
+    """bend u^2 / 2 over a range of 5."""
+    for factor, told in ((0.9, True), (1.1, False), (-5.0, True)):
+        bend = 0.0
+        for _ in range(2):  # H's scale depends on the curvature only a little
+            model = go.Model("one")
+            x, u = model.state("x"), model.control("u")
+            model.ode({x: u})
+            problem = go.Problem("one")
+            leg = problem.phase("leg", model)
+            leg.time(0.0, 2.0)
+            problem.minimize(leg.integral(cost * (x + bend * u**2 / 2)))
+            s = by_hand.samples(
+                problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 + 0 * t]),
+                lambda t, k: np.array([-cost + 0 * t]), weights=(1.0,), breaks=(0.0, 2.0),
+                control_bounds=by_hand.interval(-1.0, 4.0),
+            )  # fmt: skip
+            bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
+        assert bool(np.all(straight(s))) is told

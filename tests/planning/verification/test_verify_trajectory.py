@@ -1,0 +1,374 @@
+"""verify_trajectory: closed forms pass at the accuracy of their samples, what is wrong fails, mistakes are named."""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from testing.wrong_solutions import design_problem, double_integrator
+
+import gnc_opt as go
+from problems.classics import interior_point, zermelo
+
+Array = NDArray[np.float64]
+Trajectory = tuple[Array, Any, Any]
+
+
+def least_energy(most: float | None = None) -> go.Problem:
+    problem = go.Problem("least energy")
+    leg = problem.phase("leg", double_integrator())
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    if most is not None:
+        leg.bounds(a=(-most, most))
+    problem.minimize(leg.integral(leg.model.symbol("a") ** 2))
+    return problem
+
+
+def smooth(n: int = 41) -> Trajectory:
+    """a = 6 - 12 t."""
+    t = np.linspace(0.0, 1.0, n)
+    return t, {"q": 3 * t**2 - 2 * t**3, "v": 6 * t - 6 * t**2}, {"a": 6 - 12 * t}
+
+
+def least_time() -> go.Problem:
+    problem = go.Problem("least time")
+    leg = problem.phase("leg", double_integrator())
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def two_pulses(t: Array, switch: float = 1.0, force: float = 1.0) -> tuple[Array, Array]:
+    """From rest at 1 m to rest at 0 with the accelerations -force and, after the switch, force * s / (t_f - s)."""
+    brake = 2 / switch - force  # comes to rest at 0: v_s = -force s, q_s = 1 - force s^2 / 2
+    after = t > switch
+    x = np.where(
+        after,
+        [1 - force * switch**2 / 2 - force * switch * (t - switch) + brake * (t - switch) ** 2 / 2,
+         -force * switch + brake * (t - switch)],
+        [1 - force * t**2 / 2, -force * t],
+    )  # fmt: skip
+    return x, np.where(after, brake, -force)
+
+
+def failed(problem: go.Problem, trajectory: Trajectory, **options: Any) -> set[str]:
+    return {c.name for c in go.verify_trajectory(problem, *trajectory, **options).failed}
+
+
+# --- right ------------------------------------------------------------------------------------------------
+
+
+def test_smooth_closed_form_passes_to_rounding() -> None:
+    """The samples' polynomials are the solution's, and least squares finds the costates 12 and 12 t - 6 (times 2)."""
+    verdict = go.verify_trajectory(least_energy(), *smooth(), tol=1e-10)
+    assert verdict.minimum and verdict.estimated, verdict.explain()
+    assert "multipliers estimated" in verdict.explain()
+
+
+def test_switch_between_samples_is_found_by_the_states() -> None:
+    """No sample is at the switch, 1 s, nor is it said where it is."""
+    t = np.sort(np.concatenate([[0.0, 2.0], np.random.default_rng(0).uniform(0.0, 2.0, 30)]))
+    verdict = go.verify_trajectory(least_time(), t, *two_pulses(t), tol=1e-8)
+    assert verdict.minimum, verdict.explain()
+
+
+def test_switch_at_a_time_given_twice() -> None:
+    t = np.array([0.0, 0.4, 0.8, 1.0, 1.0, 1.3, 2.0])
+    x, _ = two_pulses(t)
+    verdict = go.verify_trajectory(least_time(), t, x, [-1, -1, -1, -1, 1, 1, 1], tol=1e-8)
+    assert verdict.ok, verdict.explain()
+
+
+def test_kinks_between_samples_are_found_where_both_sides_meet() -> None:
+    """The force is at its limit m = 4.5 up to s and from 1 - s on, and linear in between; no sample is there.
+
+    The distance of 1 asks for 3 - (1 - 2 s)^2 = 12 / m.
+    """
+    most = 4.5
+    s = (1 - np.sqrt(3 - 12 / most)) / 2
+    t = np.linspace(0.0, 1.0, 60)
+    slope = most / (0.5 - s)
+
+    def first_half(t: Array) -> Array:
+        late = np.maximum(t - s, 0.0)
+        return np.array([most * t**2 / 2 - slope * late**3 / 6, most * t - slope * late**2 / 2])
+
+    there, back = first_half(np.minimum(t, 0.5)), first_half(np.minimum(1 - t, 0.5))
+    x = np.where(t <= 0.5, there, [1 - back[0], back[1]])
+    a = np.clip(slope * (0.5 - t), -most, most)
+    assert x[0, -1] == pytest.approx(1.0) and first_half(np.array([0.5]))[0, 0] == pytest.approx(0.5)
+    verdict = go.verify_trajectory(least_energy(most), t, x, a)
+    assert verdict.ok, verdict.explain()
+
+
+def test_trigonometric_closed_form_passes_at_the_accuracy_of_its_samples() -> None:
+    """Zermelo's heading is an arctangent of time: errors of the fourth order in the sampling interval."""
+    final = zermelo.REFERENCE.value
+    worst = []
+    for n in (41, 81):
+        t = np.linspace(0.0, final, n)
+        exact = zermelo.closed_form(t)
+        verdict = go.verify_trajectory(zermelo.build(), t, exact.states, exact.controls)
+        assert verdict.ok, verdict.explain()
+        worst.append(verdict["dynamics"].value)
+    assert 8 < worst[0] / worst[1] < 64
+
+
+def test_several_phases_and_a_parameter() -> None:
+    solution = go.solve(interior_point.build(), tol=1e-8)
+    times = {name: np.linspace(leg.initial_time, leg.final_time, 61) for name, leg in solution.phases.items()}
+    x = {name: leg.x(times[name]) for name, leg in solution.phases.items()}
+    u = {name: leg.flown(times[name]) for name, leg in solution.phases.items()}
+    verdict = go.verify_trajectory(interior_point.build(), times, x, u)
+    assert verdict.ok, verdict.explain()
+    assert go.verify_trajectory(design_problem(), *smooth(), p={"k": 1.5}, tol=1e-8).ok
+    assert failed(design_problem(), smooth(), p=[1.501]) == {"parameters"}
+
+
+# --- wrong ------------------------------------------------------------------------------------------------
+
+EPS = 1e-3
+
+
+def late(n: int = 41) -> Trajectory:
+    t, x, u = smooth(n)
+    return 1.001 * t, x, u
+
+
+def other_minimum() -> Trajectory:
+    """The states of another control: a = 6 - 12 t + eps (1 - 6 t + 6 t^2), which does not change the end."""
+    t, x, u = smooth()
+    dv, dq = EPS * (t - 3 * t**2 + 2 * t**3), EPS * (t**2 / 2 - t**3 + t**4 / 2)
+    return t, {"q": x["q"] + dq, "v": x["v"] + dv}, {"a": u["a"] + EPS * (1 - 6 * t + 6 * t**2)}
+
+
+def shifted(kind: int, name: str) -> Trajectory:
+    trajectory = smooth()
+    trajectory[kind][name] = trajectory[kind][name] + EPS
+    return trajectory
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sees"),
+    [
+        (other_minimum, "stationarity"),
+        (late, "boundary conditions"),
+        (lambda: shifted(1, "q"), "boundary conditions"),
+        (lambda: shifted(1, "v"), "dynamics"),
+        (lambda: shifted(2, "a"), "propagation"),
+    ],
+)
+def test_wrong_by_a_thousandth_fails(wrong: Callable[[], Trajectory], sees: str) -> None:
+    assert sees in failed(least_energy(), wrong())
+
+
+def test_feasible_switch_at_the_wrong_time_fails() -> None:
+    """Weaker braking after an earlier switch keeps all limits and takes longer: no multipliers explain it."""
+    switch, force = 0.98, 1.0
+    brake = 2 / switch - force
+    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    assert brake > 1  # keeps no limit, so that bounds must see it
+    assert "bounds" in failed(least_time(), (t, *two_pulses(t, switch)))
+    switch = 1.02
+    brake = 2 / switch - force
+    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    assert brake < 1
+    assert not go.verify_trajectory(least_time(), t, *two_pulses(t, switch)).ok
+
+
+def test_limit_crossed_by_the_control_fails() -> None:
+    assert "bounds" in failed(least_energy(5.99), smooth())
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"t": np.linspace(0, 1, 5)[::-1]}, "decrease"),
+        ({"t": np.zeros(5)}, "two or more"),
+        ({"t": [0.0, 0.5, 0.5, 0.5, 1.0]}, "more than twice"),
+        ({"t": [0.0, 0.0, 0.5, 0.7, 1.0]}, "at an end"),
+        ({"t": np.linspace(0, 1, 6)}, "one column per time"),
+        ({"x": np.zeros((3, 5))}, r"shape \(3, 5\) where \(2, 5\)"),
+        ({"x": {"q": np.zeros(5)}}, "state 'v'.* is missing"),
+        ({"x": {"q": np.zeros(5), "w": np.zeros(5)}}, "no state 'w'"),
+        ({"u": {"b": np.zeros(5)}}, "no control 'b'"),
+        ({"u": [0, 0, np.nan, 0, 0]}, "not every number is finite"),
+        ({"u": "fast"}, "fast"),
+        ({"p": [1.0]}, "1 values: give 0"),
+        ({"p": {"mass": 1.0}}, "no free parameter 'mass'"),
+        ({"t": {"legs": np.linspace(0, 1, 5)}, "x": {}, "u": {}}, "no phase 'legs'"),
+    ],
+)
+def test_mistakes_are_named(change: dict[str, Any], says: str) -> None:
+    usual: dict[str, Any] = {"t": np.linspace(0, 1, 5), "x": np.zeros((2, 5)), "u": np.zeros(5), "p": None}
+    with pytest.raises(go.ProblemError, match=says):
+        go.verify_trajectory(least_energy(), **(usual | change))
+
+
+def test_missing_parameters_and_phases_are_named() -> None:
+    with pytest.raises(go.ProblemError, match=r"\['k'\] are missing"):
+        go.verify_trajectory(design_problem(), *smooth())
+    with pytest.raises(go.ProblemError, match="there are several"):
+        go.verify_trajectory(interior_point.build(), *smooth())
+
+
+def three_arcs(*durations: float) -> tuple[Array, Array]:
+    """Times of arcs one after the other, both ends of each included, and which arc each is of."""
+    ends = np.cumsum([0.0, *durations])
+    times = np.concatenate([np.linspace(a, b, 21) for a, b in itertools.pairwise(ends)])
+    return times, np.repeat(np.arange(len(durations)), 21)
+
+
+def speed_limited(unit: float, *, in_time: bool) -> go.Problem:
+    """Rest to rest over one unit, at no more than 1.3: with the least effort in 1 s, or in the least time."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("speed limited")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 9.0) if in_time else 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=unit, v=0.0)
+    leg.bounds(v=(None, 1.3 * unit))
+    if in_time:
+        leg.bounds(a=(-8.0 * unit, 8.0 * unit))
+    problem.minimize(leg.final_time if in_time else leg.integral((a / unit) ** 2))
+    return problem
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+def test_an_arc_given_with_both_its_ends_twice_is_a_minimum(unit: float) -> None:
+    """The control has kinks there and no jumps, so that these times are none to be optimised."""
+    rise = 1.5 * (1 - 1 / 1.3)  # the area under the speed is 1
+    t, arc = three_arcs(rise, 1 - 2 * rise, rise)
+    left = np.choose(arc, [1 - t / rise, 0 * t, 1 - (1 - t) / rise])  # how far from the limit
+    way = np.choose(arc, [rise / 3 * (left**3 - 1), -rise / 3 + 0 * t, -rise / 3 * (1 + left**3)])
+    states = [unit * (1.3 * (t + way)), unit * 1.3 * (1 - left**2)]
+    force = unit * 2.6 / rise * left * np.choose(arc, [1, 0, -1])
+    verdict = go.verify_trajectory(speed_limited(unit, in_time=False), t, states, force)
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None:
+    """The control is on a bound, then where the limit wants it, then on the other bound."""
+    rise = 1.3 / 8
+    last = 1 / 1.3 + rise
+    t, arc = three_arcs(rise, last - 2 * rise, rise)
+    way = np.choose(arc, [4 * t**2, 1.3 * (t - rise / 2), 1 - 4 * (last - t) ** 2])
+    speed = np.choose(arc, [8 * t, 1.3 + 0 * t, 8 * (last - t)])
+    force = unit * np.choose(arc, [8.0, 0.0, -8.0])
+    problem = speed_limited(unit, in_time=True)
+    verdict = go.verify_trajectory(problem, t, [unit * way, unit * speed], force)
+    assert verdict.minimum, verdict.explain()
+    slow = 1.001  # takes its time
+    late = go.verify_trajectory(problem, slow * t, [unit * way, unit * speed / slow], force / slow**2)
+    assert not late.ok and late["propagation"].result is go.Result.PASS
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_a_mixed_constraint_that_holds_all_along_determines_the_control(share: float, unit: float) -> None:
+    """As far as possible with x + u <= 1: riding on the limit is best, and the limit never moves."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("mixed")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(0.0, 2.0 * unit))
+    leg.path("sum", x + u, upper=unit)
+    problem.maximize(leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 41)
+    rest = np.exp(-share * t)
+    verdict = go.verify_trajectory(problem, t, unit * (1 - rest), unit * share * rest)
+    assert verdict.minimum is (share == 1.0), verdict.explain()
+    assert verdict.ok is (share == 1.0)
+
+
+def one_state(rates: Callable[[Any, Any], Any], **bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:
+    model = go.Model("one state")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: rates(x, u)})
+    problem = go.Problem("one state")
+    leg = problem.phase("leg", model)
+    leg.bounds(**bounds)
+    return problem, leg
+
+
+@pytest.mark.parametrize("price", [0.3, 30.0])
+def test_bounds_that_leave_one_way_only_push_the_right_way(price: float) -> None:
+    """x' = u <= 1 from 0 to 1 in 1 s is u = 1 whatever it costs: its costate may be anything that is low enough."""
+    problem, leg = one_state(lambda x, u: u, u=(-1.0, 1.0))
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    u, x = leg.model.symbol("u"), leg.model.symbol("x")
+    problem.minimize(leg.integral(u**2 + price * x))
+    t = np.linspace(0.0, 1.0, 31)
+    assert go.verify_trajectory(problem, t, t, 1 + 0 * t).ok
+
+
+def test_costates_faster_than_the_states() -> None:
+    """x' = -u sqrt(x), u <= 1, empties from 1 to 0.01 in 1.8 s: lam = -1 / sqrt(x), though x is a parabola."""
+    problem, leg = one_state(lambda x, u: -u * ca.sqrt(x), u=(0.0, 1.0))
+    leg.time(0.0, (0.1, 50.0))
+    leg.initial(x=1.0)
+    leg.final(x=0.01)
+    problem.minimize(leg.final_time)
+    for u, right in ((1.0, True), (0.9, False)):
+        t = np.linspace(0.0, 1.8 / u, 61)
+        verdict = go.verify_trajectory(problem, t, (1 - u * t / 2) ** 2, u + 0 * t)
+        assert verdict["adjoint equation"].result.value == "PASS"
+        assert verdict.ok is right
+
+
+@pytest.mark.parametrize("bend", [0.5, -0.5, -1.5])
+def test_a_free_constant_that_is_stated_as_a_state_counts_as_a_variable(bend: float) -> None:
+    """x' = u + k, k' = 0: (1 - k)^2 + bend (k - 1/2)^2 + k is stationary at k = 1/2 and least there for bend > -1."""
+    model = go.Model("drift")
+    x, k, u = model.state("x"), model.state("k"), model.control("u")
+    model.ode({x: u + k, k: 0 * k})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    end = leg.final_state("k")
+    problem.minimize(leg.integral(u**2) + bend * (end - 0.5) ** 2 + end)
+    t = np.linspace(0.0, 1.0, 21)
+    verdict = go.verify_trajectory(problem, t, [t, 0.5 + 0 * t], 0.5 + 0 * t)
+    assert verdict.minimum if bend > -1 else [c.name for c in verdict.failed] == ["second order"]
+
+
+@pytest.mark.parametrize("bend", [2.0, -3.0])
+def test_a_free_constant_beside_a_switch(bend: float) -> None:
+    """Rest to rest over 1 with the push k takes 2 / sqrt(k); k - 1 + bend (k - 1)^2 on top is stationary at 1."""
+    model = go.Model("push")
+    q, v, k, u = model.state("q"), model.state("v"), model.state("k"), model.control("u")
+    model.ode({q: v, v: k * u, k: 0 * k})
+    problem = go.Problem("push")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 20.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    end = leg.final_state("k")
+    problem.minimize(leg.final_time + end - 1 + bend * (end - 1) ** 2)
+    s = np.linspace(0.0, 1.0, 21)
+    t, u_given = np.append(s, 1 + s), np.repeat([1.0, -1.0], 21)
+    states = [np.append(s**2 / 2, 1 - (1 - s) ** 2 / 2), np.append(s, 1 - s), 1 + 0 * t]
+    verdict = go.verify_trajectory(problem, t, states, u_given)
+    assert verdict.minimum if bend > 0 else [c.name for c in verdict.failed] == ["second order"]

@@ -1,0 +1,544 @@
+"""Every condition of the verdict sees what it should see: a solution that is wrong by one part in a thousand."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from testing.wrong_solutions import (
+    added,
+    bang_bang,
+    ceiling,
+    design_problem,
+    designed,
+    energy,
+    failed,
+    forged,
+    free_time,
+    hilltop,
+    mixed_limit,
+    moved,
+    nothing_to_gain,
+    nowhere_to_go,
+    one_switch,
+    scaled,
+    shifted,
+    singular,
+    singular_problem,
+    two_valleys,
+    upper,
+    with_leg,
+)
+
+import gnc_opt as go
+from gnc_opt.planning.optimality.costate_jumps import jumps_explained, settle_edges
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.solution.propagation import propagate
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.verification.control_conditions import singular_arcs, undetermined
+
+SMALL = 1e-3
+
+Q, V, A = 0, 1, 0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A correct solution, a mistake of relative size e, the condition that must see it, and those that may."""
+
+    condition: str
+    what: str
+    correct: Callable[[], go.Solution]
+    wrong: Callable[[go.Solution, float], go.Solution]
+    others: frozenset[str] = frozenset()
+
+    def __str__(self) -> str:
+        return f"{self.condition}: {self.what}"
+
+
+def case(condition: str, what: str, correct: object, wrong: object, *others: str) -> Case:
+    return Case(condition, what, correct, wrong, frozenset(others))  # type: ignore[arg-type]
+
+
+def without_time(solution: go.Solution, e: float) -> go.Solution:
+    """The optimum for a final time that is off by e, passed off as that for a free one."""
+    right = free_time()
+    late = free_time(float(right.phase().final_time) * (1 + e))
+    leg = right.phase()
+    return replace(
+        with_leg(late, final_time_bounds=leg.final_time_bounds, duration_bounds=leg.duration_bounds),
+        problem=right.problem,
+    )
+
+
+def hidden_by_duration(solution: go.Solution, e: float) -> go.Solution:
+    """The same, with a multiplier of a limit on the duration that the problem does not have."""
+    late = without_time(solution, e)
+    gap = -1.0 - float(late.hamiltonian(late.phase().final_time, side="left"))
+    return with_leg(late, duration_multiplier=gap)
+
+
+def fixed_end_passed_off_as_free(solution: go.Solution, e: float) -> go.Solution:
+    """nu on an inactive constraint takes up a costate that should vanish: q_f <= 5 does not hold q_f at 1."""
+    return replace(solution, constraint_multipliers=solution.constraint_multipliers + e * 12.0)
+
+
+CASES = [
+    case("dynamics", "position off between two nodes", energy, lambda s, e: added(s, "x", Q, e, 1, 2)),
+    case("dynamics", "jump between two segments", energy, lambda s, e: added(s, "x", Q, e, 1)),
+    case(
+        "propagation", "control off in a segment", energy, lambda s, e: added(s, "u", A, 20 * e, 1),
+        "dynamics", "stationarity", "Hamiltonian", "minimum principle", "cost",
+    ),
+    case("bounds", "speed limit just below the top speed", energy,
+         lambda s, e: with_leg(s, state_bounds=upper(s.phase().state_bounds, V, 1.5 - 10 * e))),
+    case("bounds", "parameter beyond its limit", designed,
+         lambda s, e: replace(s, problem=design_problem(1.5 * (1 - e)))),
+    case("path constraints", "limit just below the top speed", energy,
+         lambda s, e: with_leg(s, path_bounds=upper(s.phase().path_bounds, 0, 1.5 * (1 - e)))),
+    case("boundary conditions", "final position off", energy,
+         lambda s, e: with_leg(s, final_bounds=shifted(s.phase().final_bounds, e))),
+    case("boundary conditions", "final time that is not the trajectory's", bang_bang,
+         lambda s, e: replace(with_leg(s, final_time=2.0 * (1 + e)), objective=2.0 * (1 + e))),
+    case("cost", "objective off", energy, lambda s, e: replace(s, objective=s.objective * (1 + e))),
+    case("cost", "integral off", energy, lambda s, e: forged(s, integrals=s.phase().integrals * (1 + e))),
+    case("cost", "weight of an integral off", energy,
+         lambda s, e: forged(s, integral_weights=s.phase().integral_weights * (1 + e))),
+    case("stored numbers", "limit that the problem does not have", energy,
+         lambda s, e: forged(s, state_bounds=upper(s.phase().state_bounds, V, 5 * (1 + e)))),
+    case("adjoint equation", "costate off in a segment", energy, lambda s, e: scaled(s, "lam", 1 + e, 1),
+         "stationarity", "Hamiltonian"),
+    case("adjoint equation", "costate bent between two nodes", energy,
+         lambda s, e: added(s, "lam", V, 6 * e, 1, 2), "stationarity", "Hamiltonian"),
+    case("adjoint equation", "jump of a costate whose state no constraint holds", ceiling,
+         lambda s, e: added(s, "lam", V, 6 * e, 1), "stationarity", "Hamiltonian"),
+    case("transversality", "costates too large for the cost", bang_bang, lambda s, e: scaled(s, "lam", 1 + e)),
+    case("transversality", "final time not optimal", free_time, without_time),
+    case("transversality", "final time not optimal, hidden by a multiplier", free_time, hidden_by_duration),
+    case("Hamiltonian", "costate shifted: a switch at another time", bang_bang,
+         lambda s, e: added(s, "lam", V, e), "control signs", "minimum principle", "transversality"),
+    case("stationarity", "control off in a segment", energy, lambda s, e: added(s, "u", A, 20 * e, 1),
+         "dynamics", "propagation", "Hamiltonian", "minimum principle", "cost"),
+    case("stationarity", "costate too large for the control", energy, lambda s, e: scaled(s, "lam", 1 + e),
+         "Hamiltonian"),
+    case("stationarity", "path multiplier off", mixed_limit,
+         lambda s, e: with_leg(s, path_multipliers=s.phase().path_multipliers * (1 + e)),
+         "adjoint equation"),
+    case("stationarity", "jump at a limit too large: its size is free, the control's answer is not", ceiling,
+         lambda s, e: scaled(s, "lam", 1 + e, 0), "Hamiltonian"),
+    case("control signs", "costate shifted: a switch at another time", bang_bang,
+         lambda s, e: added(s, "lam", V, e), "Hamiltonian", "minimum principle", "transversality"),
+    case("minimum principle", "the shallower of two valleys", lambda: two_valleys(-SMALL),
+         lambda s, e: two_valleys(e)),
+    case("complementarity", "multiplier of a control between its bounds", energy,
+         lambda s, e: with_leg(s, control_multipliers=moved(s.phase().control_multipliers, (A, 7), 12 * e))),
+    case("complementarity", "multiplier of a bound that pushes outwards", bang_bang,
+         lambda s, e: with_leg(s, control_multipliers=-e * s.phase().control_multipliers)),
+    case("complementarity", "impulse of a bound that is not active", energy,
+         lambda s, e: with_leg(s, state_impulses=moved(s.phase().state_impulses, (V, 2), 6 * e))),
+    case("complementarity", "boundary constraint that is not active", energy, fixed_end_passed_off_as_free),
+    case("Legendre-Clebsch", "a maximum of H, barely curved", lambda: hilltop(-SMALL),
+         lambda s, e: hilltop(e), "second order", "minimum principle"),
+    case("second order", "a maximum over the switch time", lambda: one_switch(1 - SMALL),
+         lambda s, e: one_switch(1 + e)),
+    case("generalised Legendre-Clebsch", "a singular arc that pulses leave at a gain", energy,
+         lambda s, e: replace(singular(), problem=singular_problem(-e)), "second order"),
+    case("induced gradient", "a switch too late", lambda: one_switch(0.5),
+         lambda s, e: one_switch(0.5, 1 + e), "control signs", "minimum principle", "Hamiltonian"),
+    case("strict switches", "costates reversed", bang_bang, lambda s, e: scaled(s, "lam", -e),
+         "control signs", "minimum principle", "transversality", "Hamiltonian", "second order"),
+    case("parameters", "parameter off", designed,
+         lambda s, e: replace(s, parameter_values=s.parameter_values * (1 + e)), "cost", "transversality"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", CASES, ids=str)
+def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
+    correct = wrong.correct()
+    before = go.verify(correct)
+    assert before.minimum, before.explain()
+    verdict = go.verify(wrong.wrong(correct, SMALL))
+    found = {c.name for c in verdict.failed}
+    assert wrong.condition in found
+    assert found <= {wrong.condition} | wrong.others
+    for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
+        assert c.result is not go.Result.PASS or c.value <= c.tolerance
+        assert c.result is not go.Result.FAIL or not c.value < c.tolerance
+
+
+def test_errors_too_small_for_a_segment_add_up_in_the_propagation() -> None:
+    """A constant control error of 3e-5 m/s^2 is 5e-6 of the speed in each of four segments, and 2e-5 at the end."""
+    assert failed(added(energy(), "u", A, 3e-5)) == {"propagation"}
+
+
+@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+@pytest.mark.parametrize("path", [False, True])
+def test_jumps_of_the_right_sign_at_an_active_limit_are_right(scheme: str, path: bool) -> None:
+    """A path constraint has no field for impulses: its activity and the sign of the jump are what counts."""
+    if path and scheme == "LG":
+        pytest.skip(
+            "LG does not enforce path constraints at segment boundaries, so that this mesh is too coarse"
+        )
+    solution = ceiling(scheme, path=path)  # type: ignore[arg-type]
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()
+    jump = solution.costate("q")(0.3, "left") - solution.costate("q")(0.3)
+    assert jump == pytest.approx(200 / 9, rel=1e-5)
+
+
+@pytest.mark.parametrize("path", [False, True])
+def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explained(path: bool) -> None:
+    right = ceiling("LGR", path=path)
+    leg, s = right.phase(), samples_of(right)
+    assert (
+        np.max(np.abs(jumps_explained(s)[0])) < 1e-4
+    )  # 1e-11 in shares of the cost would be too much to ask
+    box = leg.path_bounds if path else leg.state_bounds
+    reversed_sign = Interval(
+        np.where(np.isfinite(box.upper), box.upper, box.lower), np.full(box.upper.size, np.inf)
+    )
+    absent = shifted(box, 0.01)
+    for wrong in (reversed_sign, absent):
+        changed = with_leg(right, **{"path_bounds" if path else "state_bounds": wrong})
+        rest = jumps_explained(samples_of(changed))[0]
+        assert rest[0] == pytest.approx([200 / 9, 200 / 9], rel=1e-4)
+        assert go.verify(changed)["adjoint equation"].result is go.Result.FAIL
+
+
+EDGES = (0.299, 0.3002, 0.6998, 0.701)
+
+
+def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
+    """Polynomials cannot follow the jump at 0.3 s within (0.299, 0.3002) s; an atom at the limit explains it."""
+    solution = ceiling(breaks=EDGES, degree=10)
+    polynomials = samples_of(solution)
+    assert np.max(polynomials.adjoint_residual) > 5e-5
+    settled = settle_edges(polynomials, 1e-5)
+    assert {edge.segment for edge in settled.edges} == {1, 3}
+    here = settled.segments == 1
+    assert settled.lam[Q, here][0] == pytest.approx(200 / 9, rel=2e-3)
+    assert settled.lam[Q, here][-1] == pytest.approx(0.0, abs=0.05)
+    assert np.all(np.diff(settled.lam[Q, here]) < 1e-9)  # an upper limit pushes one way only
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1e3])
+@pytest.mark.parametrize("unit", [1.0, 0.02, -50.0])
+def test_limit_reached_within_a_segment_in_other_units(weight: float, unit: float) -> None:
+    """The atom that explains the jump is found whatever the cost and the state are measured in."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v * unit, v: a})
+    problem = go.Problem("ceiling")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.bounds(q=(None, 0.1 * unit) if unit > 0 else (0.1 * unit, None))
+    problem.minimize(0.5 * weight * leg.integral(a**2))
+    mesh = go.Mesh((0.0, *EDGES, 1.0), (10,) * 5)
+    solution = go.solve(problem, mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
+    polynomials = samples_of(solution)
+    settled = settle_edges(polynomials, 1e-5)
+    assert np.max(polynomials.adjoint_residual) > 5e-5
+    assert {edge.segment for edge in settled.edges} == {1, 3}
+    start = settled.lam[Q, settled.segments == 1][0]
+    assert start == pytest.approx(200 / 9 * weight / unit, rel=2e-3)
+    assert np.max(settled.adjoint_residual) < 1e-5
+
+
+def test_impulses_push_inwards_where_a_bound_is_only_touched_in_a_segment() -> None:
+    """The state varies by 3e-9 over (0.2995, 0.3005) s; costates must not be shifted as on an arc along the bound."""
+    leg = ceiling(breaks=(0.2995, 0.3005, 0.6995, 0.7005)).phase()
+    assert np.min(leg.state_impulses[Q, 1:-1]) > -1e-6
+    assert np.min(leg.state_multipliers[Q]) > -1e-6
+    assert leg.lam(0.0)[Q] == pytest.approx(200 / 9, rel=1e-4)
+    assert leg.lam(0.5)[Q] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_limit_reached_within_a_segment_excuses_nothing_else() -> None:
+    right = ceiling(breaks=EDGES, degree=10)
+    leg = right.phase()
+    for wrong in (
+        added(right, "lam", V, 6 * SMALL, 1),  # a jump of the other costate
+        added(right, "lam", V, 6 * SMALL, 1, 2),  # a bend of it that no push causes
+        with_leg(right, state_bounds=shifted(leg.state_bounds, 0.01)),  # a limit that is not reached
+    ):
+        assert go.verify(wrong)["adjoint equation"].result is go.Result.FAIL
+
+
+def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
+    """Shares of rounding are no shares of the cost; a costate that is worth a thousandth of the cost is."""
+    right = nothing_to_gain()
+    assert go.verify(right).ok, go.verify(right).explain()
+    assert failed(added(right, "lam", Q, 1e-14)) == set()
+    assert "transversality" in failed(added(right, "lam", Q, 1e-3))
+
+
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
+    verdict = go.verify(nowhere_to_go(start))
+    assert verdict.ok and not verdict.minimum, verdict.explain()
+    assert verdict["Hamiltonian"].result is go.Result.CANNOT_TELL
+    assert "no length" in verdict["Hamiltonian"].meaning
+    assert verdict["boundary conditions"].result is go.Result.PASS
+
+
+def samples_of(solution: go.Solution) -> PhaseSamples:
+    leg = solution.phase()
+    return PhaseSamples.of(leg, solution.functions(leg.name))
+
+
+def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
+    """Of those that can fail; 'singular arcs' can only be untold, 'normality' is a matter of the problem."""
+    names = {c.name for c in go.verify(bang_bang()).conditions}
+    assert names - {"singular arcs", "normality"} == {case.condition for case in CASES}
+
+
+def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
+    """u^2 over the square of its range must be worth a share of what the control can do that is above the tolerance."""
+    for curvature, result in ((1e-3, go.Result.PASS), (1e-13, go.Result.CANNOT_TELL)):
+        verdict = go.verify(hilltop(-curvature))
+        assert verdict["singular arcs"].result is result
+        assert verdict["Legendre-Clebsch"].result is go.Result.PASS
+        assert ("singular" in verdict["Legendre-Clebsch"].where) is (result is not go.Result.PASS)
+
+
+# --- places -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("condition", "wrong", "where"),
+    [
+        ("dynamics", lambda: added(energy(), "x", Q, SMALL, 1, 2), "phase leg, segment 2 (0.25 to 0.5 s), q"),
+        ("dynamics", lambda: added(energy(), "x", V, SMALL, 2, 2), "phase leg, segment 3 (0.5 to 0.75 s), v"),
+        ("adjoint equation", lambda: added(energy(), "lam", V, 6 * SMALL, 1, 2),
+         "phase leg, segment 2 (0.25 to 0.5 s), costate of v"),
+        ("transversality", lambda: with_leg(energy(), final_bounds=free_end(energy(), V)),
+         "phase leg, end, costate of v"),
+        ("transversality", lambda: with_leg(energy(), initial_bounds=free_end(energy(), Q)),
+         "phase leg, start, costate of q"),
+    ],
+)  # fmt: skip
+def test_place_of_the_worst_offence(condition: str, wrong: Callable[[], go.Solution], where: str) -> None:
+    found = go.verify(wrong())[condition]
+    assert (found.result, found.where) == (go.Result.FAIL, where)
+
+
+def free_end(solution: go.Solution, row: int) -> Interval:
+    """The final values of the solution, one of them free."""
+    box = solution.phase().final_bounds
+    free = np.arange(box.lower.size) == row
+    return Interval(np.where(free, -9.0, box.lower), np.where(free, 9.0, box.upper))
+
+
+def test_hamiltonian_is_off_where_the_costates_are() -> None:
+    """H = a^2 / 2 + lam_v a + ... changes by 1 % of lam . f in one of four segments only."""
+    condition = go.verify(scaled(energy(), "lam", 1.01, 1))["Hamiltonian"]
+    assert condition.result is go.Result.FAIL
+    assert 0.25 <= float(condition.where.split("t = ")[1].split(" s")[0]) <= 0.5
+
+
+# --- time -------------------------------------------------------------------------------------------------
+
+
+def carried(current: float, start: float = 0.0) -> go.Problem:
+    """x' = u + current (t - start), from 0 to 1 in 1 s with the least energy: u = 1 - current / 2, lam = -u."""
+    model = go.Model("carried")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u + current * (model.time - start)})
+    problem = go.Problem("carried")
+    leg = problem.phase("leg", model)
+    leg.time(start, start + 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2 / 2))
+    return problem
+
+
+@pytest.mark.parametrize("start", [0.0, -2.0, 5.0])
+def test_hamiltonian_follows_its_explicit_dependence_on_time(start: float) -> None:
+    """dH/dt = current lam = -current (1 - current / 2): constant it is not."""
+    solution = go.solve(carried(0.5, start), mesh="3x4", tol=None)
+    assert go.verify(solution, tol=1e-9).minimum
+    drift = solution.hamiltonian(start + 1.0, side="left") - solution.hamiltonian(start)
+    assert drift == pytest.approx(-0.5 * 0.75, rel=1e-9)
+    still = replace(solution, problem=carried(0.0, start))
+    assert {"dynamics", "propagation"} <= failed(still) and "Hamiltonian" not in failed(still)
+    other = replace(solution, problem=carried(1.0, start))
+    assert go.verify(other)["Hamiltonian"].value == pytest.approx(0.0, abs=1e-9)  # H of that model, that is
+
+
+# --- which controls are admissible ------------------------------------------------------------------------
+
+
+def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> None:
+    """`mixed_limit` with a second limit, u - x >= -5, which is never reached."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two mixed limits")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.path("far", u - x, lower=-5.0)
+    leg.path("limit", u + x, upper=1.0)
+    problem.minimize(leg.integral(0.5 * (u - 2) ** 2))
+    solution = go.solve(problem, mesh="4x6", options=go.SolverOptions(tolerance=1e-11), tol=None)
+    assert solution.state("x")(1.0) == pytest.approx(1 - np.exp(-1.0), abs=1e-8)
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("opens", [0.8, 9.0])
+def test_better_control_counts_from_when_it_is_admissible(opens: float) -> None:
+    """Two valleys at u = 1 and, deeper, u = -1, which u + 4 t >= opens - 1 allows from t = opens / 4 on."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("opening valley")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    leg.path("gate", u + 4 * model.time, lower=opens - 1 if opens < 2 else 0.5)
+    if opens > 2:
+        leg.path("wall", u, lower=0.5)
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + 0.1 * u))
+    box = Interval(np.array([-2.0]), np.array([2.0]))
+    one = go.solve(problem.with_bounds(u=(0.4, 2.0)), mesh="3x4", tol=None)
+    found = failed(replace(with_leg(one, control_bounds=box), problem=problem))
+    assert found == ({"minimum principle"} if opens < 2 else set())
+
+
+# --- a second constraint changes nothing ----------------------------------------------------------------
+
+
+def test_push_of_one_path_constraint_among_several() -> None:
+    """The ceiling after a speed limit that is never reached: only its own gradient pushes the costates."""
+    right = ceiling("LGR", path=True)
+    problem = go.Problem("ceiling and speed")
+    model = right.need_problem("copy").get_phase().model
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.path("speed", model.symbol("v"), upper=5.0)
+    leg.path("ceiling", model.symbol("q"), upper=0.1)
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
+    mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
+    solution = go.solve(problem, mesh=mesh, scheme="LGR", options=go.SolverOptions(tolerance=1e-11), tol=None)
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4, -1.0])
+def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> None:
+    """A jump at a ceiling, or a floor, is right; at one that is a hundredth further away it is not."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v * unit, v: a})
+
+    def problem(height: float) -> go.Problem:
+        result = go.Problem("ceiling")
+        leg = result.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(q=0.0, v=1.0)
+        leg.final(q=0.0, v=-1.0)
+        leg.bounds(q=(None, height * unit) if unit > 0 else (height * unit, None))
+        result.minimize(0.5 * leg.integral(a**2))
+        return result
+
+    mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
+    right = go.solve(problem(0.1), mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
+    verdict = go.verify(right)
+    assert verdict.minimum, verdict.explain()
+    higher = with_leg(right, state_bounds=problem(0.101).get_phase().numbers.states)
+    assert "adjoint equation" in failed(replace(higher, problem=problem(0.101)))
+
+
+# --- complementarity beyond a limit ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-0.99, 1.0), (-1.0, 0.99)])
+def test_multiplier_of_a_control_beyond_its_limit_is_not_complementary(lower: float, upper: float) -> None:
+    box = Interval(np.array([lower]), np.array([upper]))
+    assert "complementarity" in failed(with_leg(bang_bang(), control_bounds=box))
+
+
+# --- singular arcs --------------------------------------------------------------------------------------
+
+
+def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
+    """u = -1 until x = 0 at 0.5 s of 2 s, then singular; w is regular throughout."""
+    model = go.Model("two integrators")
+    y, w = model.state("y"), model.control("w")
+    x, u = model.state("x"), model.control("u")
+    model.ode({y: w, x: u})
+    problem = go.Problem("singular beside regular")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.5, y=0.0)
+    leg.final(y=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(x**2 + w**2))
+    solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4), tol=None)
+    samples = list(solution.samples().values())
+    singular = [undetermined(samples[0], 1e-4)[0]]
+    condition = singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
+    assert condition.result is go.Result.CANNOT_TELL
+    assert condition.value == pytest.approx(0.75, abs=0.03)
+    assert ", u, " in condition.where
+    told = np.ones((2, samples[0].times.size), dtype=bool)
+    assert singular_arcs(samples, 1e-4, singular, [told]).result is go.Result.PASS
+    told[1, samples[0].times > 1.0] = False
+    assert singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
+    assert go.verify(solution, tol=1e-4)["singular arcs"].result is go.Result.PASS
+
+
+# --- two controls at once -------------------------------------------------------------------------------
+
+
+def test_controls_that_gain_only_together_are_tried_together() -> None:
+    """H = 1 + u w at u = w = 0: no control alone changes it, (1, -1) makes it 0."""
+    model = go.Model("saddle")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: 0 * u})
+    problem = go.Problem("saddle")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    problem.minimize(leg.integral(1 + u * w))
+    pinned = go.solve(problem.with_bounds(u=(0.0, 0.0), w=(0.0, 0.0)), mesh="2x3", tol=None)
+    box = Interval(-np.ones(2), np.ones(2))
+    condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
+    assert condition.result is go.Result.FAIL
+    assert condition.value == pytest.approx(0.5, rel=1e-6)  # 1 beside a worth of 1
+
+
+# --- propagation ----------------------------------------------------------------------------------------
+
+
+def test_propagation_flies_what_respects_the_bounds() -> None:
+    """Cell by cell: v += a h, q += v h + a h^2 / 2. The polynomial, which overshoots, meets its own end better."""
+    problem = bang_bang().need_problem("copy").with_arcs(arcs=None)
+    solution = go.solve(problem, mesh="7x3", tol=None)
+    leg = solution.phase()
+    jumps = leg.flown.jumps
+    assert jumps.size > 8 and leg.flown.held.any() and not leg.flown.held.all()
+    q, v = 1.0, 0.0
+    for left, right in itertools.pairwise(jumps):
+        inner = np.linspace(left, right, 2001)[1:-1]
+        a, h = float(np.mean(leg.flown(inner))), right - left
+        q, v = q + v * h + a * h**2 / 2, v + a * h
+    miss = max(abs(q), abs(v))
+    assert go.verify(solution)["propagation"].value == pytest.approx(miss, rel=0.02)
+    functions = solution.functions("leg")
+    for control, error in (("flown", [q, v]), ("polynomial", [0.0, 0.0])):
+        run = propagate(leg, functions, control=control)  # type: ignore[arg-type]
+        assert run.error == pytest.approx(error, abs=0.02 * miss)

@@ -1,0 +1,1 @@
+"""Models, loops, references and assertions that several test files share."""

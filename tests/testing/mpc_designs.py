@@ -1,0 +1,42 @@
+"""Predictive controllers of a cart and a pendulum."""
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.reference import Reference
+
+DT = 0.1
+
+
+A, B = np.array([[1, DT], [0, 1]]), np.array([DT**2 / 2, DT])
+
+
+def cart() -> go.Model:
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+def pendulum() -> tuple[go.Model, Reference]:
+    model = go.Model("pendulum")
+    q, v = model.state("q"), model.state("v")
+    a = model.control("a")
+    model.ode({q: v, v: a - ca.sin(q)})
+    reference = Reference.from_functions(
+        model,
+        lambda t: [np.cos(t), -np.sin(t)],
+        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
+        0.0,
+        3.0,
+    )
+    return model, reference
+
+
+def tracker(**options):
+    model = cart()
+    settings = {"Q": 1, "R": 1, "horizon": 2.0, "dt": DT, "limits": (-1, 1)} | options
+    return design_mpc(model, Reference.constant(model, [0, 0]), **settings)
