@@ -153,7 +153,7 @@ def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
 
 KILLED = """
 import sys, time
-sys.path.insert(0, sys.argv[2])
+sys.path[:0] = sys.argv[2:]
 import gnc_opt.simulation.campaign_batch as mission
 from test_checkpoint import fly
 import os
@@ -171,8 +171,8 @@ fly(60, executor=None, checkpoint=sys.argv[1])
 
 @pytest.mark.skipif(os.name != "posix", reason="kills processes")
 def test_a_killed_campaign_resumes_with_what_had_ended(tmp_path, whole, flown):
-    folder = str(Path(__file__).parent)
-    main = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path), folder])
+    folders = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+    main = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path), *folders])
     end = time.monotonic() + 60
     while len(list(tmp_path.glob("runs *"))) < 8 and time.monotonic() < end and main.poll() is None:
         time.sleep(0.01)

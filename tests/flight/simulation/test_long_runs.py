@@ -1,7 +1,9 @@
 """Long runs: flown leg by leg with the same bits, logged every so often, to disk if need be."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,8 +94,14 @@ print(peak() - before)
 def test_memory_grows_by_less_than_a_kilobyte_per_step():
     """What is known beforehand (times, references) takes some hundred bytes per step; a day has 864 000 of them."""
     pytest.importorskip("resource")
-    folder = str(__file__).rpartition("/")[0]
+    here = Path(__file__).parent
+    paths = os.pathsep.join([str(here.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])])
     found = subprocess.run(
-        [sys.executable, "-c", GROWTH], cwd=folder, capture_output=True, text=True, check=True
+        [sys.executable, "-c", GROWTH],
+        cwd=here,
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert float(found.stdout) < 0.5e-3 * 30_000
