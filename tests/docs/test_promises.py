@@ -17,9 +17,8 @@ import gnc_opt as go
 from gnc_opt import cli, control, simulation
 from gnc_opt.cli import ExitCode, _parser
 from gnc_opt.control import reaching_laws as reaching
-from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.report import summary_dict
-from gnc_opt.report.json_output import search_dict
+from gnc_opt.planning import ArcKind
+from gnc_opt.report import search_dict, summary_dict
 from problems.classics import minimum_fuel
 
 COMMANDS = doc("command_line").text

@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import Mesh
 from gnc_opt.planning.solution.history import Pass
-from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.plot import (
     plot_controls,
     plot_costates,
     plot_curves,
     plot_hamiltonian,
     plot_path,
+    plot_refinement,
     plot_states,
     save_figure,
 )
 from gnc_opt.plot.axes import sample, zero_crossings
-from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
 from gnc_opt.plot.trajectory import _hamiltonian_legend
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gnc_opt.planning.solution import Condition, Result, Verdict
+from gnc_opt.planning import Condition, Result, Verdict
 from gnc_opt.plot import plot_verdict
 from gnc_opt.plot.refinement import _offence
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.solution import Condition, Result, Verdict
+from gnc_opt.planning import Condition, Result, Verdict
 from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report

@@ -14,7 +14,7 @@ from few_runs import few_runs
 from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control import Deviation
 from gnc_opt.spacecraft import quaternion_angle
 from problems import reaction_wheels
 from problems.comparison import compare

@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr import design_tvlqr
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.control import Controller, Explanation, Reference, design_lqr, design_tvlqr, first_memory, law
+from gnc_opt.model import Layout, Variable
 
 COMPILER = shutil.which("cc")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from gnc_opt.control.controller import Controller
-from gnc_opt.model.model import Model
+from gnc_opt.control import Controller
+from gnc_opt.model import Model
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from gnc_opt.control.reference import Reference
-from gnc_opt.model.model import Model
+from gnc_opt.control import Reference
+from gnc_opt.model import Model
 
 MU, RADIUS, J2, EARTH = 398600e9, 7171e3, 0.0010826, 6378137.0
 RATE = np.sqrt(MU / RADIUS**3)

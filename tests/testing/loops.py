@@ -8,10 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.control import Controller, Explanation, first_memory, law
+from gnc_opt.model import Layout, Model, Variable
 
 NONE = Layout("entry")
 

@@ -4,8 +4,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control.mpc import design_mpc
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, design_mpc
 
 DT = 0.1
 

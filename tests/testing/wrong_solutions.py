@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning import Arc, ArcKind
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.scheme import Scheme

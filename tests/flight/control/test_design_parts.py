@@ -13,15 +13,25 @@ from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import minimize_scalar
 
-from gnc_opt.control import riccati
+from gnc_opt.control import (
+    Controller,
+    Deviation,
+    Explanation,
+    Fact,
+    Reference,
+    bryson,
+    feedforward,
+    first_memory,
+    law,
+    riccati,
+    trim,
+)
 from gnc_opt.control.control_limits import clip, read_limits, require_reserve, reserve_shares, saturated
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact, number_text
-from gnc_opt.control.error_dynamics import Deviation, evaluate_columns
-from gnc_opt.control.feedforward import ReferenceSchedule, feedforward, reference_signals, reference_times
+from gnc_opt.control.design_report import number_text
+from gnc_opt.control.error_dynamics import evaluate_columns
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.loop_margins import _frequencies, _met, margins
-from gnc_opt.control.quadratic_cost import QuadraticCost, bryson, read_cost, read_weight
-from gnc_opt.control.reference import Reference, trim
+from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.riccati import (
     gain_of,
     require_detectable,
@@ -47,8 +57,7 @@ from gnc_opt.control.tvlqr_gains import (
     riccati_gains,
 )
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 
 NAN, INF = np.nan, np.inf
 

@@ -7,10 +7,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
-from gnc_opt.control.error_dynamics import Deviation
-from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control import Deviation, design_lqr
 from gnc_opt.errors import DesignError
-from gnc_opt.spacecraft.attitude import mrp_difference, mrp_from_axis_angle, mrp_rate
+from gnc_opt.spacecraft import mrp_difference, mrp_from_axis_angle, mrp_rate
 
 
 def tumbler() -> go.Model:

@@ -8,17 +8,10 @@ import pytest
 from scipy.integrate import trapezoid
 from testing.controller_steps import step_through
 
-from gnc_opt.control.feedback_linearization import design_feedback_linearization
-from gnc_opt.control.input_output_linearization import decoupling_matrix
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, decoupling_matrix, design_feedback_linearization
 from gnc_opt.errors import DesignError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.spacecraft.quaternion import (
-    quaternion_angle,
-    quaternion_difference,
-    quaternion_from_euler,
-    quaternion_rate,
-)
+from gnc_opt.model import Model
+from gnc_opt.spacecraft import quaternion_angle, quaternion_difference, quaternion_from_euler, quaternion_rate
 
 INERTIA = np.array([4.0, 4.0, 3.0])
 K1, K2 = np.sqrt(0.001), np.sqrt(0.001 + 2 * np.sqrt(0.001))

@@ -22,12 +22,10 @@ from testing.c_compiler import (
 )
 
 import gnc_opt as go
+from gnc_opt.control import Controller, Explanation, export_c, first_memory, law
 from gnc_opt.control.c_export.c_writer import c_statements
-from gnc_opt.control.c_export.export import export_c
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
 
 
 @needs_compiler

@@ -11,8 +11,8 @@ import pytest
 from testing.c_compiler import COMPILER, FLAGS, follower, holder, needs_compiler
 
 import gnc_opt as go
+from gnc_opt.control import export_fmu
 from gnc_opt.control import fmu_export as functional_mockup
-from gnc_opt.control.fmu_export import export_fmu
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy (extra peers) is not installed")
 pytestmark = needs_compiler

@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 from testing.controller_steps import step_through
 
-from gnc_opt.control.hierarchical_sliding_mode import design_hierarchical_sliding_mode, hierarchical_errors
-from gnc_opt.control.input_output_linearization import zero_dynamics
-from gnc_opt.control.reaching_laws import ConstantRate, SaturationLayer, Sign
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import (
+    ConstantRate,
+    Reference,
+    SaturationLayer,
+    Sign,
+    design_hierarchical_sliding_mode,
+    zero_dynamics,
+)
+from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.errors import DesignError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
 
 OMEGA2, A, B = 2.000331e-3, 0.199867, 0.142653

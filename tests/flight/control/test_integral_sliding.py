@@ -11,13 +11,18 @@ from scipy.linalg import solve_continuous_are
 from testing import formation
 from testing.controller_steps import step_through
 
-from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.reaching_laws import ConstantRate, SaturationLayer, Sign, SuperTwisting
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.control import (
+    ConstantRate,
+    Reference,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    design_integral_sliding_mode,
+    design_lqr,
+    design_tvlqr,
+)
 from gnc_opt.errors import DesignError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 
 DT = 5e-3
 START = np.array([1.0, -0.3])

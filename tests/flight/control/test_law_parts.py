@@ -11,42 +11,42 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from gnc_opt.control import active_set_qp as programme_code
-from gnc_opt.control.active_set_qp import ProgrammeCode, _Numbered
-from gnc_opt.control.c_export.c_writer import DOUBLE, wrapped
-from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix, export_c
-from gnc_opt.control.c_export.schedule_table import flight_table
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.decoupling import Inverse, Memory, _solve
-from gnc_opt.control.design_report import Explanation
-from gnc_opt.control.error_dynamics import Deviation
-from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.feedforward import StackedSchedule
-from gnc_opt.control.horizon_qp import Horizon, Programme, Rows
-from gnc_opt.control.input_output_linearization import (
-    Pair,
-    _labels,
-    _output,
-    given_for,
+from gnc_opt.control import (
+    ConstantRate,
+    Controller,
+    Deviation,
+    Explanation,
+    ExponentialRate,
+    PowerRate,
+    PredictiveReaching,
+    Reference,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    SuperTwistingObserver,
+    TanhLayer,
+    design_lqr,
+    export_c,
+    first_memory,
+    law,
     lie_derivative,
     output_errors,
     zero_dynamics,
 )
+from gnc_opt.control import active_set_qp as programme_code
+from gnc_opt.control.active_set_qp import ProgrammeCode, _Numbered
+from gnc_opt.control.c_export.c_writer import DOUBLE, wrapped
+from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix
+from gnc_opt.control.c_export.schedule_table import flight_table
+from gnc_opt.control.decoupling import Inverse, Memory, _solve
+from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
+from gnc_opt.control.feedforward import StackedSchedule
+from gnc_opt.control.horizon_qp import Horizon, Programme, Rows
+from gnc_opt.control.input_output_linearization import Pair, _labels, _output, given_for
 from gnc_opt.control.integral_sliding_mode import _nominal, _poles, _surface
-from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
-from gnc_opt.control.predictive_reaching import PredictiveReaching, _insert, _interpolate
-from gnc_opt.control.reaching_laws import (
-    ConstantRate,
-    ExponentialRate,
-    PowerRate,
-    SaturationLayer,
-    Sign,
-    SuperTwisting,
-    TanhLayer,
-    read_bounds,
-)
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.predictive_reaching import _insert, _interpolate
+from gnc_opt.control.reaching_laws import read_bounds
 from gnc_opt.control.sampled_data import SampledStep
 from gnc_opt.control.sliding_mode import (
     SlidingOptions,
@@ -56,17 +56,10 @@ from gnc_opt.control.sliding_mode import (
     _require_decay,
     _weigh,
 )
-from gnc_opt.control.super_twisting import (
-    SuperTwistingObserver,
-    _lyapunov,
-    check_gains,
-    convergence_time,
-    sampled_band,
-)
+from gnc_opt.control.super_twisting import _lyapunov, check_gains, convergence_time, sampled_band
 from gnc_opt.control.tvlqr_gains import SampledGains
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 
 INF = np.inf
 SIGN, SAT, TANH = Sign(), SaturationLayer(0.5), TanhLayer(0.5)
@@ -917,7 +910,7 @@ def test_rates_per_step():
 
 
 def test_only_states_whose_error_is_a_difference_can_be_limited():
-    from gnc_opt.spacecraft.attitude import mrp_difference
+    from gnc_opt.spacecraft import mrp_difference
 
     model = Model("turner")
     sigma, w = model.state("sigma", 3), model.state("w", 3)

@@ -6,19 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.input_output_linearization import (
-    Pair,
+from gnc_opt.control import (
+    Reference,
     decoupling_matrix,
-    error_expressions,
     lie_derivative,
     output_errors,
     relative_degrees,
     zero_dynamics,
 )
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.input_output_linearization import Pair, error_expressions
 from gnc_opt.errors import DesignError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.spacecraft.quaternion import quaternion_difference, quaternion_rate
+from gnc_opt.model import Model
+from gnc_opt.spacecraft import quaternion_difference, quaternion_rate
 
 
 def pendulum() -> Model:

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control import Reference
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control import Deviation, Reference
 from gnc_opt.control.tvlqr_gains import LinearizationTable
 
 

@@ -8,10 +8,8 @@ from scipy.linalg import expm
 from scipy.optimize import bisect
 
 import gnc_opt as go
+from gnc_opt.control import Reference, bryson, design_lqr
 from gnc_opt.control.loop_margins import margins
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.quadratic_cost import bryson
-from gnc_opt.control.reference import Reference
 from gnc_opt.control.riccati import steady, unreached
 from gnc_opt.control.sampled_data import sample, sample_along, zero_order_hold
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError

@@ -9,12 +9,9 @@ from scipy.optimize import LinearConstraint, minimize
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.mpc import design_mpc
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, design_lqr, design_mpc, design_tvlqr
 from gnc_opt.control.riccati import steady
 from gnc_opt.control.sampled_data import sample
-from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import ArgumentError, DesignError, ProblemWarning, UnknownNameError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control.reaching_laws import (
+from gnc_opt.control import (
     ConstantRate,
     ExponentialRate,
     PowerRate,

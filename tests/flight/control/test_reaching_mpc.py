@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.predictive_reaching import PredictiveReaching
+from gnc_opt.control import PredictiveReaching
 from gnc_opt.errors import DesignError
 
 LIMIT = np.pi / 9

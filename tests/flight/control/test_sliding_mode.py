@@ -8,20 +8,20 @@ import pytest
 from testing import formation
 from testing.controller_steps import step_through
 
-from gnc_opt.control.reaching_laws import (
+from gnc_opt.control import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
+    Reference,
     SaturationLayer,
     Sign,
     SuperTwisting,
+    SuperTwistingObserver,
     TanhLayer,
+    design_sliding_mode,
 )
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_mode import design_sliding_mode
-from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.tolerances import LARGEST
 
 DT, SLOPE = 1e-3, 2.0

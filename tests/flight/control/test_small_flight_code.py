@@ -29,7 +29,7 @@ from gnc_opt.control import CodeOptions
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT
 from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
 
 SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]
 

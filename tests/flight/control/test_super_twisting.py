@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.super_twisting import SuperTwistingObserver, check_gains, convergence_time
+from gnc_opt.control import SuperTwistingObserver
+from gnc_opt.control.super_twisting import check_gains, convergence_time
 from gnc_opt.errors import DesignError
 
 

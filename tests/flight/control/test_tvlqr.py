@@ -7,11 +7,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 import gnc_opt as go
-from gnc_opt.control.error_dynamics import Deviation
-from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control import Deviation, Reference, design_lqr, design_tvlqr
 from gnc_opt.control.quadratic_cost import QuadraticCost
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.control.tvlqr_gains import riccati_defect, riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError
 

@@ -8,17 +8,24 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
-from gnc_opt.control import ConstantRate, SaturationLayer, design_lqr, design_mpc, design_tvlqr
+from gnc_opt.control import (
+    ConstantRate,
+    Reference,
+    SaturationLayer,
+    design_feedback_linearization,
+    design_integral_sliding_mode,
+    design_lqr,
+    design_mpc,
+    design_tvlqr,
+    output_errors,
+)
 from gnc_opt.control.decoupling import check_zero_dynamics, guarded_inverse
-from gnc_opt.control.feedback_linearization import _sampling_facts, design_feedback_linearization
+from gnc_opt.control.feedback_linearization import _sampling_facts
 from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
-from gnc_opt.control.input_output_linearization import output_errors
-from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.loop_margins import margins
-from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampled_data import sample, zero_order_hold
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import ClosedLoop
 
 

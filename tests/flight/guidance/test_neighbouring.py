@@ -10,8 +10,7 @@ import pytest
 from testing.c_compiler import needs_compiler, python, run, sanitized
 
 import gnc_opt as go
-from gnc_opt.control import bryson, design_lqr, design_tvlqr, export_c
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_c
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan

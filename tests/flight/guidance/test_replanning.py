@@ -17,7 +17,7 @@ from gnc_opt.analysis import linear_covariance
 from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.estimation import Measurement, design_ekf, output_feedback
 from gnc_opt.guidance import Replanner
-from gnc_opt.planning.solver import Resolver
+from gnc_opt.planning import Resolver
 from gnc_opt.simulation import ClosedLoop, Constant, Noise, Run, Uniform, monte_carlo
 
 DT = 0.01

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from testing.loops import memory_of_impulse, scheduled
 
-from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import (
     ClosedLoop,
     Deadband,

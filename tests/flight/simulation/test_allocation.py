@@ -7,11 +7,10 @@ from scipy.optimize import linprog
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import DesignError
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import Allocation, ClosedLoop, Mixer, ThrusterSet, WheelArray
 from gnc_opt.simulation.allocation import _within, min_max_shift, null_vector, pseudo_inverse
-from gnc_opt.spacecraft.rigid_body import total_momentum, wheel_body_acceleration
+from gnc_opt.spacecraft import total_momentum, wheel_body_acceleration
 
 PYRAMID = np.array([[1, -1, -1, 1], [1, 1, -1, -1], [1, 1, 1, 1]]) / np.sqrt(3)
 INERTIA = np.array([4.0, 4.0, 3.0])

@@ -20,9 +20,9 @@ from gnc_opt.simulation import (
     Noise,
     Quantisation,
     RateLimit,
+    RunStatus,
 )
 from gnc_opt.simulation.error_estimate import apart
-from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.simulation.signals import Places
 
 G = 9.81

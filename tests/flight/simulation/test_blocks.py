@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import (
     Allocation,
     Bias,
+    Block,
     Constant,
     Deadband,
     Delay,
@@ -23,6 +24,7 @@ from gnc_opt.simulation import (
     MinimumImpulse,
     Mixer,
     Noise,
+    NonNegativeAllocation,
     Outage,
     Pwm,
     Pwpf,
@@ -42,10 +44,9 @@ from gnc_opt.simulation import (
 )
 from gnc_opt.simulation.actuators.on_off import trigger
 from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
-from gnc_opt.simulation.block import POSITIVE, Block, Tick, clip, differs, rows, scalar, values
+from gnc_opt.simulation.block import POSITIVE, Tick, clip, differs, rows, scalar, values
 from gnc_opt.simulation.intersample_input import Wave
 from gnc_opt.simulation.signals import chain, kinds, put, take
-from gnc_opt.simulation.thrusters import NonNegativeAllocation
 
 INF = np.inf
 H, DT = 0.1, 0.4

@@ -14,8 +14,20 @@ import pytest
 from testing.loops import double_integrator, feedback
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
-from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus
+from gnc_opt.model import Layout, Variable
+from gnc_opt.simulation import (
+    Ball,
+    Campaign,
+    Choice,
+    ClosedLoop,
+    Normal,
+    Outcome,
+    Run,
+    RunStatus,
+    Sphere,
+    Turn,
+    Uniform,
+)
 from gnc_opt.simulation.campaign_batch import (
     BATCHES,
     MOST_PER_BATCH,
@@ -27,7 +39,6 @@ from gnc_opt.simulation.campaign_batch import (
     halves,
 )
 from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
-from gnc_opt.simulation.dispersions import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.monte_carlo import (
     Criteria,
     _refuse_total_loss,
@@ -37,7 +48,7 @@ from gnc_opt.simulation.monte_carlo import (
     read_criteria,
 )
 from gnc_opt.simulation.run import Logged, rotation_angle, settling_time
-from gnc_opt.spacecraft.quaternion import quaternion_product
+from gnc_opt.spacecraft import quaternion_product
 from gnc_opt.workers import Done, WorkerDied
 
 NAN, INF = math.nan, math.inf

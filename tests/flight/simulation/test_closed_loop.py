@@ -9,12 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 from testing.loops import controller, double_integrator, feedback, scheduled
 
-from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, design_lqr, feedforward
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import (
     Bias,
     ClosedLoop,

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import gammainc, gammaincinv
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
 
 c = importlib.import_module("gnc_opt.analysis.filter_consistency")  # the package gives its function
 

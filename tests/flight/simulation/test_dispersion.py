@@ -6,18 +6,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, truncnorm, uniform
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
-from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.simulation.dispersions import (
-    Ball,
-    Choice,
-    Normal,
-    Sphere,
-    Turn,
-    Uniform,
-    check_dispersions,
-    dispersed,
-)
-from gnc_opt.spacecraft.attitude import mrp_difference, mrp_from_axis_angle, mrp_shadow
+from gnc_opt.model import Layout, Variable
+from gnc_opt.simulation import Ball, Choice, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.dispersions import check_dispersions, dispersed
+from gnc_opt.spacecraft import mrp_difference, mrp_from_axis_angle, mrp_shadow
 
 COUNT = 4000
 LAYOUT = Layout("parameter", (*(Variable(n, 3) for n in ("a", "b", "c")), Variable("m")))

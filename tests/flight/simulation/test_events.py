@@ -9,10 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from testing.loops import controller, feedback, scheduled
 
-from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError, ProblemWarning, UnknownNameError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import (
     Campaign,
     ClosedLoop,

@@ -7,7 +7,7 @@ import pytest
 from testing.loops import controller
 
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import (
     Allocation,
     ClosedLoop,

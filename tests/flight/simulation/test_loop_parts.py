@@ -12,12 +12,13 @@ from testing.loops import controller, double_integrator, feedback, memory_of_imp
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.guidance import Replanner
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import (
     Bias,
+    Block,
     ClosedLoop,
     Constant,
+    Disturbance,
     Lag,
     Mixer,
     RandomHold,
@@ -27,8 +28,7 @@ from gnc_opt.simulation import (
     Saturation,
     ScaleFactor,
 )
-from gnc_opt.simulation.block import Block, Step
-from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.block import Step
 from gnc_opt.simulation.dormand_prince import dormand_prince
 from gnc_opt.simulation.signals import Places
 

@@ -22,24 +22,28 @@ from scipy.stats import chi2
 from testing.loops import controller, double_integrator, feedback, scheduled
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
-from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
+from gnc_opt.model import Layout, Model, Variable
+from gnc_opt.plot import plot_dispersion, plot_distributions
 from gnc_opt.progress import campaign_meter
 from gnc_opt.simulation import (
+    Campaign,
+    Choice,
     ClosedLoop,
     Constant,
     Lag,
     Noise,
+    Normal,
     Outage,
     RandomHold,
     RunStatus,
     Saturation,
+    Sphere,
+    Turn,
+    Uniform,
+    monte_carlo,
 )
-from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
-from gnc_opt.simulation.dispersions import Choice, Dispersion, Normal, Sphere, Turn, Uniform
-from gnc_opt.simulation.monte_carlo import monte_carlo
+from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.workers import pool
 from gnc_opt.workers.processes import processes_fork
 from problems.rendezvous import chaser_model

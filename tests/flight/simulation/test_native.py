@@ -16,10 +16,9 @@ import pytest
 from testing.loops import double_integrator
 
 import gnc_opt.simulation.compiled_loop as flight_module
-from gnc_opt.control import design_lqr, design_mpc
-from gnc_opt.control.controller import Controller
+from gnc_opt.control import Controller, design_lqr, design_mpc
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import (
     ClosedLoop,
     Event,

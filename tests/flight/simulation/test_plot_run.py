@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from testing.loops import double_integrator, scheduled
 
-from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.reference import Reference
+from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError, UnknownNameError
-from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
+from gnc_opt.plot import plot_run_controls, plot_run_errors, plot_run_states
 from gnc_opt.simulation import ClosedLoop, Lag
 
 

@@ -86,7 +86,7 @@ def test_periods_that_are_no_multiples_are_refused():
 
 
 def test_errors_that_a_retraction_does_not_take_are_refused():
-    from gnc_opt.model.model import Model
+    from gnc_opt.model import Model
     from gnc_opt.simulation import Bias, ClosedLoop, Noise
     from gnc_opt.spacecraft import mrp_rate, mrp_retraction
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from testing.loops import controller, feedback, scheduled
 
-from gnc_opt.model.model import Model
+from gnc_opt.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
 from gnc_opt.simulation.intersample_input import Part, Wave, cut, stacked
 from gnc_opt.simulation.step_selection import grown

@@ -10,7 +10,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.planning.solution.verdict import Result
+from gnc_opt.planning import Result
 
 ROOT = 5 * (np.sqrt(1.2) - 1)
 """Where v + v^2 / 10 = 1/2."""

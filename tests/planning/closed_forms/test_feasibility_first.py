@@ -14,8 +14,8 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
+from gnc_opt.planning import Status
 from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
-from gnc_opt.planning.nlp import Status
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.transcription import transcribe

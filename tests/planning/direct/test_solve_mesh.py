@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import Status
 from gnc_opt.planning.direct.second_solve import another_way, relative_gain, sharper
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, knows_trajectory, solve_mesh
-from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver, Status
+from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 
 
 def regulator(weight: float = 1.0) -> go.Problem:

@@ -15,16 +15,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.planning.nlp import (
-    IterationInfo,
-    NlpPoint,
-    NlpProblem,
-    NlpResult,
-    NlpSolver,
-    SolverOptions,
-    Status,
-    status_from_stats,
-)
+from gnc_opt.planning import SolverOptions, Status
+from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpProblem, NlpResult, NlpSolver, status_from_stats
 
 INF = np.inf
 NO_CONSTRAINT = ca.MX(0, 1)

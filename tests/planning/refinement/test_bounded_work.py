@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
-from gnc_opt.planning.nlp import Status
 from gnc_opt.planning.refinement.arcs import loop as switching
 from gnc_opt.planning.refinement.engine import _work
 from gnc_opt.planning.refinement.iterations import FEWEST, PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.solution.history import work_of
-from gnc_opt.planning.transcription.mesh import Mesh
 
 CRAWLING = go.SolverOptions(
     mu_init=1e-2,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 
 
 def throw(phases: int) -> go.Problem:

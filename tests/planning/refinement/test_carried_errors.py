@@ -18,13 +18,12 @@ import pytest
 from scipy.special import spherical_in
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind, RefinementStatus
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.error_propagation import Decay, on_carrying_arcs
 from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.solution.history import RefinementStatus
 
 A, L, T = 16.0, 0.8, 2.0
 B = L**2 / A

@@ -12,13 +12,12 @@ from testing.constructed_solutions import functions, interval, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from gnc_opt.planning import ArcKind, PhaseSolution
 from gnc_opt.planning.optimality import state_constraints as sc
-from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs import contact_detection as p
 from gnc_opt.planning.refinement.arcs import contacts as c
 from gnc_opt.planning.refinement.arcs import junctions as j
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality.active_set import with_touches
 from gnc_opt.planning.optimality.program_point import ProgramPoint
-from gnc_opt.planning.problem.arcs import ArcKind, Junction
+from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 

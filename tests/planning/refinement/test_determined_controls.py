@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 
 
 def lift(distance: float, speed: float, acceleration: float, jerk: float) -> go.Problem:

@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
+from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.refinement.error import estimate_errors, largest_error
 from gnc_opt.planning.refinement.iterations import PATIENCE, PassLimits, crawls
@@ -18,7 +19,7 @@ from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
 from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED, Remesh
-from gnc_opt.planning.solution.history import SETTING_UP, History, RefinementStatus
+from gnc_opt.planning.solution.history import SETTING_UP
 
 
 def regulator(duration: float = 10.0) -> go.Problem:
@@ -407,7 +408,7 @@ def test_history_says_what_happened() -> None:
 
 
 def test_figure_has_a_row_per_pass() -> None:
-    from gnc_opt.plot.refinement import plot_refinement
+    from gnc_opt.plot import plot_refinement
 
     _, history = refine_mesh(go.solve(two_phases(), mesh="2x3", tol=None), tol=1e-6)
     figure = plot_refinement(history)

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import RefinementStatus, SolverOptions
 from gnc_opt.planning.direct.second_solve import STRATEGY
-from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solver import better_of_two
 
 TILT, EFFORT = 0.3, 0.01

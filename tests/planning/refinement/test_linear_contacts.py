@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from problems.attitude import reorientation
 from problems.robots import quadrotor
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 
 MASS, FULL, MOST, EXHAUST, SPEED = 6.0, 40.0, 10.0, 30.0, 40.0
 """kg; N; m/s^2; m/s; m/s: of a sled that is thrust to that speed, and may not be accelerated by more than that."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from testing.constructed_solutions import interval
 
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs import loop as switching
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.detection import detect

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs.ends import with_ends_met
 
 DRAG, TOP = 0.1, 0.6

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gnc_opt.planning.problem.arcs import Arc, ArcKind, Junction
+from gnc_opt.planning import Arc, ArcKind
+from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.refinement.arcs.arc_mesh import COARSE, MAX_DEGREE, Plan, Resolution
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.refinement.arcs.arc_mesh import FIRST_DEGREE, MAX_DEGREE, Plan, Resolution, points_of
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.transcription.mesh import Mesh
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from testing.nonlinear_problems import orbit_raising, reorientation, van_der_pol
 
 import gnc_opt as go
-from gnc_opt.planning.refinement.indirect.solve_indirect import polish
+from gnc_opt.planning import polish
 
 VERDICT = 1e-9
 """Tolerance of every condition; the direct solutions that polish starts from miss it by orders of magnitude."""

@@ -16,12 +16,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
 from gnc_opt.planning.refinement.attempt import RefinementAttempt, _least_wrong
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
-from gnc_opt.planning.solution import RefinementStatus
-from gnc_opt.planning.solution.history import History
-from gnc_opt.planning.solution.verdict import Condition, Verdict
 from problems.classics import van_der_pol
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.polynomial import legendre
 from testing.constructed_solutions import cart, phase, samples, solution
 
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import resolution as r
 from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure

@@ -13,6 +13,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import gnc_opt as go
+from gnc_opt.planning import Resolver
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
@@ -21,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.solution.tail import rest_of
-from gnc_opt.planning.solver import Resolver, Way
+from gnc_opt.planning.solver import Way
 
 
 def cart(cost: str = "time") -> go.Problem:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_oscillation import without_ringing
 from gnc_opt.planning.refinement.arcs.structure import Kinds, PhaseStructure
 

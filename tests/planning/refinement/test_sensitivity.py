@@ -14,7 +14,7 @@ import pytest
 from testing.nonlinear_problems import orbit_raising, reorientation, van_der_pol
 
 import gnc_opt as go
-from gnc_opt.planning.refinement.engine import refine
+from gnc_opt.planning import refine
 from problems.classics import bryson_denham
 
 OPTIONS = go.SolverOptions(tolerance=1e-11)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
+from gnc_opt.planning import ArcKind, Mesh
+from gnc_opt.planning.problem.arcs import Junction, Smooth
 from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.transcription.mesh import Mesh
 
 LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
 

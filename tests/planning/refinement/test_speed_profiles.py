@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 
 FORCE, BRAKE, POWER, FASTEST, WAY = 5.0, 8.0, 80.0, 40.0, 800.0
 """Per unit of mass: m/s^2, m/s^2, W/kg; m/s, m."""

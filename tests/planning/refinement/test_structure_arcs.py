@@ -9,7 +9,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind, Smooth
+from gnc_opt.planning import ArcKind
+from gnc_opt.planning.problem.arcs import Smooth
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 FREE, UP = ArcKind.INTERIOR, ArcKind.UPPER

@@ -12,7 +12,7 @@ from testing.constructed_solutions import cart, interval, samples
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import curvature as b
 from gnc_opt.planning.refinement.arcs import detection as d
 from gnc_opt.planning.refinement.arcs.contacts import Determined

@@ -12,9 +12,9 @@ import pytest
 from testing.constructed_solutions import cart, interval, phase, samples, solution
 
 import gnc_opt as go
-from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Status
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.arcs import Arc, ArcKind, Smooth
+from gnc_opt.planning.problem.arcs import Smooth
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import junctions as j
 from gnc_opt.planning.refinement.arcs import loop as s
@@ -34,7 +34,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.iterations import PassLimits
-from gnc_opt.planning.solution.history import Pass, RefinementStatus
+from gnc_opt.planning.solution.history import Pass
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR

@@ -12,7 +12,7 @@ import pytest
 from scipy.special import spherical_in
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning import Arc, ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Resolution
 from gnc_opt.planning.refinement.arcs.detection import detect, switching
 from gnc_opt.planning.refinement.arcs.resolution import FEWEST

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.loop import _best, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 

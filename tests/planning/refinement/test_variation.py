@@ -11,7 +11,7 @@ import pytest
 from testing.constructed_solutions import cart, costates, interval, phase, solution
 
 import gnc_opt as go
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
+from gnc_opt.planning import Arc, ArcKind
 from gnc_opt.planning.refinement.switching import collocated_flight as c
 from gnc_opt.planning.refinement.switching import warm_start as v
 

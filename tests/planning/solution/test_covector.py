@@ -13,9 +13,8 @@ from testing.constructed_solutions import cart, phase, solution
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
@@ -37,13 +36,11 @@ from gnc_opt.planning.solution.extract import (
 from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.warm_start import (
     _put_end_rows,
-    guess_from_solution,
     start_from_guess,
     start_from_solution,
     with_integrals,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 from gnc_opt.planning.transcription.transcription import transcribe
 

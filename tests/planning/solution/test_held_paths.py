@@ -10,7 +10,8 @@ from testing.constructed_solutions import functions, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.arcs import ArcKind, Held
+from gnc_opt.planning import ArcKind
+from gnc_opt.planning.problem.arcs import Held
 from gnc_opt.planning.solution.costates import settle_held_paths
 
 LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED

@@ -13,9 +13,9 @@ from testing.constructed_solutions import cart, costates, functions, interval, p
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution import quality as limits
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import (
     FINEST,

@@ -14,16 +14,24 @@ import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
 
 import gnc_opt as go
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
+from gnc_opt.planning import (
+    History,
+    Mesh,
+    RefinementStatus,
+    Solution,
+    SolveError,
+    SolverOptions,
+    Status,
+    load,
+)
 from gnc_opt.planning.direct import second_solve as again
 from gnc_opt.planning.direct import solve_mesh as tries
-from gnc_opt.planning.direct.failure import SolveError, bounds_to_give, failure_message
+from gnc_opt.planning.direct.failure import bounds_to_give, failure_message
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.nlp import NlpResult, SolverOptions, Status
+from gnc_opt.planning.nlp import NlpResult
 from gnc_opt.planning.solution.diagnosis import Violation, find_violations
-from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus
-from gnc_opt.planning.solution.solution import Solution, load
-from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.solution.history import Actions, Pass
 
 # --- answers ----------------------------------------------------------------------------------------------
 

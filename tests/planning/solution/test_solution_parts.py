@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.solution.diagnosis import _running_off
-from gnc_opt.planning.solution.history import History, Pass, RefinementStatus, Statistics
+from gnc_opt.planning.solution.history import Pass, Statistics
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 
 

@@ -11,7 +11,7 @@ from testing.constructed_solutions import cart, functions, interval, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model import Layout, Variable
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution import scales as spans
 from gnc_opt.planning.solution.scales import (

@@ -12,9 +12,10 @@ from testing.constructed_solutions import cart, interval
 
 import gnc_opt as go
 from gnc_opt.errors import ArgumentError, ProblemError, UnknownNameError
+from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.problem.arcs import ArcKind, Held, Smooth
+from gnc_opt.planning.problem.arcs import Held, Smooth
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
@@ -25,7 +26,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
     smooth_rows,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation, weight_matrix
-from gnc_opt.planning.transcription.mesh import DEFAULT_MESH, Mesh, read_meshes
+from gnc_opt.planning.transcription.mesh import DEFAULT_MESH, read_meshes
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import Result
 from gnc_opt.planning.optimality.active_set import left_free
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import singular_arcs as singular

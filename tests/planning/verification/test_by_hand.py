@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import Result, Verdict
 from gnc_opt.planning.optimality.accessory import AccessoryEquations
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import (
@@ -28,9 +29,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import _quadrature, _ranges
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import least_squares

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import Result
 from gnc_opt.planning.optimality.accessory import on_free
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import conjugate_points
 from gnc_opt.planning.verification.conjugate_points import (

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from testing.great_circle import great_circle, regulator
 
 import gnc_opt as go
-from gnc_opt.planning.solution import Condition, Result
+from gnc_opt.planning import Condition, Result
 from gnc_opt.planning.verification.conjugate_points import conjugate_points
 from gnc_opt.planning.verification.engine import _agreed
 from gnc_opt.planning.verification.recomputed import from_problem

@@ -11,8 +11,8 @@ import pytest
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import Result
 from gnc_opt.planning.optimality.accessory import fine_times
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.propagation import state_magnitudes
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import (

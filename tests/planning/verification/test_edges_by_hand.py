@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import Result
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
 from gnc_opt.planning.optimality.kkt import FOUND, SETTLED, NullSpace, _settled, lanczos
@@ -32,7 +33,6 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     fit,
 )
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe

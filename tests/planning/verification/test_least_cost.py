@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning import Verdict
 from gnc_opt.planning.verification.sufficiency import _addends, least_cost
 
 

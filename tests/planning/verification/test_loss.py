@@ -11,7 +11,7 @@ from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.cost_scale import cost_unit
-from gnc_opt.report.json_output import summary_dict
+from gnc_opt.report import summary_dict
 from gnc_opt.report.verdict_table import verdict_text
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bound import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
 from gnc_opt.planning.study.relaxation import relaxations
 from gnc_opt.report import summary_dict

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.solution import Result
+from gnc_opt.planning import Result
 
 
 def squared(offset: float, cost: Callable[[Any], Any], clock: bool = False) -> go.Solution:

@@ -10,7 +10,7 @@ import pytest
 from testing.great_circle import great_circle, regulator
 
 import gnc_opt as go
-from gnc_opt.planning.solution import Result
+from gnc_opt.planning import Result
 from gnc_opt.planning.verification.reduced_hessian import lanczos
 
 PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL

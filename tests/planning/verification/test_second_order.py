@@ -11,12 +11,10 @@ import pytest
 from testing.wrong_solutions import one_switch
 
 import gnc_opt as go
+from gnc_opt.planning import Arc, ArcKind, Result, refine
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
-from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.refinement.engine import refine
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.bang_bang_second_order import second_order, strict_switches

@@ -11,9 +11,8 @@ import pytest
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
+from gnc_opt.planning import ArcKind, Result
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _joined
-from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang, obstacle, strict_switches
 from gnc_opt.planning.verification.reduced_hessian import _jumping_control, _partly_singular, _rich

@@ -10,8 +10,8 @@ import pytest
 from testing.wrong_solutions import added, with_leg
 
 import gnc_opt as go
+from gnc_opt.planning import Result
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution import Result
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 
