@@ -11,7 +11,6 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Variable
-from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True)
@@ -128,48 +127,3 @@ class AssembledControl(ComposedControl):
     def decompose(self, u: Array) -> tuple[Array, ...]:
         """Return NaN: other controls are needed, too."""
         return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)
-
-
-@dataclass(frozen=True)
-class SwitchedControl(ComposedControl):
-    """A control that rests at a value, or is switched on beyond a corner: parts are a share and an excess per side.
-
-    Attributes
-    ----------
-    rest : tuple of float
-        Where each component is while it is off.
-    corners : tuple of tuple of float
-        Where each side begins, for each component.
-    senses : tuple of int
-        1 for a side above its corner, -1 for one below it.
-    spreads : tuple of tuple of float
-        Where an excess is unbounded, E of the part y that tells it, :math:`y / (1 - y / E)`: what is anything while the
-        side is off has to stay somewhere. Infinite where the part is the excess itself.
-    """
-
-    rest: tuple[float, ...] = ()
-    corners: tuple[tuple[float, ...], ...] = ()
-    senses: tuple[int, ...] = ()
-    spreads: tuple[tuple[float, ...], ...] = ()
-
-    def compose(self, *parts: Any) -> Any:
-        """Return the rest, and of each side its share of what it is beyond that."""
-        column = (-1, *[1] * (np.ndim(parts[0]) - 1))
-        rest = np.reshape(self.rest, column)
-        value = rest
-        for k, (corner, sense) in enumerate(zip(self.corners, self.senses, strict=True)):
-            share, told = parts[2 * k : 2 * k + 2]
-            excess = told / (1.0 - told / np.reshape(self.spreads[k], column))
-            value = value + share * (np.reshape(corner, column) + sense * excess - rest)
-        return value
-
-    def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return which side is on, and how far beyond its corner."""
-        parts: list[Array] = []
-        rest = np.array(self.rest)
-        for corner, sense, spread in zip(map(np.array, self.corners), self.senses, self.spreads, strict=True):
-            excess = sense * (u - corner[:, None])
-            on = excess > -EQUAL * np.abs(corner - rest)[:, None]  # at the edge of a jump, too
-            excess = np.maximum(excess, 0.0)
-            parts += [1.0 * on, np.where(on, excess / (1.0 + excess / np.array(spread)[:, None]), np.nan)]
-        return tuple(parts)

@@ -37,6 +37,7 @@ def check_problem(problem: Statement) -> None:
         check_unused_controls(problem)
         for leg in solved.phases.values():
             warn_of_kinks(solved, leg)
+            _warn_of_repeated_limits(solved, leg)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
     for leg in problem.phases.values():
@@ -122,6 +123,28 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
                 f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
+            )
+
+
+def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
+    """Issue a `ProblemWarning` for rows of one state or control whose limit is that of its bounds already."""
+    box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
+    if not box.lower.size:
+        return
+    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
+    time = Interval(leg.times()[0].lower, leg.times()[1].upper)
+    function = leg.once("paths and parameters", lambda: _paths(problem, leg))
+    reached = ranges_of(function, (time, numbers.states, numbers.controls, p, q))
+    slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
+    with np.errstate(invalid="ignore"):
+        same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
+    rows = ca.vertsplit(leg.path_expression())
+    for k in np.flatnonzero(same & np.isfinite(slack) & ~box.fixed):
+        symbols = ca.symvar(rows[int(k)])
+        if len(symbols) == 1:
+            warn_user(
+                f"path constraint '{leg.path_labels[k]}' of {leg.where} repeats a bound of '{symbols[0].name()}': "
+                "remove one of the two, for only the sum of their multipliers is determined."
             )
 
 

@@ -2,7 +2,7 @@
 
 Warnings of what a solver that needs two derivatives will stumble over: kinks, jumps and coarse tables.
 
-Warnings of what controls do by hand that cannot be restated as norms: its derivatives fail where they are zero.
+Warnings of norms of controls that are not reformulated: their derivatives fail where the norm is zero.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.model.expressions import ROOTS, nodes_of, operations_in
 from gnc_opt.planning.problem.expressions import (
     along,
     end_points,
@@ -26,6 +26,7 @@ from gnc_opt.planning.problem.expressions import (
 )
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
 from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.interval_arithmetic import drawn
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -51,15 +52,15 @@ _KINKS: dict[int, tuple[str, str]] = {
 """What an operation does to a trajectory, and what to write instead."""
 
 _EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
-_NOT_CONVEX = {
-    "the rate of state": "use smooth_abs() to round it off, for a flight may rest on it where no derivative is; "
-    f"or {_IN_PHASES}; of controls alone, as a dead zone is, let its value be the control",
-    "path constraint": "it leaves a hole, or is limited from both sides, so that it could not be restated: state the "
-    "side that is meant, or a phase per side",
-    "integral": "it is not known to cost the more the larger it is, so that it could not be restated: give bounds that "
-    "tell the signs of its factors, or use smooth_abs()",
+_REMEDIES = {
+    "the rate of state": "use smooth_abs() for states, bounds() for a control that saturates, split_control() for a "
+    f"dead zone or an absolute value of a control; or {_IN_PHASES}",
+    "path constraint": "it is not convex, for it excludes values between others or has limits on both sides: state one "
+    "side by bounds(), use smooth_abs(), or add a phase for each side",
+    "integral": "it is not known to be convex in the cost: give bounds() that fix the signs of its factors, or use "
+    "split_control() for a control, vector_control() for a norm, smooth_abs() for states",
 }
-"""What to do about kinks in what is restated otherwise."""
+"""What to write in place of a kink that is not reformulated, by the kind of its expression."""
 
 _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
@@ -79,8 +80,8 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
     for operation, (kind, where) in _first_kinks(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
-        if operation in _EXTREMA:  # one that could not be restated
-            remedy = _NOT_CONVEX.get(kind, remedy)
+        if operation in _EXTREMA:
+            remedy = _REMEDIES.get(kind, remedy)
         warn_user(f"{kind} '{where}' of {leg.where} contains {meaning}: {remedy}.")
 
 
@@ -134,9 +135,44 @@ _REMEDY = (
 
 
 def warn_of_norms(problem: Statement, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each of `norms_by_hand`."""
-    for text in norms_by_hand(problem, leg):
+    """Issue a `ProblemWarning` for each of `norms_by_hand` and `shifted_norms`."""
+    for text in [*norms_by_hand(problem, leg), *shifted_norms(leg)]:
         warn_user(f"{text}.")
+
+
+def shifted_norms(leg: Phase) -> list[str]:
+    """Return which integrands contain a norm that has no derivative at controls other than zero: ``norm_2(u - v)``."""
+    controls, texts = leg.model.symbols("control"), []
+    for name, (_, integrand) in leg.integrands.items():
+        vectors = (_argument_of_norm(node) for node in nodes_of(integrand) if node.op() in ROOTS)
+        if any(v is not None and ca.depends_on(v, controls) and _is_shifted(v, controls) for v in vectors):
+            texts.append(
+                f"integral '{name}' of {leg.where} contains a norm of controls less other terms, which has a kink "
+                "where they are equal: let a vector_control() be the difference, equal to it by path()"
+            )
+    return texts
+
+
+def _is_shifted(vector: Any, controls: Any) -> bool:
+    """Whether a vector that depends on controls is not zero where all of them are."""
+    rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
+    return bool(np.any(drawn(rest) != 0))
+
+
+def _argument_of_norm(root: Any) -> Any | None:
+    """Return the vector whose Euclidean norm a root is, if it has two or more components; else None."""
+    if root.op() == ca.OP_HYPOT:
+        return ca.vertcat(root.dep(0), root.dep(1))
+    waiting, components = [root.dep(0)], []
+    while waiting:
+        node = waiting.pop()
+        if node.op() == ca.OP_ADD:
+            waiting += [node.dep(0), node.dep(1)]
+        elif node.op() == ca.OP_SQ:
+            components.append(node.dep(0))
+        else:
+            return None
+    return ca.vertcat(*components) if len(components) > 1 else None
 
 
 def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:

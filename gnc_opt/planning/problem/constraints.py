@@ -23,8 +23,6 @@ class Constraint:
     expression : casadi.SX (size, 1)
     interval : Interval
         Limits that are asked for.
-    declared : Interval, optional
-        The same as they were declared, where some of them are free as long as bounds keep them.
 
     Examples
     --------
@@ -37,7 +35,6 @@ class Constraint:
     name: str
     expression: Any
     interval: Interval
-    declared: Interval | None = None
 
     @property
     def size(self) -> int:

@@ -9,8 +9,8 @@ outwards. What occurs more than once counts as often: a range may be wider than 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -18,8 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.expressions import nodes_of, replaced
-from gnc_opt.model.table import TableUse
-from gnc_opt.planning.problem.expressions import along, table_uses
+from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
@@ -158,14 +157,11 @@ class Domain:
     boxes : tuple of Interval
     stated : tuple of Interval
         Without what is only presumed of states.
-    tables : mapping of TableUse
-        Calls of linear tables of one axis, by the hashes of their values.
     """
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
     stated: tuple[Interval, ...]
-    tables: Mapping[int, TableUse] = field(default_factory=dict)
 
     @classmethod
     def along(cls, problem: Statement, leg: Phase) -> Domain:
@@ -184,13 +180,7 @@ class Domain:
             np.where(never_zero, sign.lower, told.lower), np.where(never_zero, sign.upper, told.upper)
         )
         boxes, surely = ((time, x, leg.numbers.controls, *rest) for x in (sign, stated))
-        uses = table_uses(problem, problem.phases[leg.name])
-        lines = {
-            int(use.value.element_hash()): use
-            for use in uses
-            if use.table.method == "linear" and len(use.table.grids) == 1
-        }
-        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely, lines)
+        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely)
 
     @classmethod
     def at_ends(cls, problem: Statement) -> Domain:
@@ -233,7 +223,7 @@ class Domain:
 
     def surely(self) -> Domain:
         """Return the domain without what is only presumed."""
-        return Domain(self.symbols, self.stated, self.stated, self.tables)
+        return Domain(self.symbols, self.stated, self.stated)
 
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""

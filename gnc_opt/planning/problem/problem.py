@@ -495,9 +495,8 @@ class Problem(Statement):
 
         Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
         and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
-        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) that are not
-        restated when the problem is solved, of linear
-        tables, and of a guess outside of a table.
+        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) and norms that
+        are not reformulated, and names a remedy; of linear tables; and of a guess outside of a table.
         """
         check_problem(self)
 

@@ -40,7 +40,7 @@ def cart(rate: Callable[[Any, Any, Any], Any], path: Callable[[Any], Any] | None
         (lambda t, x, u: x % 1.0, "floor .*, which jumps"),
         (
             lambda t, x, u: ca.fmax(x, u),
-            "fmax, which has a kink: use smooth_abs.* let its value be the control",
+            "fmax, which has a kink: use smooth_abs.* bounds.* split_control",
         ),
     ],
 )

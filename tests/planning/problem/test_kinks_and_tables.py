@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,20 +9,6 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.planning.problem.reformulation import restated
-
-
-def costing(table: Any, bounds: tuple[float, float]) -> Any:
-    """A phase, as it is solved, that pays for what a table says of its control."""
-    model = go.Model("cart")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
-    leg.initial(x=0.0, v=0.0)
-    leg.bounds(a=bounds)
-    problem.minimize(leg.integral(table(a)))
-    return restated(problem).phases["leg"]
 
 
 @pytest.mark.parametrize("final", [None, 0.0, 0.5])
@@ -57,54 +41,6 @@ def test_divisors_keep_their_signs() -> None:
     leg.bounds(T=(-3.0, 3.0))
     problem.minimize(leg.integral(ca.fabs(m * 2.0)))
     assert list(restated(problem).phases["leg"].model.controls.names) == ["T"]
-
-
-TABLES = {
-    "neither convex nor concave": (([-2.0, 0.0, 1.0, 2.0], [0.0, 0.0, 1.0, 1.5]), "linear", (-2.0, 2.0)),
-    "concave": (([-2.0, 0.0, 2.0], [-2.0, 0.0, 1.0]), "linear", (-2.0, 2.0)),
-    "left by its argument": (([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]), "hold", (-2.0, 2.0)),
-}
-
-
-@pytest.mark.parametrize("case", TABLES.values(), ids=TABLES)
-def test_tables_that_do_not_cost_the_more_the_further_they_go_stay(case: Any) -> None:
-    data, outside, bounds = case
-    table = go.table(*data, method="linear", outside=outside)
-    leg = costing(table, bounds)
-    assert leg.model.controls.names == ("a",)
-    assert leg.integrand_expression().element_hash() == table_value(leg)
-
-
-def table_value(leg: Any) -> int:
-    (use,) = leg.model.table_uses()
-    return int(use.value.element_hash())
-
-
-def test_a_table_is_judged_where_it_is_used() -> None:
-    """One that is concave beyond the bounds of its control is convex."""
-    table = go.table([-2.0, 0.0, 1.0, 2.0], [2.0, 0.0, 1.0, 1.5], method="linear")
-    leg = costing(table, (-2.0, 1.0))
-    assert list(leg.model.composed_controls) == ["a"]
-
-
-def test_limits_by_concave_tables_are_several_smooth_ones() -> None:
-    """Thrust at most what a table of the speed says: below each of its lines."""
-    table = go.table([0.0, 1.0, 2.0], [2.0, 1.5, 0.0], method="linear")
-    model = go.Model("cart")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
-    leg.initial(v=0.0)
-    leg.final(v=1.5)
-    leg.bounds(a=(0.0, 5.0), v=(0.0, 2.0))
-    leg.path("engine", a - table(v), upper=0.0)
-    problem.minimize(leg.final_time)
-    assert restated(problem).phases["leg"].path_expression().numel() == 2
-    solution = go.solve(problem)
-    exact = 2 * np.log(2 / 1.5) + np.log(1.5 / 0.75) / 1.5  # dv / (2 - v/2), then dv / (3 - 1.5 v)
-    assert solution.objective == pytest.approx(exact, rel=1e-6)
 
 
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
@@ -165,21 +101,24 @@ def test_a_path_that_crosses_the_corners_of_a_table_it_pays_for() -> None:
 def powered(lower: float | None) -> go.Problem:
     """Three units of travel in four seconds with the least total thrust, its power limited."""
     model = go.Model("cart")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    x, v = model.state("x"), model.state("v")
+    a, size = model.split_control("a")
     model.ode({x: v, v: a})
     problem = go.Problem("p")
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=4.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=3.0, v=0.0)
-    leg.bounds(a=(-1.0, 1.0), v=(0.0, 3.0))
-    leg.path("power", a * v, lower=lower, upper=0.5)
-    problem.minimize(leg.integral(ca.fabs(a)))
+    leg.bounds(a_plus=(0.0, 1.0), a_minus=(0.0, 1.0), v=(0.0, 3.0))
+    leg.path("power", model.symbol("a_plus") * v, upper=0.5)
+    if lower is not None:
+        leg.path("braking power", model.symbol("a_minus") * v, upper=-lower)
+    problem.minimize(leg.integral(size))
     return problem
 
 
 @pytest.mark.parametrize("lower", [None, -0.4])
-def test_limits_of_a_split_control_are_those_of_its_parts(lower: float | None) -> None:
+def test_limits_of_the_parts_of_a_split_control(lower: float | None) -> None:
     """As fast as the thrust, then the power allows up to a speed c, coast, and brake: at the limits, v v' = P."""
 
     def ramp(c: float, power: float) -> tuple[float, float]:
@@ -196,24 +135,3 @@ def test_limits_of_a_split_control_are_those_of_its_parts(lower: float | None) -
     solution = go.solve(problem)
     assert solution.objective == pytest.approx(2 * speed, rel=1e-8)
     assert go.verify(solution).minimum
-    leg = restated(problem).phases["leg"]
-    rows = ca.vertsplit(leg.path_expression())
-    parts = [{s.name() for s in ca.symvar(row)} - {"v"} for row in rows]
-    assert parts == ([{"a_plus"}] if lower is None else [{"a_plus"}, {"a_minus"}])
-
-
-def test_limits_that_a_corner_may_break_are_of_all_parts() -> None:
-    """``0.2 - a v`` at least zero is told of a_plus alone, since 0.2 > 0; ``x - a v`` is not: x may be below zero."""
-    for constant, alone in ((True, True), (False, False)):
-        model = go.Model("cart")
-        x, v, a = model.state("x"), model.state("v"), model.control("a")
-        model.ode({x: v, v: a})
-        problem = go.Problem("p")
-        leg = problem.phase("leg", model)
-        leg.time(initial=0.0, final=4.0)
-        leg.initial(x=0.0, v=0.0)
-        leg.bounds(a=(-1.0, 1.0), v=(0.0, 3.0))
-        leg.path("room", (0.2 if constant else x) - a * v, lower=0.0)
-        problem.minimize(leg.integral(ca.fabs(a)))
-        row = restated(problem).phases["leg"].path_expression()
-        assert ("a_minus" not in {s.name() for s in ca.symvar(row)}) == alone

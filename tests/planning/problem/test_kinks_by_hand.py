@@ -69,16 +69,6 @@ PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] =
         abs,
         (0.0,),
     ),
-    "a linear table": (
-        lambda x, v, a: go.table([-3.0, -0.5, 0.5, 1.0, 4.0], [5.0, 0.0, 0.0, 1.0, 7.0], method="linear")(a),
-        lambda a: float(np.interp(a, [-3.0, -0.5, 0.5, 3.0], [5.0, 0.0, 0.0, 5.0])),
-        (-0.5, 0.5),
-    ),
-    "a concave table that earns": (
-        lambda x, v, a: -go.table([-3.0, 0.0, 4.0], [-6.0, 0.0, 4.0], method="linear", outside="error")(a),
-        lambda a: max(-2 * a, -a),
-        (0.0,),
-    ),
     "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
 }
 
@@ -205,14 +195,16 @@ def test_limits_of_kinks_that_cost_are_those_of_the_parts() -> None:
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
     assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match="kink: it leaves a hole, or is limited from both sides"):
+    with pytest.warns(
+        go.ProblemWarning, match="kink: it is not convex, for it excludes values between others"
+    ):
         problem.check()
 
 
 def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
     problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
     assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match="give bounds that tell the signs of its factors"):
+    with pytest.warns(go.ProblemWarning, match=r"give bounds\(\) that fix the signs of its factors"):
         problem.check()
     bounded = problem.with_bounds(v=(0.0, None))
     assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
@@ -369,7 +361,39 @@ def test_a_battery_that_gives_back_less_than_it_took_is_drained_least() -> None:
     assert solution.objective == pytest.approx(1.0 - (1 / 0.8 - 0.8) * cruise**2 / 2, rel=1e-8)
 
 
-# --- norms of more than controls --------------------------------------------------------------------------
+# --- what is solved as stated -----------------------------------------------------------------------------
+
+
+def dead_zone(a: Any) -> Any:
+    return ca.sign(a) * ca.fmax(ca.fabs(a) - 0.2, 0)
+
+
+def driven(act: Callable[[Any], Any]) -> go.Problem:
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: act(a)})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(v=0.0)
+    leg.final(v=1.0)
+    problem.minimize(leg.integral(a**2))
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("act", "remedy"),
+    [
+        (dead_zone, "split_control"),
+        (lambda a: ca.if_else(ca.fabs(a) > 0.3, a, 0), "let a phase end there"),
+        (lambda a: ca.fmax(ca.fmin(a, 1.0), -1.0), "bounds"),
+    ],
+)
+def test_actuators_with_kinks_are_solved_as_stated_and_reported(act: Any, remedy: str) -> None:
+    problem = driven(act)
+    assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match=f"rate of state 'v' .*{remedy}"):
+        problem.check()
 
 
 def pushed(cost: Callable[[Any, Any], Any]) -> go.Problem:
@@ -386,15 +410,29 @@ def pushed(cost: Callable[[Any, Any], Any]) -> go.Problem:
     return problem
 
 
-def test_a_norm_that_rests_where_its_argument_vanishes() -> None:
-    """a = (1, 0) all along: it costs 1 by its square, and as it is what is wanted, nothing by the norm."""
+def test_a_norm_with_a_kink_at_controls_other_than_zero_is_reported() -> None:
     problem = pushed(lambda v, a: ca.sumsqr(a) + ca.norm_2(a - ca.DM([1.0, 0.0])))
-    solution = go.solve(problem, mesh="4x3")
-    assert restated(problem).phases["leg"].vectors[0].name == "argument"
-    assert solution.objective == pytest.approx(1.0, abs=1e-7)
-    np.testing.assert_allclose(solution.flown_control("a")(0.4), [1.0, 0.0], atol=1e-6)
+    with pytest.warns(go.ProblemWarning, match=r"let a vector_control\(\) be the difference"):
+        problem.check()
 
 
 def test_lengths_of_paths_stay_as_they_are() -> None:
     problem = pushed(lambda v, a: ca.sqrt(a[0] ** 2 + (a[1] * ca.cos(v[0])) ** 2))
     assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning) as found:
+        problem.check()
+    assert not any("be the difference" in str(w.message) for w in found)
+
+
+def test_path_limits_that_repeat_a_bound_are_reported() -> None:
+    """Also up to rounding, 3 * 0.1 = 0.30000000000000004; looser and tighter limits are not."""
+    problem = cart(lambda x, v, a: a**2, bounds=(-1.0, 1.0))
+    leg = problem.phases["leg"]
+    v, a = leg.model.symbol("v"), leg.model.symbol("a")
+    leg.bounds(v=(-0.1, 0.1))
+    leg.path("looser", 3 * v, upper=0.5)
+    leg.path("tighter", 3 * v, upper=0.3 * (1 - 1e-10))
+    leg.path("both", ca.vertcat(-2 * a, v + a, 3 * v), upper=[2.0, 1.1, 0.3])
+    with pytest.warns(go.ProblemWarning, match="repeats a bound") as found:
+        problem.check()
+    assert [str(w.message).split("'")[1] for w in found] == ["both[0]", "both[2]"]

@@ -33,7 +33,6 @@ from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
 from gnc_opt.planning.problem.phase import Phase, PhaseGuess
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
-from gnc_opt.planning.problem.reformulation.table_lines import lines_of
 from gnc_opt.planning.problem.restatement import Restatement
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
@@ -280,9 +279,6 @@ def _scaled(found: Pieces | None, factor: Any) -> Pieces | None:
 
 def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
-    use = domain.tables.get(node.element_hash())
-    if use is not None:
-        return lines_of(use, domain)
     operation = node.op()
     if operation == ca.OP_FABS:
         return 1, [node.dep(0), -node.dep(0)]

@@ -20,9 +20,6 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phas
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase, PhaseGuess, PhaseNumbers
-from gnc_opt.planning.problem.reformulation.actuators import Actuators
-from gnc_opt.planning.problem.reformulation.argument import ArgumentForm, argument_of_norm
-from gnc_opt.planning.problem.reformulation.dead_zone import DeadZoneForm
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndForm,
@@ -30,7 +27,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_end_kinks,
 )
-from gnc_opt.planning.problem.reformulation.repeated import without_repeated
 from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
 from gnc_opt.planning.problem.reformulation.vector_norms import (
     Form,
@@ -148,9 +144,9 @@ def restated(problem: P) -> P:
     """Return a problem without norms of controls that are written by hand; itself if it has none.
 
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
-    of one another. Path limits that repeat bounds are free, and angles whose bounds leave them a whole turn.
+    of one another. Angles whose bounds leave them a whole turn are free.
     """
-    return without_full_turns(without_repeated(_without_norms(problem)))
+    return without_full_turns(_without_norms(problem))
 
 
 def _without_norms(problem: P) -> P:
@@ -166,10 +162,6 @@ def _without_norms(problem: P) -> P:
         )
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
-        while (named := _named(problem, leg, key)) is not None:
-            key = (*key, named)
-            while (form := _form(problem, leg, key)) is not None:
-                key = (*key, form.vector.places, *_restate(leg, form))
         key = (*key, *_straighten(problem, leg, key))
         rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
@@ -207,19 +199,6 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
     return problem.once(("form", *key), build)
 
 
-def _named(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> int | None:
-    """Restate the argument of a norm as a control; return what tells the form from others, None without such a norm."""
-    if not {*ROOTS} & problem.once(("operations", *key), lambda: operations_in(along(leg))):
-        return None
-    domain = Domain.along(problem, leg)
-    found = problem.once(("argument", *key, domain.key), lambda: argument_of_norm(problem, leg, domain))
-    if found is None:
-        return None
-    place = int(found.root.element_hash())
-    problem.once(("named", *key, place), lambda: ArgumentForm.of(leg, found)).apply(problem, leg)
-    return place
-
-
 def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Restate the kinks of a phase that cost, or limit; return what tells the form from others."""
     told = key
@@ -230,13 +209,6 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if bounds:
         told = (*told, *bounds)
         bound_controls(leg, bounds)
-        domain = Domain.along(problem, leg)
-    actuators = problem.once(("actuators", *told, domain.key), lambda: Actuators.of(problem, leg, domain))
-    if actuators.bounds or actuators.dead:
-        told = (*told, *actuators.key)
-        actuators.bound(leg)
-        if actuators.dead:
-            problem.once(("dead", *told), lambda: DeadZoneForm.of(leg, actuators.dead)).apply(leg)
         domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:

@@ -42,7 +42,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     pieces,
     rows_of,
 )
-from gnc_opt.planning.problem.reformulation.one_part import OneSided, one_sided, rows_by_parts
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
 from gnc_opt.planning.problem.reformulation.vector_norms import stated_controls
 from gnc_opt.planning.problem.restatement import Restatement
@@ -224,13 +223,10 @@ class Bends:
         By where they are.
     corners : dict of tuple of float
         By the place of the control.
-    sides : dict of OneSided
-        Rows of path constraints whose limits are of some parts only, by constraint and row.
     """
 
     at: dict[Place, list[Bend]]
     corners: dict[int, tuple[float, ...]]
-    sides: dict[tuple[str, int], OneSided]
 
     @classmethod
     def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
@@ -262,15 +258,12 @@ class Bends:
             place: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
             for place, own in (pushed | others).items()
         }
-        return cls(
-            {place: own for place, own in kept.items() if own}, corners, one_sided(leg, corners, domain)
-        )
+        return cls({place: own for place, own in kept.items() if own}, corners)
 
     @property
     def key(self) -> tuple[Any, ...]:
         """The same for the same form."""
-        bends = ((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
-        return (*bends, *self.sides.items())
+        return tuple((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
 
 
 def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
@@ -301,7 +294,6 @@ class SplitForm(PhaseForm):
         old, layout = leg.model, leg.model.controls
         parts: dict[str, list[Symbol]] = {}
         splits, instead, beyond = [], {}, {}
-        halves: dict[int, tuple[Any, Any]] = {}
         for v in layout.variables:
             places = range(*layout.slice(v.name).indices(layout.size))
             if places[0] not in bends.corners:
@@ -314,10 +306,6 @@ class SplitForm(PhaseForm):
                 beyond[places[i]] = {
                     corner[i]: sum(p[i] for p in plus[k:]) for k, corner in enumerate(corners)
                 }
-                halves[places[i]] = (
-                    _value(corners[0][i], [p[i] for p in plus], ca.SX(0)),
-                    _value(corners[0][i], [ca.SX(0)], minus[i]),
-                )
                 instead[symbol.element_hash()] = _value(corners[0][i], [p[i] for p in plus], minus[i])
 
         def split(expression: Any) -> Any:
@@ -333,17 +321,8 @@ class SplitForm(PhaseForm):
             return split(replaced(expression, known))
 
         def limited(name: str, c: Constraint) -> Constraint:
-            rows: list[tuple[Any, float, float]] = []
-            for i, row in enumerate(rows_of(c.expression)):
-                side, whole = bends.sides.get((name, i)), straight(row, ("path", name, i))
-                if side is None:
-                    rows.append((whole, float(c.interval.lower[i]), float(c.interval.upper[i])))
-                    continue
-                u = symbols[side.place].element_hash()
-                upper, lower = (split(replaced(row, {u: half})) for half in halves[side.place])
-                rows += rows_by_parts(c, i, side, upper, lower, whole)
-            expressions, least, most = zip(*rows, strict=True)
-            return Constraint(name, ca.vertcat(*expressions), Interval(np.array(least), np.array(most)))
+            rows = (straight(row, ("path", name, i)) for i, row in enumerate(rows_of(c.expression)))
+            return replace(c, expression=ca.vertcat(*rows))
 
         drains = {place: own for place, own in bends.at.items() if place[0] == "rate"}
         drained = {
