@@ -60,7 +60,14 @@ COARSE = {
 }
 """Solved once here; ``python -m benchmarks.performance.problem_files`` refines and judges them, and all the others."""
 LARGER = {
-    *("balanced_field", "docking_corridor", "eclipse_orbit_raising", "fermentor", "geo_station_keeping"),
+    *(
+        "booster_landing",
+        "balanced_field",
+        "docking_corridor",
+        "eclipse_orbit_raising",
+        "fermentor",
+        "geo_station_keeping",
+    ),
     *("gto_to_geo", "no_fly_zones", "quadrotor_time_optimal", "six_dof_landing", "truck_trailers"),
     *("two_burn_transfer", "two_stage_ascent", "wind_shear_landing"),
 }
