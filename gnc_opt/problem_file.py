@@ -88,6 +88,8 @@ class Example:
         arguments : sequence of str
             Options of the problem's own command line, such as ``--json OUT``.
         """
+        if self.is_system:
+            return int(import_module(f"{self.module.__name__}.__main__").main(arguments))
         return int(self.module.main(arguments))
 
 

@@ -79,6 +79,7 @@ def run(
     *,
     explained: Mapping[str, str] | None = None,
     tol: float = TOLERANCE,
+    closed_loop: Callable[[go.Solution], str] | None = None,
 ) -> int:
     """Solve a problem at default settings, refine, and say how the answer compares.
 
@@ -94,6 +95,8 @@ def run(
         the reason beside them, but do not count in the exit code.
     tol : float
         Of the refinement.
+    closed_loop : callable, optional
+        Tracks the solution and returns a line about it.
 
     Returns
     -------
@@ -111,6 +114,8 @@ def run(
     known = explained or {}
     _show(console, solution, verdict, known)
     _say(console, comparison(solution.objective, reference))
+    if closed_loop is not None:
+        _say(console, closed_loop(solution))
     if options.json is not None:
         _write_json(options.json, solution, verdict, reference)
     if options.report is not None:
@@ -166,8 +171,9 @@ def _console() -> Console:
 def _parser(build: Callable[[], go.Problem]) -> argparse.ArgumentParser:
     file = Path(inspect.getfile(build))
     description = (inspect.getmodule(build).__doc__ or "").partition("\n")[0]
-    program = f"python -m problems.{file.parent.name}.{file.stem}"
-    parser = argparse.ArgumentParser(prog=program, description=description)
+    is_system = (file.parent / "__main__.py").exists()
+    name = file.parent.name if is_system else f"{file.parent.name}.{file.stem}"
+    parser = argparse.ArgumentParser(prog=f"python -m problems.{name}", description=description)
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="write summary, verdict, solution and figures to a folder"
     )

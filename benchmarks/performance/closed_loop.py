@@ -55,8 +55,8 @@ from gnc_opt.spacecraft import (
 )
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TORQUE_STEP, Tracking, plan
-from problems.rendezvous_tracking.measured import Filtered
-from problems.rendezvous_tracking.report import FILTERS
+from problems.rendezvous_tracking.__main__ import FILTERS
+from problems.rendezvous_tracking.guidance import Filtered
 
 SPEED_UP = 50.0
 """Least accepted ratio of times per run."""

@@ -5,15 +5,20 @@
 To be read in this order:
 
 * `model`: the spacecraft, its sensors and wheels, the slew;
-* `board`: what runs on board: the filter, the laws, the wheels' limits;
-* `flown`: the loops, what runs differ by, how they are judged;
-* `table`: what is printed.
+* `control`: what runs on board (the filter, the controllers, the wheels' limits), the loops, what runs differ by.
 """
 
-from problems.attitude_control.board import LAWS, controller, estimator
-from problems.attitude_control.flown import DISPERSIONS, LIMITS, START, campaign, loop
+from problems.attitude_control.control import (
+    DISPERSIONS,
+    LAWS,
+    LIMITS,
+    START,
+    campaign,
+    controller,
+    estimator,
+    loop,
+)
 from problems.attitude_control.model import MANOEUVRE, MAX_MOMENTUM, MAX_TORQUE, TARGET, build, plant, slew
-from problems.attitude_control.table import main
 
 __all__ = [
     "DISPERSIONS",
@@ -29,7 +34,6 @@ __all__ = [
     "controller",
     "estimator",
     "loop",
-    "main",
     "plant",
     "slew",
 ]

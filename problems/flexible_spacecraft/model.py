@@ -55,11 +55,6 @@ def flexible_body(coupling: ArrayLike, frequencies: ArrayLike, damping: ArrayLik
 
 BODY = flexible_body(COUPLING, FREQUENCIES, DAMPING)
 
-FULL_FREQUENCIES = (0.7681, 1.1038, 1.8733, 2.5496)
-"""The published ones before rounding, rad/s."""
-FULL_DAMPING = (0.0056, 0.0086, 0.013, 0.025)
-FULL = flexible_body(COUPLING, FULL_FREQUENCIES, FULL_DAMPING)
-
 
 def build_model(body: FlexibleBody = BODY, orbital_rate: float = ORBITAL_RATE) -> go.Model:
     """Return the dynamics: 15 states, 3 controls."""

@@ -9,7 +9,7 @@ z along the orbit normal. States: ``r`` (m) and ``v`` (m/s), the follower relati
 
 with the gravity of the point mass exact, as in `gnc_opt.spacecraft.relative_acceleration`, and D the oblateness'
 acceleration of the follower minus that of the leader, `gnc_opt.spacecraft.differential_j2`; the leader itself stays on
-its Kepler orbit. `inertial_model` drops this last simplification.
+its Kepler orbit.
 
 The formation is a circle of 1 km radius in the plane :math:`z = \sqrt3 x`, a free motion of Hill's equations:
 
@@ -33,11 +33,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control import Reference
 from gnc_opt.spacecraft import (
     differential_j2,
-    inertial_from_relative,
-    j2_gravity,
-    point_mass_gravity,
     relative_acceleration,
-    relative_from_inertial,
 )
 
 MU = 398600e9
@@ -101,46 +97,6 @@ def hill_model() -> go.Model:
     rate = ca.DM(a) @ ca.vertcat(r, v) + ca.DM(b) @ thrust
     model.ode({r: rate[:3], v: rate[3:]})
     return model
-
-
-def inertial_model() -> go.Model:
-    """Return leader and follower as two oblate orbits, seen from the leader's true radial frame.
-
-    States: ``r``, ``v`` as in `build_model`, measured in the leader's true frame; ``leader_r`` (m), ``leader_v`` (m/s),
-    inertial. Control: ``a``, along the axes of that frame.
-    """
-    model = go.Model("formation flying, two inertial orbits")
-    r, v = model.state("r", 3, unit="m"), model.state("v", 3, unit="m/s")
-    leader_r = model.state("leader_r", 3, unit="m")
-    leader_v = model.state("leader_v", 3, unit="m/s")
-    a = model.control("a", 3, unit="m/s^2")
-    j2 = model.parameter("J2", J2)
-
-    def gravity(place: Any) -> Any:
-        return point_mass_gravity(place, MU) + j2_gravity(place, MU, j2, EARTH_RADIUS)
-
-    orbits = [ca.SX.sym(name, 3) for name in ("leader_r", "leader_v", "follower_r", "follower_v")]
-    _, rho_rate = relative_from_inertial(*orbits, gravity(orbits[0]))
-    rates = ca.vertcat(orbits[1], gravity(orbits[0]), orbits[3], gravity(orbits[2]))
-    acceleration = ca.jtimes(rho_rate, ca.vertcat(*orbits), rates)
-    seen = ca.Function("seen", [*orbits, j2], [acceleration])
-    follower = inertial_from_relative(leader_r, leader_v, r, v, gravity(leader_r))
-    model.ode(
-        {
-            r: v,
-            v: seen(leader_r, leader_v, *follower, j2) + a,
-            leader_r: leader_v,
-            leader_v: gravity(leader_r),
-        }
-    )
-    return model
-
-
-def leader_orbit(inclination: float = 0.0) -> tuple[Array, Array]:
-    """Return the leader's inertial position (m) and velocity (m/s) at its node; inclination in rad."""
-    speed = RATE * LEADER_RADIUS
-    heading = np.array([0.0, np.cos(inclination), np.sin(inclination)])
-    return np.array([LEADER_RADIUS, 0.0, 0.0]), speed * heading
 
 
 def circle(t: Any, phase: float = PHASE) -> tuple[Any, Any, Any]:

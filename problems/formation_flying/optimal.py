@@ -7,13 +7,13 @@ thruster each way (``push``, ``pull``), which makes the cost linear and the opti
 **Least time** with at most `LIMIT` of thrust acceleration in any direction: the end is any point of the
 circle, at the time at which the formation is there.
 
-Plans for flying keep `RESERVE` of the thrust and know no oblateness; see `problems.formation_flying.flown`.
+Plans to be tracked keep `RESERVE` of the thrust and neglect the oblateness.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,12 +22,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from problems._example import Reference
-from problems.comparison import Row, compare, require
-from problems.formation_flying.laws import delta_v
 from problems.formation_flying.model import PERIOD, START, build_model, circle, circle_state
-from problems.formation_flying.published import run
-from problems.fronts import Front, certified
-from problems.kept import kept
 
 LIMIT = 3e-3
 """Thrust acceleration, m/s^2: near the largest that the optimal sliding mode asks for, 3.1e-3."""
@@ -86,8 +81,6 @@ REFERENCE = Reference(
 
 LEAST_TIME = 738.51683269
 """Of `build_fast`, s: solutions from meshes of 12x4 and 20x4 agree, and the linear theory to 0.02 s."""
-EXPECTED = {"least Delta-V": 1.8255, "least time": 3858.5}
-"""Of the publication's optimal sliding mode, computed independently: Delta-V (m/s), last time beyond 1 m (s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,55 +118,9 @@ class Plan:
         return self.solution.phase().x(t)
 
 
-@kept
+@cache
 def plan(name: str, reserve: float = 0.0, j2: bool = True) -> Plan:
     """Return the plan "least Delta-V" or "least time", with a share of the thrust in reserve."""
     builder = {"least Delta-V": build, "least time": build_fast}[name]
     solution = go.solve(builder((1 - reserve) * LIMIT, j2), tol=1e-8)
     return Plan(name, solution)
-
-
-DURATIONS = (900.0, 1200.0, 1600.0, 2000.0, 3000.0, 4500.0)
-"""Of the front, s; a whole period ends in a dearer point of the circle, 1.1843 m/s."""
-
-
-def front() -> Front:
-    """Return what less time costs: the least Delta-V of several durations."""
-    points = certified(
-        DURATIONS,
-        lambda duration: go.solve(build(duration=duration), tol=1e-8),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    law = run("optimal SMC")
-    return Front("Delta-V", "m/s", points, (law.settling_time("r", 1.0), delta_v(law)), "optimal SMC, to 1 m")
-
-
-# --- against the publication ----------------------------------------------------------------------------
-
-
-def optimal_rows() -> list[Row]:
-    """The optima beside the publication's manoeuvre; `problems.formation_flying.flown` flies both."""
-    spent, settled = delta_v(run("optimal SMC")), run("optimal SMC").settling_time("r", 1.0)
-    known = (
-        ("least Delta-V", "in one period (m/s)", REFERENCE.value, REFERENCE.tolerance, "per axis", spent),
-        ("least time", "to the formation (s)", LEAST_TIME, 1e-4, "in all", settled),
-    )
-    rows = []
-    for name, of, value, tolerance, where, published in known:
-        best, limits = plan(name), f"thrust of at most {LIMIT:g} m/s^2 {where}"
-        failed = ", ".join(c.name for c in best.verdict.failed)
-        found = best.solution.objective
-        rows += [
-            compare(f"{name} {of}", value, found, absolute=tolerance, note=limits),
-            require(
-                f"{name}: conditions that fail", "none", len(best.verdict.failed), not failed, note=failed
-            ),
-            compare(
-                f"{name} / optimal SMC, both undisturbed",
-                value / EXPECTED[name],
-                found / published,
-                relative=0.002,
-                note="the plan is not flown here",
-            ),
-        ]
-    return rows

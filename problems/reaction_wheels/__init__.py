@@ -1,18 +1,15 @@
 """Attitude slews with a pyramid of four reaction wheels: feedback linearisation, quaternion LQR, optimal slews.
 
-A body at rest is turned by the motor torques of four wheels. The publication's two laws are reproduced number by
-number; the same slews are then made with the least energy and in the least time, and tracked. The page is
+A body at rest is turned by the motor torques of four wheels, with the least energy or in the least time, within the
+wheels' torque and speed limits, and the slew is tracked. Two published attitude controllers stand beside it; their
+printed numbers are reproduced by ``python -m benchmarks.validation.published reaction_wheels``. The page is
 docs/reaction_wheels.md.
 
 To be read in this order:
 
 * `model`: data, manoeuvres, dynamics;
-* `laws`: the two published laws, their gains, closed forms;
-* `runs`: the published slews; `limits`: null space, speed limit, singularity;
-* `published`: every number that is known of them, against ours;
-* `optimal`: the optimal control problems, their solutions and tracking;
-* `flown`: optimal slews and published law under the same errors and limits;
-* `plots`, `report`: what is drawn and printed.
+* `control`: the two published controllers, their gains, closed forms, and the regulator along an optimal slew;
+* `optimal`: the optimal control problems and their solutions.
 """
 
 from problems.reaction_wheels.model import (
@@ -37,7 +34,6 @@ from problems.reaction_wheels.model import (
     wheel_model,
 )
 from problems.reaction_wheels.optimal import REFERENCE, Goal, build, published_peak_torque
-from problems.reaction_wheels.report import main
 
 __all__ = [
     "AXES",
@@ -58,7 +54,6 @@ __all__ = [
     "Drive",
     "Goal",
     "build",
-    "main",
     "paper_quaternion",
     "published_peak_torque",
     "resting",

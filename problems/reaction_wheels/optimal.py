@@ -1,4 +1,4 @@
-r"""Optimal slews of the wheel pyramid within its torque and speed limits, judged and tracked.
+r"""Optimal slews of the wheel pyramid within its torque and speed limits.
 
 Least energy is smooth; one wheel rests on the speed limit for a while if time is short. Least time is bang-bang,
 with arcs on the speed limit where the wheel's torque is zero and its multiplier positive. Two things keep its switches
@@ -22,16 +22,11 @@ from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag
 
 import gnc_opt as go
-from gnc_opt.control.error_dynamics import Deviation
-from gnc_opt.control.riccati import steady
 from gnc_opt.errors import did_you_mean
 from problems._example import Reference
-from problems.comparison import Row, at_most, compare, require
-from problems.fronts import Front, certified
-from problems.reaction_wheels.laws import PRINTED_FLC
+from problems.reaction_wheels.control import PRINTED_FLC
 from problems.reaction_wheels.model import (
     AXES,
     DESIGN_SPEED,
@@ -41,11 +36,9 @@ from problems.reaction_wheels.model import (
     REST,
     RPM,
     WHEEL_INERTIA,
-    resting,
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels.runs import published_slew
 
 Goal: TypeAlias = Literal["energy", "time"]
 Name: TypeAlias = Literal["energy", "energy, half the time", "time, small", "time, speed limit"]
@@ -165,63 +158,6 @@ def optimal_slew(name: Name) -> go.Solution:
     return go.solve(SLEWS[name](), tol=_TOLERANCE)
 
 
-DURATIONS = (15.0, 17.0, 20.0, 25.0, 34.6, 45.0, 60.0)
-"""Of the front, s."""
-
-
-def front() -> Front:
-    """Return what less time costs: the least energy of manoeuvre 3 in several durations, the speed limit held."""
-    points = certified(
-        DURATIONS,
-        lambda duration: go.solve(build(duration=duration), tol=_TOLERANCE),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    law = published_slew(3, "FLC")
-    return Front("integral of sum T^2", "N^2 m^2 s", points, (law.settling_time, law.energy), "FLC, to 2 %")
-
-
-# --- tracking -------------------------------------------------------------------------------------------
-
-ATTITUDE_ERROR, RATE_ERROR, NULL_ERROR = np.radians(0.1), np.radians(0.1), 0.02
-"""Acceptable errors by Bryson's rule: rad, rad/s, and N m s of momentum in the null direction."""
-ACCEPTED_TORQUE = 0.02
-"""Acceptable feedback torque of a wheel, N m."""
-CONTROL_STEP = 0.05
-"""s."""
-
-
-def design_tracker(solution: go.Solution, reserve: float) -> go.Controller:
-    """Return the time-varying linear-quadratic regulator along an optimal slew.
-
-    All four wheels are commanded, so that their momentum in the null direction is tracked as well. The total momentum
-    cannot be controlled and is not weighed; the terminal weight is the steady cost to go at rest.
-
-    Parameters
-    ----------
-    solution : Solution
-    reserve : float
-        Torque limit of the wheels (N m), for the statement of what is left to the feedback.
-    """
-    craft = wheel_model()
-    reference = go.Reference(solution)
-    effort = np.eye(4) / ACCEPTED_TORQUE**2
-    body = np.diag([1 / ATTITUDE_ERROR**2] * 3 + [1 / RATE_ERROR**2] * 3)
-    null = np.outer(NULL, NULL) / (2 * NULL_ERROR) ** 2  # of the component along the unit null vector
-    a, b = Deviation(craft).linearize(0.0, resting(reference.x(reference.final_time)[:4]), np.zeros(4))
-    labels = tuple(f"e[{i}]" for i in range(6))
-    rest = steady(a[:6, :6], b[:6], body, effort, np.zeros((6, 4)), labels)
-    # of z' = -u with weights w and r the cost to go is (w r)^(1/2) z^2
-    waiting = np.outer(NULL, NULL) / 4 / (NULL_ERROR * ACCEPTED_TORQUE)
-    return go.design_tvlqr(
-        craft,
-        reference,
-        Q=block_diag(body, null),
-        R=effort,
-        terminal=block_diag(rest.cost, waiting),
-        limits=(-reserve, reserve),
-    )
-
-
 def eigenaxis_energy(inertia: float, angle: float, duration: float) -> float:
     """Return the least energy (N^2 m^2 s) of a body with equal moments (kg m^2): a turn about one axis, in closed form.
 
@@ -235,39 +171,3 @@ def fastest_wheel(solution: go.Solution) -> float:
     """Return the largest speed of a wheel, rpm."""
     times = solution.phase().sample_times(24)
     return float(np.max(np.abs(solution.state("h")(times)))) / WHEEL_INERTIA / RPM
-
-
-# --- against the publication ----------------------------------------------------------------------------
-
-KNOWN: dict[Name, tuple[float, float, float]] = {
-    "energy": (REFERENCE.value, REFERENCE.tolerance, 0.1688),
-    "energy, half the time": (0.047952994557, 1e-10, 1.5075),
-    "time, small": (10.2372421, 1e-6, 0.3056),
-    "time, speed limit": (12.0027033, 1e-6, 0.3541),
-}
-"""Objective, its tolerance, and its ratio to the published law, undisturbed. The last two are confirmed by flying their
-switches in another program (`tests/problems/test_reaction_wheels_optimal.py`)."""
-
-
-def optimal_rows() -> list[Row]:
-    """Return the optimal slews beside the published ones of the same manoeuvres, both undisturbed."""
-    rows = []
-    for name, (value, tolerance, expected) in KNOWN.items():
-        solution, published = optimal_slew(name), published_slew(MANOEUVRE[name], "FLC")
-        verdict, in_time = go.verify(solution), name.startswith("time")
-        theirs = published.settling_time if in_time else published.energy
-        what, unit = f"{name} (manoeuvre {MANOEUVRE[name]})", "s" if in_time else "N^2 m^2 s"
-        told = ", ".join(c.name for c in (*verdict.failed, *verdict.untold))
-        rows += [
-            compare(f"{what}: least ({unit})", value, solution.objective, absolute=tolerance),
-            require(f"{what}: verdict", "ok", float(verdict.ok), verdict.ok, note=told),
-            at_most(f"{what}: peak speed (rpm)", DESIGN_SPEED * (1 + 1e-9), fastest_wheel(solution)),
-            compare(
-                f"{what}: least / published FLC",
-                expected,
-                solution.objective / theirs,
-                relative=2e-3,
-                note="time to rest against time to 2 %" if in_time else "",
-            ),
-        ]
-    return rows

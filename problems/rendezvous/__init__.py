@@ -1,14 +1,14 @@
 """Time-optimal rendezvous of a rigid spacecraft in translation and rotation (6 degrees of freedom).
 
-A chaser comes to rest 10 m above its target on a circular orbit and turns by 90 degrees about y, as fast as
-its torques and forces allow. `problems.rendezvous_tracking` follows the plan in closed loop.
+A chaser comes to rest 10 m above its target on a circular orbit and turns by 90 degrees about y, as fast as its torques
+and forces allow. `problems.rendezvous_tracking` tracks the plan in closed loop. The published times are reproduced by
+``python -m benchmarks.validation.published rendezvous``, the local minima that they are by
+``python -m benchmarks.validation.rendezvous_minima``. The page is docs/rendezvous.md.
 
 To be read in this order:
 
 * `model`: data, the five cases, dynamics, the optimal control problem;
-* `optimal`: the known minimum times with their sources, and their switches;
-* `search`: the local minima, and which of them the published numbers are;
-* `plots`, `report`: what is drawn and printed.
+* `optimal`: the known minimum times with their sources, and their switches.
 """
 
 from problems.rendezvous.model import (
@@ -29,8 +29,7 @@ from problems.rendezvous.model import (
     chaser_model,
     printed_angular_acceleration,
 )
-from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, switch_arcs, switch_mesh
-from problems.rendezvous.report import figures, main
+from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, figures, switch_arcs, switch_mesh
 
 __all__ = [
     "ALTITUDE",
@@ -52,7 +51,6 @@ __all__ = [
     "build",
     "chaser_model",
     "figures",
-    "main",
     "printed_angular_acceleration",
     "switch_arcs",
     "switch_mesh",

@@ -1,24 +1,16 @@
-"""The time-optimal rendezvous followed by open loop, TVLQR, integral sliding mode and MPC in one campaign; and guided.
+"""The time-optimal rendezvous tracked by open loop, TVLQR, integral sliding mode and MPC in one campaign; and guided.
 
     python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
 
 To be read in this order: `problems.rendezvous.model`, then here
 
-* `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
-* `guided`: the plan without reserve, its switches corrected on board;
-* `measured`: both by range, bearing, star tracker and gyro, through a filter;
-* `replanned`: the same, with the problem solved again in flight;
-* `flown`: the optimum and the solution on the paper's mesh over the same runs;
-* `basilisk`: the plan and its regulator in another maker's plant;
-* `plots`, `report`: what is drawn and printed.
+* `control`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
+* `guidance`: the plan without reserve, its switches corrected on board; both by range, bearing, star tracker and gyro;
+* `replanning`: the same, with the problem solved again in flight.
 """
 
 from problems.rendezvous import CASES
-from problems.rendezvous_tracking.guided import Guided, settled
-from problems.rendezvous_tracking.measured import Filtered, Measured
-from problems.rendezvous_tracking.replanned import Replanned
-from problems.rendezvous_tracking.report import main
-from problems.rendezvous_tracking.tracking import (
+from problems.rendezvous_tracking.control import (
     ACCEPTED,
     AUTHORITY,
     CONTROLLERS,
@@ -41,9 +33,10 @@ from problems.rendezvous_tracking.tracking import (
     Tracking,
     example_run,
     plan,
-    price_of_robustness,
     turned,
 )
+from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured, settled
+from problems.rendezvous_tracking.replanning import Replanned
 
 __all__ = [
     "ACCEPTED",
@@ -72,9 +65,7 @@ __all__ = [
     "Replanned",
     "Tracking",
     "example_run",
-    "main",
     "plan",
-    "price_of_robustness",
     "settled",
     "turned",
 ]

@@ -5,14 +5,11 @@
 To be read in this order:
 
 * `model`: the lander, its plan, the plant;
-* `laws`: the regulator about the plan, and the published law;
-* `flown`: the loops, what runs differ by, how they are judged;
-* `table`: what is printed.
+* `control`: the regulator about the plan, the published controller, the loops, what runs differ by.
 """
 
-from problems.rocket_landing.flown import CONTROLLERS, DISPERSIONS, LATEST, LIMITS, Landing, resolver
+from problems.rocket_landing.control import CONTROLLERS, DISPERSIONS, LATEST, LIMITS, Landing, resolver
 from problems.rocket_landing.model import START, build, descent, plant
-from problems.rocket_landing.table import main
 
 __all__ = [
     "CONTROLLERS",
@@ -23,7 +20,6 @@ __all__ = [
     "Landing",
     "build",
     "descent",
-    "main",
     "plant",
     "resolver",
 ]

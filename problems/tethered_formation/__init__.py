@@ -1,16 +1,14 @@
 """A tethered pair of satellites: swing and orbit by the direction of the leader's thrust.
 
-The published control structure is reproduced; the same swing is then taken out in the least time and with the least
-effort, and both manoeuvres are tracked. The page is docs/tethered_formation.md.
+The swing is taken out in the least time and with the least effort, and the manoeuvres are tracked, by a published
+control structure among others. The numbers that are known of it are reproduced by
+``python -m benchmarks.validation.published tethered_formation``. The page is docs/tethered_formation.md.
 
 To be read in this order:
 
 * `model`: data, dynamics, the reference orbit;
-* `laws`: the published structure: surface, observer, reaching laws; `runs`: its closed loop;
-* `published`: every number that is known of it, against ours;
-* `optimal`: the optimal control problems, their solutions and tracking;
-* `flown`: optima and published structure on the same disturbed plant;
-* `plots`, `report`: what is drawn and printed.
+* `optimal`: the optimal control problems and their solutions;
+* `control`: the published structure (surface, observer, reaching laws), and following a plan.
 """
 
 from problems.tethered_formation.model import (
@@ -30,7 +28,6 @@ from problems.tethered_formation.model import (
     tether_model,
 )
 from problems.tethered_formation.optimal import MESH, REFERENCE, Goal, build, solve
-from problems.tethered_formation.report import main
 
 __all__ = [
     "DURATION",
@@ -49,7 +46,6 @@ __all__ = [
     "build",
     "equilibrium",
     "first_state",
-    "main",
     "reference",
     "solve",
     "tether_model",

@@ -148,8 +148,11 @@ class Orbit:
         nodes = 0.5 * duration * (1 - np.cos(np.pi * (np.arange(2 * _DEGREE) + 0.5) / (2 * _DEGREE)))
         flown = solve_ivp(rate, (0.0, duration), first, "DOP853", nodes, rtol=1e-13, atol=1e-13)
         curves = [Chebyshev.fit(nodes, row, _DEGREE, [0.0, duration]) for row in flown.y]
-        powers = [c.convert(kind=Polynomial, domain=[0.0, duration], window=[0.0, 1.0]).coef for c in curves]
-        return cls(pair, force, duration, np.array(powers))
+        powers = np.zeros((4, _DEGREE + 1))  # a conversion leaves out last coefficients that are zero
+        for row, curve in zip(powers, curves, strict=True):
+            found = curve.convert(kind=Polynomial, domain=[0.0, duration], window=[0.0, 1.0]).coef
+            row[: found.size] = found
+        return cls(pair, force, duration, powers)
 
     def __call__(self, t: Any) -> list[Any]:
         """Return height, climb, lead and drift at a time (s), a number or a symbol, by Horner's rule."""

@@ -1,4 +1,4 @@
-r"""Optimal manoeuvres for the task of `problems.tethered_formation`, against the published structure, and tracked.
+r"""Optimal manoeuvres of the tethered pair: its swing taken out in the least time and with the least effort.
 
 The least time is bang-bang in the *rate* of the thrust angle, with three arcs on the limit of the angle itself, whose
 derivative the control is (a state limit of first order). The least effort meets no limit. Both end on the
@@ -10,7 +10,6 @@ something left.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal, TypeAlias
@@ -19,11 +18,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
-from gnc_opt.spacecraft import TetheredPair
 from problems._example import Array, Reference
-from problems.comparison import Row, compare, require
-from problems.fronts import Front, certified
-from problems.tethered_formation.laws import STEP, design_swing_law
 from problems.tethered_formation.model import (
     DURATION,
     FIRST_SWING,
@@ -35,10 +30,8 @@ from problems.tethered_formation.model import (
     first_state,
     tether_model,
 )
-from problems.tethered_formation.runs import Manoeuvre, fly_law
 
 Goal: TypeAlias = Literal["time", "effort"]
-Tracker: TypeAlias = Literal["TVLQR", "published"]
 
 MESH = go.Mesh.uniform(60, 3)
 """To begin with: the least time has arcs of 3 s in 100 s, which 20 segments do not tell apart."""
@@ -101,17 +94,10 @@ def solve(goal: Goal = "time", **options: float) -> go.Solution:
 
 REFERENCE = Reference(100.16675803, "ours: 150 segments and eight arcs with free switches agree", 1e-6, "s")
 
-# --- its solutions, tracked ------------------------------------------------------------------------------
+# --- its solutions ---------------------------------------------------------------------------------------
 
 RESERVE = {"angle": float(np.radians(17.0)), "rate": 0.08}
 """Limits (rad, rad/s) with which the time-optimal manoeuvre is planned that is tracked."""
-
-DISTURBED: Mapping[str, tuple[TetheredPair, float]] = {
-    "exact gravity": (PAIR, FIRST_SWING),
-    "swing 33 deg at first": (PAIR, float(np.radians(33.0))),
-    "follower 20 % heavier": (TetheredPair(500.0, 240.0, 1.0, 100.0), FIRST_SWING),
-}
-"""True pair and first swing (rad) of the tracked runs; the exact plant in all."""
 
 
 @dataclass(frozen=True)
@@ -154,102 +140,9 @@ class Optimum:
         return float(np.trapezoid(np.ravel(values), self._grid))
 
 
-def design_tracker(reference: go.Reference, kind: Tracker) -> go.Controller:
-    """Return a time-varying LQR, or the published structure with the model's Gamma, about a planned manoeuvre.
-
-    The place along the orbit cannot be steered, so the LQR does not weigh it.
-    """
-    if kind == "published":
-        return design_swing_law(reference, unknown="modelled")
-    states = reference.model.states
-    weights = go.bryson(
-        states, height=2.0, climb=0.2, lead=300.0, drift=30.0, theta=0.02, theta_rate=2e-3, gamma=0.1
-    )
-    limits = (-MAX_RATE, MAX_RATE)
-    return go.design_tvlqr(
-        reference.model, reference, Q=weights, R={"gamma_rate": 2e4}, terminal=weights, dt=STEP, limits=limits
-    )
-
-
-def track(
-    solution: go.Solution, kind: Tracker, cases: Sequence[str] = tuple(DISTURBED)
-) -> dict[str, Manoeuvre]:
-    """Fly an optimum on the exact plant to its last control step, in some of `DISTURBED`."""
-    plan = go.Reference(solution, tail="hold")  # held for the part of a control step that is left at the end
-    law, duration = design_tracker(plan, kind), STEP * np.floor(plan.final_time / STEP + 1e-9)
-    return {
-        case: fly_law(law, first_state(DISTURBED[case][1]), duration, DISTURBED[case][0]) for case in cases
-    }
-
-
-def ends(manoeuvre: Manoeuvre) -> Array:
-    """Return swing (degrees), height (m) and climb (m/s) at the end, against the plan."""
-    return manoeuvre.at(manoeuvre.times[-1])[:3]
-
-
-DURATIONS = (105.0, 115.0, 130.0, 150.0, 175.0, DURATION)
-"""Of the front, s."""
-
-
-def front(published: Manoeuvre) -> Front:
-    """Return what less time costs: the least effort of several durations."""
-    points = certified(
-        DURATIONS,
-        lambda duration: solve("effort", duration=duration),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    return Front(
-        "integral of the squared rate",
-        "rad^2/s",
-        points,
-        (published.last_beyond(1.0), published.effort),
-        "published structure, to 1 deg",
-    )
-
-
-# --- against the publication ----------------------------------------------------------------------------
-
-
 @cache
 def optimum(name: str) -> Optimum:
     """Return "time", "effort", or "planned": the least time with `RESERVE`."""
     if name == "planned":
         return Optimum.of("time", **RESERVE)
     return Optimum.of("time" if name == "time" else "effort")
-
-
-KNOWN = {
-    "time, s": (REFERENCE.value, 1e-6),
-    "planned, s": (117.442208612, 1e-6),
-    "effort, rad^2/s": (2.93928e-3, 3e-8),
-}
-"""Of the optima, with tolerances: solutions from meshes of 40, 50 and 60 segments agree."""
-
-
-def optimal_rows(published: Manoeuvre) -> list[Row]:
-    """Return the optima, their verdicts, and what the undisturbed published structure takes beside them."""
-    rows = []
-    for title, (value, tolerance) in KNOWN.items():
-        name = title.partition(",")[0]
-        best = optimum(name)
-        verdict, reserve = (
-            best.verdict,
-            "with 17 deg and 0.08 rad/s, to be flown" if name == "planned" else "",
-        )
-        told = ", ".join(c.name for c in (*verdict.failed, *verdict.untold))
-        rows += [
-            compare(f"least {title}", value, best.solution.objective, absolute=tolerance, note=reserve),
-            require(f"least {name}: verdict", "ok", float(verdict.ok), verdict.ok, note=told),
-        ]
-    settled, fast, slow = published.last_beyond(1.0), optimum("time"), optimum("effort")
-    return [
-        *rows,
-        compare("time, published to 1 deg only / least", 1.357, settled / fast.leg.final_time, absolute=2e-3),
-        compare("effort in 200 s, published / least", 61.9, published.effort / slow.effort, absolute=0.5),
-        compare(
-            "speed lost along the orbit, published / least effort",
-            5.29,
-            published.loss / slow.loss,
-            absolute=0.02,
-        ),
-    ]

@@ -22,10 +22,10 @@ from problems.attitude_control import (
     campaign,
     loop,
     slew,
-    table,
 )
-from problems.attitude_control.board import CLOSING, DT, SHARE, estimator, within_limits
-from problems.attitude_control.flown import SETTLED
+from problems.attitude_control import __main__ as table
+from problems.attitude_control.__main__ import WITHOUT, main
+from problems.attitude_control.control import CLOSING, DT, SETTLED, SHARE, estimator, within_limits
 from problems.attitude_control.model import (
     DURATION,
     GYRO_BIAS,
@@ -35,10 +35,8 @@ from problems.attitude_control.model import (
     TRACKER_PERIOD,
     TRACKER_RATE,
 )
-from problems.attitude_control.table import WITHOUT, main
 from problems.reaction_wheels import AXES, INERTIA, REFERENCE, REST
-from problems.reaction_wheels.laws import design_flc
-from problems.reaction_wheels.limits import peak_speed
+from problems.reaction_wheels.control import design_flc, peak_speed
 
 SEED = 3
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from benchmarks.validation import basilisk
 from problems.rendezvous import chaser_model
-from problems.rendezvous_tracking import basilisk
-from problems.rendezvous_tracking.tracking import DT, Tracking, plan
+from problems.rendezvous_tracking.control import DT, Tracking, plan
 
 pytest.importorskip("Basilisk.simulation.spacecraft", reason="Basilisk (extra peers) is not installed")
 

@@ -1,27 +1,20 @@
-"""The flexible spacecraft's flown comparison against a program of its own, and its conditions."""
+"""The flexible spacecraft's flown comparison against a program of its own."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from few_runs import few_runs, flown_again, told
+from dispersed import told
 from flexible import TRUE, angle, integrated, rest, vibration
 
+from benchmarks.validation.published.comparison import known
+from benchmarks.validation.published.flexible_spacecraft import FLOWN, flight, measures, plan, rivals
+from benchmarks.validation.published.tracked import Flight
 from gnc_opt.spacecraft import quaternion_angle
-from problems.flexible_spacecraft import flown
-from problems.flexible_spacecraft.flown import (
-    FLOWN,
-    KNOWN,
-    Conditions,
-    flight,
-    flown_rows,
-    plan,
-    rivals,
-    worth,
-)
-from problems.flown import Flight
 
 NAMES = ("published", *FLOWN)
+FLOWN_TITLES = {name: f"{name}, {share}" for name, share in FLOWN.items()}
+FLOWN_TITLES["published"] = FLOWN_TITLES["least vibration"]
 
 
 @pytest.mark.slow
@@ -39,10 +32,15 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
             float(np.sum(np.abs(torques[:, :, i])) * 0.05),
             angle(states[-1, :4, i]),
         )
-        for one in (worth(runs[i]), KNOWN[name][0]):
+        time, effort, miss, energy = (
+            row["independent"][name == "published"]
+            for row in known("flexible_spacecraft")
+            if row["quantity"].startswith(f"{FLOWN_TITLES[name]}, flown") and "independent" in row
+        )
+        for one in (measures(runs[i]), Flight(time, effort, miss)):
             assert [one.time, one.effort] == pytest.approx([found.time, found.effort], rel=1e-4)
             assert one.miss == pytest.approx(found.miss, rel=1e-3)
-        assert KNOWN[name][1] == pytest.approx(vibration(states[1200, :, i], TRUE), rel=1e-3)
+        assert energy == pytest.approx(vibration(states[1200, :, i], TRUE), rel=1e-3)
         noise = runs[i].measured[4:7] - runs[i].states[4:7, :-1]
         np.testing.assert_allclose(np.degrees(np.std(noise, axis=1)), 0.001, rtol=0.06)
         assert np.max(np.abs(torques[:, :, i])) <= 0.3 * (1 + 1e-12)
@@ -51,15 +49,14 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
         leg = plan(name).phase()
         torque = leg.flown_control("torque")(np.linspace(0.0, leg.final_time, 500))
         assert np.max(np.abs(torque)) == pytest.approx(0.27, rel=1e-6)
-    assert worth(runs[2]).effort == pytest.approx(worth(runs[0]).effort, rel=0.02)
-    assert [row.quantity for row in flown_rows() if not row.passes] == []
+    assert measures(runs[2]).effort == pytest.approx(measures(runs[0]).effort, rel=0.02)
 
 
 @pytest.mark.slow
 def test_dispersed_runs_are_what_another_program_makes_of_the_applied_torques() -> None:
     """From their own starts and under their own pushes, for the plans and for the published law."""
-    campaigns = few_runs("flexible_spacecraft", rivals())
-    runs = flown_again(campaigns)
+    campaigns = rivals().fly(3, executor="serial")
+    runs = [campaign.rerun(i) for campaign in campaigns.values() for i in range(3)]
     torques = np.stack([run.applied for run in runs], axis=-1)
     starts = np.stack([run.states[:, 0] for run in runs], axis=-1)
     wave, level = (
@@ -72,14 +69,3 @@ def test_dispersed_runs_are_what_another_program_makes_of_the_applied_torques() 
     np.testing.assert_allclose(told(campaigns, lambda c: c.measure("effort(torque)")), effort, rtol=1e-3)
     miss = np.radians([angle(q) for q in ends[:4].T])
     np.testing.assert_allclose(told(campaigns, lambda c: c.measure("angle(q_BO)")), miss, rtol=1e-3)
-
-
-def test_another_condition_is_flown_and_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """RQSMC spends more and settles earlier, as `studies` shows; nothing is known of it here."""
-    robust = Conditions(k=0.05)
-    monkeypatch.setattr(flown, "FLOWN", {})
-    assert flown.flown(["k=0.05"]) == []
-    quick, slow = worth(flight("published", robust)), worth(flight("published"))
-    assert quick.effort > 1.3 * slow.effort and quick.time < slow.time - 5.0
-    still = flight("published", Conditions(attitude_noise=0.0, rate_noise=0.0, disturbance=0.0))
-    np.testing.assert_allclose(still.measured, still.states[:, :-1], atol=1e-15)

@@ -3,7 +3,7 @@
 import ctypes
 import shutil
 import subprocess
-from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,15 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from few_runs import few_runs, flown_again, told
-from printed import missing
+from dispersed import told
 
 import gnc_opt as go
+from benchmarks.validation.published.comparison import known
+from benchmarks.validation.published.formation_flying import (
+    FEW_STEPS,
+    disturbed_loop,
+    flight,
+    measures,
+    rivals,
+    run,
+)
+from benchmarks.validation.published.tracked import Flight
 from problems import formation_flying
-from problems.comparison import Row
-from problems.flown import Flight
-from problems.formation_flying.flown import KNOWN, Conditions, flight, flown_rows, follow, rivals, worth
-from problems.formation_flying.laws import FEW_STEPS, integral_law, optimal_sliding_mode, step_of
+from problems.formation_flying.control import follow_plan, integral_law, optimal_sliding_mode
 from problems.formation_flying.model import (
     PERIOD,
     RATE,
@@ -30,31 +36,7 @@ from problems.formation_flying.model import (
     formation,
     hill_model,
 )
-from problems.formation_flying.optimal import LEAST_TIME, RESERVE, optimal_rows, plan
-from problems.formation_flying.published import (
-    claim_rows,
-    course_rows,
-    data_rows,
-    run,
-    switching_rows,
-    table_rows,
-    truth_rows,
-)
-
-QUICK, LONG = (course_rows, switching_rows, truth_rows), (table_rows, claim_rows)
-TABLES = [*QUICK, *(pytest.param(table, marks=pytest.mark.slow) for table in LONG)]
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
-def test_numbers_of_the_publication(table: Callable[[], list[Row]]) -> None:
-    rows = table()
-    assert rows and [row for row in rows if not row.passes] == []
-
-
-@pytest.mark.slow
-def test_every_printed_number_stands_in_the_matrix() -> None:
-    rows = data_rows() + table_rows()
-    assert [row for row in rows if not row.passes] == [] and missing("formation_flying", rows) == []
+from problems.formation_flying.optimal import LIMIT, RESERVE, plan
 
 
 def test_the_circle_is_a_free_motion_of_hills_equations() -> None:
@@ -67,14 +49,14 @@ def test_the_circle_is_a_free_motion_of_hills_equations() -> None:
 
 def test_sliding_error_decays_as_its_surface_says() -> None:
     """On the surface e' = -lambda e: |e(T)| = |e(0)| exp(-lambda T) without oblateness, but for the reaching phase."""
-    flown = run("SMC", oblate=False)
+    flown = run("SMC", False)
     first = np.linalg.norm(flown.error("r").values[:, 0])
     assert first == pytest.approx(462.574, abs=1e-3)
     assert flown.miss("r") == pytest.approx(first * np.exp(-1e-3 * PERIOD), rel=2e-3)
 
 
 def test_integral_surface_has_no_reaching_phase() -> None:
-    law = optimal_sliding_mode(step_of(FEW_STEPS))
+    law = optimal_sliding_mode(PERIOD / FEW_STEPS)
     memory = law.initial_memory(0.0, START)
     u, _ = law(0.0, START, memory)
     gain = np.asarray(run("LQ only").commands[:, 0])
@@ -144,7 +126,8 @@ def test_tracking_holds_off_the_oblateness_that_the_plan_does_not_know() -> None
         thrust=lambda t: np.zeros((3, t.size)),
         solution=SimpleNamespace(phase=lambda: leg),
     )
-    flown = follow(coasting, Conditions(position_noise=0.0, velocity_noise=0.0), end)
+    law = follow_plan(coasting, PERIOD / 6000, (-LIMIT, LIMIT), end)
+    flown = disturbed_loop(law, noise=0.0).simulate(START, tf=end)
     assert flown.outcome.ok and np.max(np.abs(flown.error("r").values[:, flown.times < 99.0])) < 0.1
 
     def oblateness(place: np.ndarray) -> np.ndarray:
@@ -172,14 +155,6 @@ def test_optimum_passes_and_thrusts_as_it_should(name: str) -> None:
     thrust = np.linalg.norm(best.thrust(np.linspace(0, best.final_time, 2001)), order, axis=0)
     assert np.max(thrust) == pytest.approx(3e-3, rel=1e-4)
     assert plan(name, RESERVE, False).solution.objective > best.solution.objective
-
-
-@pytest.mark.slow
-def test_optima_against_what_is_known() -> None:
-    rows = optimal_rows()
-    assert [row.quantity for row in rows if not row.passes] == []
-    assert rows[0].ours == pytest.approx([formation_flying.REFERENCE.value], abs=1e-6)
-    assert plan("least time").solution.objective == pytest.approx(LEAST_TIME, abs=1e-4)
 
 
 def integrated(starts: np.ndarray, thrust: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -216,8 +191,8 @@ def integrated(starts: np.ndarray, thrust: np.ndarray) -> tuple[np.ndarray, np.n
 @pytest.mark.slow
 def test_dispersed_runs_are_what_another_program_makes_of_the_applied_thrust() -> None:
     """From their own starts, for the plans and for the published law."""
-    campaigns = few_runs("formation_flying", rivals())
-    runs = flown_again(campaigns)
+    campaigns = rivals().fly(3, executor="serial")
+    runs = [campaign.rerun(i) for campaign in campaigns.values() for i in range(3)]
     starts = np.stack([run.states[:, 0] for run in runs], axis=-1)
     thrust = np.stack([run.applied for run in runs], axis=-1)
     times, states = integrated(starts, thrust)
@@ -247,14 +222,18 @@ def test_flights_are_what_another_program_makes_of_the_applied_thrust() -> None:
             float(np.sum(np.abs(thrust[:, :, i])) * h),
             float(distance[-1, i]),
         )
-        for flown in (worth(runs[i]), KNOWN[name]):
-            assert [flown.time, flown.effort, flown.miss] == pytest.approx(
-                [found.time, found.effort, found.miss], rel=1e-4
-            )
+        stated = [
+            row["independent"][name == "published"]
+            for row in known("formation_flying")
+            if row["quantity"].startswith("least time" if name == "published" else name)
+            and "flown" in row["quantity"]
+            and "independent" in row
+        ]
+        expected = pytest.approx(list(astuple(found)), rel=1e-4)
+        assert list(astuple(measures(runs[i]))) == expected and stated == expected
         noise = runs[i].measured - runs[i].states[:, :-1]
         np.testing.assert_allclose(np.std(noise, axis=1), [0.01] * 3 + [2e-5] * 3, rtol=0.05)
         assert np.max(np.abs(thrust[:, :, i])) <= 3e-3 * (1 + 1e-12)
-    assert [row.quantity for row in flown_rows() if not row.passes] == []
 
 
 def test_least_delta_v_falls_with_the_limit() -> None:

@@ -18,7 +18,7 @@ import problems
 from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
-SHARED = {"_campaign_table", "_example", "all", "comparison", "dispersed", "flown", "fronts", "kept"}
+SHARED = {"_campaign_table", "_example"}
 SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__main__.py"))
 TRADES = sorted({path.parent.name for path in FOLDER.glob("*/__init__.py")} - {*SYSTEMS})
 BASIC = sorted(

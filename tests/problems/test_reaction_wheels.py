@@ -5,10 +5,20 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from printed import missing
 from scipy.linalg import solve_continuous_lyapunov
 
 import gnc_opt as go
+from benchmarks.validation.published.reaction_wheels import (
+    BREAKDOWNS,
+    about_z,
+    allocated_run,
+    breakdown_time,
+    fly,
+    guarded_run,
+    published_slew,
+    rerouted_slew,
+    unguarded_breakdown,
+)
 from gnc_opt.control import decoupling_matrix
 from gnc_opt.spacecraft import quaternion_angle
 from problems.reaction_wheels import (
@@ -26,7 +36,7 @@ from problems.reaction_wheels import (
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels.laws import (
+from problems.reaction_wheels.control import (
     PRINTED_FLC,
     PRINTED_LQR,
     Linear,
@@ -36,44 +46,10 @@ from problems.reaction_wheels.laws import (
     flc_output,
     lqr_gains,
     lqr_poles,
-)
-from problems.reaction_wheels.limits import (
-    about_z,
-    allocated_run,
-    breakdown_time,
-    guarded_run,
     peak_speed,
-    rerouted_slew,
-    solver_sums,
-    unguarded_breakdown,
 )
-from problems.reaction_wheels.published import (
-    BALANCED_SPEED,
-    BREAKDOWN,
-    CONVERGED,
-    PEAKS,
-    data_rows,
-    gain_rows,
-    integral_rows,
-    statement_rows,
-)
-from problems.reaction_wheels.runs import fly, published_slew
 
 BOTH = ("FLC", "LQR")
-ALL = list(CONVERGED)
-
-
-def test_euler_angles_of_a_slew_end_at_those_of_its_manoeuvre() -> None:
-    """Turned in the order z, y, x; after 60 s 0.03 degrees are left."""
-    for manoeuvre in (1, 6):
-        angles = published_slew(manoeuvre, "LQR").euler_angles
-        np.testing.assert_array_equal(angles[:, 0], 0.0)
-        np.testing.assert_allclose(angles[:, -1], MANOEUVRES[manoeuvre], atol=0.06)
-
-
-def test_every_printed_number_stands_in_the_matrix() -> None:
-    rows = [*data_rows(), *gain_rows(), *integral_rows(), *statement_rows()]
-    assert [row for row in rows if not row.passes] == [] and missing("reaction_wheels", rows) == []
 
 
 # --- geometry and conventions ---------------------------------------------------------------------------
@@ -167,39 +143,12 @@ def test_printed_lyapunov_matrix_is_that_of_the_transposed_equation() -> None:
 # --- the published slews --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("manoeuvre", "law"), ALL)
-def test_converged_numbers(manoeuvre: int, law: str) -> None:
-    slew, known = published_slew(manoeuvre, law), CONVERGED[manoeuvre, law]
-    # 0.1 % beside half a unit of the last digit that is given
-    assert slew.eulerint == pytest.approx(known.eulerint, rel=1e-3)
-    assert slew.effort == pytest.approx(known.effort, rel=1e-3, abs=0.5e-4)
-    assert slew.energy == pytest.approx(known.energy, rel=1e-3, abs=0.5e-6)
-    assert slew.work == pytest.approx(known.work, rel=1e-3)
-    assert slew.peak_speed == pytest.approx(known.peak_speed, abs=1.0)
-    assert slew.settling_time == pytest.approx(known.settling_time, abs=0.1)
-
-
-@pytest.mark.parametrize(("manoeuvre", "law"), ALL)
-def test_printed_eulerint(manoeuvre: int, law: str) -> None:
-    share = 0.09 if manoeuvre == 4 else 0.02 if law == "FLC" else 0.005
-    printed = CONVERGED[manoeuvre, law].printed
-    assert published_slew(manoeuvre, law).eulerint == pytest.approx(printed, rel=share)
-
-
 @pytest.mark.parametrize("law", BOTH)
-def test_peaks_of_the_first_manoeuvre(law: str) -> None:
-    slew, known = published_slew(1, law), PEAKS[law]
-    np.testing.assert_allclose(np.degrees(np.max(np.abs(slew.rates), axis=1)), known.rates, atol=1e-3)
-    np.testing.assert_allclose(np.max(np.abs(slew.body_torque), axis=1), known.torques, atol=1e-4)
-    assert np.max(np.abs(slew.torques)) == pytest.approx(known.wheel_torque, abs=1e-4)
-    assert slew.angle[-1] == pytest.approx(known.angle_left, abs=1e-3)
-    assert np.max(np.abs(slew.speeds[:, -1])) == pytest.approx(known.speed_left, abs=0.06)
-
-
-@pytest.mark.parametrize(("manoeuvre", "law"), ALL)
+@pytest.mark.parametrize("manoeuvre", MANOEUVRES)
 def test_invariants_and_what_follows_from_them(manoeuvre: int, law: str) -> None:
     slew = published_slew(manoeuvre, law)
-    assert slew.momentum_defect < 1e-12
+    total = np.array(INERTIA)[:, None] * slew.rates + AXES @ slew.momenta
+    assert np.max(np.abs(total)) < 1e-12
     assert np.max(np.abs(NULL @ slew.momenta)) < 1e-12
     assert np.max(np.abs(np.linalg.norm(slew.states[:4], axis=0) - 1)) < 1e-9
     peaks = np.max(np.abs(slew.momenta), axis=1)
@@ -242,26 +191,14 @@ def test_statements_of_the_paper() -> None:
     assert published_slew(3, "FLC").peak_speed > NOMINAL_SPEED > DESIGN_SPEED
 
 
-def test_sums_over_solver_points_depend_on_the_solver_and_integrals_do_not() -> None:
-    (coarse, coarse_integral), (fine, fine_integral) = solver_sums(1, (1e-6, 1e-12))
-    assert fine > 3 * coarse
-    assert coarse_integral == pytest.approx(fine_integral, rel=1e-3)
-
-
 # --- null space and speed limit -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("manoeuvre", "law"), list(BALANCED_SPEED))
-def test_null_torques_lower_the_peak_speed(manoeuvre: int, law: str) -> None:
-    slew = published_slew(manoeuvre, law)
-    assert slew.balanced_speed == pytest.approx(BALANCED_SPEED[manoeuvre, law], abs=1.0)
-
-
 def test_third_manoeuvre_in_the_loop_needs_the_null_space_to_respect_the_speed_limit() -> None:
-    balanced = allocated_run(3, "FLC", "momentum", limited=True, duration=40.0)
+    balanced = allocated_run("momentum", limited=True, duration=40.0)
     assert peak_speed(balanced) == pytest.approx(3846, rel=2e-3)  # commands are held for 0.02 s
     assert np.all(balanced.saturation_time("T_B") == 0)
-    plain = allocated_run(3, "FLC", "none", limited=True, duration=40.0)
+    plain = allocated_run("none", limited=True, duration=40.0)
     assert peak_speed(plain) == pytest.approx(DESIGN_SPEED, abs=1e-6)
     assert np.all(plain.saturation_time("T_B") > 2.0)
 
@@ -279,9 +216,8 @@ def test_slews_up_to_147_degrees_work() -> None:
     assert fly(design_flc(about_z(145), start=REST), about_z(145), 120.0).angle[-1] < 0.01
 
 
-@pytest.mark.parametrize(("angle", "time"), BREAKDOWN.items())
-def test_larger_slews_break_down_where_the_closed_form_says(angle: int, time: float) -> None:
-    assert breakdown_time(angle) == pytest.approx(time, abs=0.05)
+@pytest.mark.parametrize("angle", BREAKDOWNS)
+def test_larger_slews_break_down_where_the_closed_form_says(angle: int) -> None:
     assert unguarded_breakdown(angle) == pytest.approx(breakdown_time(angle), abs=0.01)
 
 
@@ -291,7 +227,7 @@ def test_larger_slews_are_refused_guarded_or_rerouted() -> None:
             design_flc(about_z(angle), start=REST)
     guarded = guarded_run(150)
     assert guarded.outcome.status is go.RunStatus.ALARM
-    assert guarded.outcome.time < BREAKDOWN[150]
+    assert guarded.outcome.time < breakdown_time(150)
     assert np.degrees(guarded.attitude_error("q")) < 0.01
     assert [flc_output(about_z(a)) for a in (145, 147, 148, 150, 179)] == ["absolute"] * 2 + ["error"] * 3
     for angle in (150, 170, 179):

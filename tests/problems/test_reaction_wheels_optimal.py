@@ -1,24 +1,30 @@
-"""Wheel pyramid: optimal slews against theory, tracking, flight code, main."""
+"""Wheel pyramid: optimal slews against theory, tracking, flight code."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import astuple
 
 import numpy as np
 import pytest
-from few_runs import few_runs
 from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
+from benchmarks.validation.published.comparison import known
+from benchmarks.validation.published.reaction_wheels import (
+    FLOWN,
+    STEP,
+    flight,
+    measures,
+    plan,
+    published_slew,
+)
+from benchmarks.validation.published.tracked import Flight
 from gnc_opt.control import Deviation
 from gnc_opt.spacecraft import quaternion_angle
-from problems import reaction_wheels
-from problems.comparison import compare
-from problems.flown import Flight
 from problems.reaction_wheels import (
     AXES,
     DESIGN_SPEED,
@@ -27,27 +33,14 @@ from problems.reaction_wheels import (
     NULL,
     REFERENCE,
     REST,
-    RPM,
     build,
     published_peak_torque,
-    report,
     resting,
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels.flown import FLOWN, KNOWN, Conditions, flight, flown_rows, plan, rivals, worth
-from problems.reaction_wheels.laws import design_flc, design_quaternion_lqr
-from problems.reaction_wheels.limits import peak_speed
-from problems.reaction_wheels.optimal import (
-    HALF,
-    MANOEUVRE,
-    SLEWS,
-    design_tracker,
-    eigenaxis_energy,
-    fastest_wheel,
-    optimal_slew,
-)
-from problems.reaction_wheels.runs import STEP, published_slew
+from problems.reaction_wheels.control import design_flc, design_quaternion_lqr, design_tracker, peak_speed
+from problems.reaction_wheels.optimal import MANOEUVRE, SLEWS, eigenaxis_energy, fastest_wheel, optimal_slew
 
 COMPILER = shutil.which("cc")
 
@@ -166,21 +159,9 @@ def test_least_time_beats_the_best_turn_about_one_axis() -> None:
     assert optimal_slew("time, small").objective < eigenaxis < 1.2 * optimal_slew("time, small").objective
 
 
-def test_optimal_slews_against_the_published_ones() -> None:
-    published = published_slew(3, "FLC")
-    assert optimal_slew("energy").objective / published.energy == pytest.approx(0.1688, abs=1e-3)
-    assert fastest_wheel(optimal_slew("energy")) < 0.6 * published.peak_speed
-    assert published.settling_time > 2 * HALF
-    assert optimal_slew("time, small").objective < published_slew(5, "FLC").settling_time / 3
-    assert optimal_slew("time, speed limit").objective < published_slew(1, "FLC").settling_time / 2.8
-
-
 @pytest.mark.parametrize("name", FLOWN)
 def test_optimal_slews_are_flown_despite_errors(name: str) -> None:
-    run, end = (
-        flight(name, conditions=Conditions(attitude_noise=0.0, rate_noise=0.0)),
-        plan(name).phase().final_time,
-    )
+    run, end = flight(name, noise=0.0), plan(name).phase().final_time
     assert run.outcome.status is go.RunStatus.OK
     assert np.degrees(run.attitude_error("q", at=0.0)) > 0.5
     assert np.degrees(run.attitude_error("q", at=end)) < 0.02
@@ -230,19 +211,16 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
             float(np.sum(torques[:, :, i] ** 2) * h),
             float(angle[-1]),
         )
-        for flown in (worth(name, runs[i]), KNOWN[name][law]):
-            assert [flown.time, flown.effort, flown.miss] == pytest.approx(
-                [found.time, found.effort, found.miss], rel=2e-3
-            )
+        stated = [
+            row["independent"][law]
+            for row in known("reaction_wheels")
+            if row["quantity"].startswith(f"{name} ({MANOEUVRE[name]}), flown") and "independent" in row
+        ]
+        expected = pytest.approx([found.time, found.effort, found.miss], rel=2e-3)
+        assert list(astuple(measures(name, runs[i]))) == expected and stated == expected
         noise = runs[i].measured[4:7] - runs[i].states[4:7, :-1]
         np.testing.assert_allclose(np.degrees(np.std(noise, axis=1)), 0.001, rtol=0.1)
         assert np.max(np.abs(states[:, 7:, i])) <= 5e-4 * 5000 * 2 * np.pi / 60 * (1 + 1e-6)
-    assert [row.quantity for row in flown_rows() if not row.passes] == []
-
-
-def test_wheels_fly_as_their_page_says() -> None:
-    """A few of its runs, plan and published law."""
-    few_runs("reaction_wheels", rivals())
 
 
 def test_problem_without_such_a_goal_or_manoeuvre() -> None:
@@ -252,7 +230,7 @@ def test_problem_without_such_a_goal_or_manoeuvre() -> None:
         target_quaternion(7)
 
 
-# --- one model, flight code, main -----------------------------------------------------------------------
+# --- one model, flight code -----------------------------------------------------------------------------
 
 
 def test_both_drives_are_the_same_dynamics() -> None:
@@ -292,23 +270,3 @@ def test_flight_code_agrees(tmp_path, name: str) -> None:
     found = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
     assert np.ptp(expected) > 0.01
-
-
-@pytest.mark.slow
-def test_main_writes_all_rows(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert reaction_wheels.main(["--json", str(tmp_path / "out.json")]) == 0
-    assert "27 of 80 agree with the publication, 53 differ for stated reasons" in capsys.readouterr().out
-    told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
-    assert told["independent"]["agree"] == told["independent"]["compared"] >= 130
-    assert told["failed"] == [] and told["settings"] == []
-    assert sum(row["quantity"].startswith("sum of") for row in told["rows"]) == 36
-    assert pytest.approx(2 * np.pi) == RPM * 60
-
-
-def test_main_fails_where_one_number_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "optimal_rows", list)
-    monkeypatch.setattr(report, "flown_rows", list)
-    for ours, code in ((455.58, 1), (454.6, 0)):
-        row = compare("EULERINT (deg s)", 454.58, ours, absolute=0.4546)
-        monkeypatch.setattr(report, "rows", lambda row=row: [row])
-        assert reaction_wheels.main([]) == code

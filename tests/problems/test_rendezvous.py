@@ -1,21 +1,17 @@
-"""The rendezvous: reference times, structure, symmetry, traps, orbital model, report."""
+"""The rendezvous: reference times, structure, symmetry, traps, orbital model."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from printed import missing
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, hill_acceleration, mean_motion
 from problems import rendezvous
-from problems.rendezvous.report import data_rows, size_rows, time_rows
 
 Array = NDArray[np.float64]
 
@@ -39,9 +35,6 @@ def test_minimum_time_on_the_papers_mesh(case: int, equation: rendezvous.Equatio
     # 2e-4 s also covers the two solvers' bound relaxation and stopping tolerances (about 2e-6 s here).
     assert solution.objective == pytest.approx(reference.value, abs=reference.tolerance)
     assert solution.statistics.iterations <= 100  # measured: 25 to 52
-    assert all(row.passes for row in time_rows(case, equation, solution.objective))
-    for sign in (-1, 1):
-        assert not time_rows(case, equation, reference.value + sign * 3e-4)[0].passes
 
 
 @pytest.mark.parametrize(
@@ -68,13 +61,6 @@ def test_size_of_the_program_is_the_papers(case_1: go.Solution) -> None:
     assert case_1.problem is not None
     transcription = next(b for b in case_1.problem.builds.values() if type(b).__name__ == "Transcription")
     assert (transcription.n_variables, transcription.n_constraints) == (1333, 960)
-
-
-def test_every_printed_number_stands_in_the_matrix(case_1: go.Solution) -> None:
-    times = {case: rendezvous.REFERENCE[case, "printed"]["20x3"].value for case in rendezvous.CASES}
-    rows = [row for case, t_f in times.items() for row in time_rows(case, "printed", t_f)]
-    rows += data_rows() + size_rows(case_1)
-    assert [row for row in rows if not row.passes] == [] and missing("rendezvous", rows) == []
 
 
 def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None:
@@ -312,38 +298,3 @@ def test_unknown_case_or_equation_is_refused() -> None:
         rendezvous.build(6)
     with pytest.raises(go.ProblemError, match=r"'exact'"):
         rendezvous.build(1, "exakt")  # type: ignore[arg-type]
-
-
-def test_main_prints_the_table_and_writes_figures_and_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    target = tmp_path / "out.json"
-    arguments = ["--case", "4", "--equation", "printed", "--report", str(tmp_path / "figures")]
-    assert rendezvous.main([*arguments, "--json", str(target)]) == 0
-    printed = capsys.readouterr().out
-    assert "25.6605" in printed and "25.6607" in printed and "25.8986" in printed
-    assert "Hamiltonian" in printed
-    figures = sorted(p.name for p in (tmp_path / "figures").iterdir())
-    assert [name[:5] for name in figures] == [f"fig{k:02d}" for k in range(3, 16)]
-    assert all((tmp_path / "figures" / name).stat().st_size > 10_000 for name in figures)
-    assert "1 of 2 agree with the publication, 1 differ for stated reasons" in printed
-    told = json.loads(target.read_text())
-    assert told["failed"] == [] and len(told["rows"]) == 3
-    (summary,) = told["cases"]
-    assert summary["case"] == 4 and summary["equation"] == "printed" and summary["status"] == "optimal"
-    assert {c["name"] for c in summary["verdict"]["conditions"]} >= {"dynamics", "Hamiltonian"}
-
-
-def test_figures_have_labels_and_units(case_1: go.Solution) -> None:
-    drawn = rendezvous.figures(case_1)
-    for stem, figure in drawn.items():
-        assert all(ax.get_ylabel() for ax in figure.axes), stem
-        assert figure.axes[-1].get_xlabel().endswith(("(s)", "(m)")), stem
-    units = {
-        "fig03_torques": "(N m)",
-        "fig05_rates": "(rad/s)",
-        "fig07_euler_angles": "(deg)",
-        "fig13_costate_v": "(s/(m/s))",
-    }
-    for stem, unit in units.items():
-        assert unit in drawn[stem].axes[0].get_ylabel()

@@ -9,11 +9,11 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Run
 from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
-from problems.rocket_landing import DISPERSIONS, LATEST, START, Landing, resolver, table
-from problems.rocket_landing.flown import GUST, GUST_RATE, HARD
-from problems.rocket_landing.laws import DT
+from problems.rocket_landing import DISPERSIONS, LATEST, START, Landing, resolver
+from problems.rocket_landing import __main__ as table
+from problems.rocket_landing.__main__ import main
+from problems.rocket_landing.control import DT, GUST, GUST_RATE, HARD
 from problems.rocket_landing.model import AIR, SETTLING
-from problems.rocket_landing.table import main
 
 SEED = 3
 UP = np.array([1.0, 0.0, 0.0])

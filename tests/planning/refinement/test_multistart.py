@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import multiprocessing
@@ -24,7 +23,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
@@ -34,8 +32,6 @@ from gnc_opt.planning.study.minima import Reflection, Reflections, bent, parts
 from gnc_opt.planning.study.multistart import Refining, _answer, _Coarse, _Start
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
-from problems.rendezvous import search as minima_of
-from problems.rendezvous.search import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"
@@ -529,35 +525,3 @@ def test_wrong_problems_are_named() -> None:
         search(3)
     with pytest.raises(go.GncOptError, match="what the builder returned"):
         search(list)
-
-
-# --- the rendezvous: published numbers -------------------------------------------------------------------------
-
-
-def test_published_numbers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def minimum(exact: float, *coarse: float) -> go.Minimum:
-        return go.Minimum(solution, exact, 1, (0,), 1, coarse, True, True)
-
-    solution = go.solve(wells(), mesh=MESH, tol=None)
-    minima = (
-        minimum(25.787180768, 25.7892),
-        minimum(26.0335257, 26.0365),
-        minimum(26.1656895, 26.167, 26.1674),
-    )
-    outcome = GlobalOutcome(2, "printed", Multistart("rendezvous", minima, {}, 3, 3, 1))
-    gpm, gpops = outcome.published
-    assert (gpm.rank, gpm.ours) == (3, 26.1674)
-    assert (gpops.rank, gpops.ours) == (2, 26.0335257)
-    assert outcome.agrees
-    lacking = GlobalOutcome(2, "printed", Multistart("rendezvous", minima[:2], {}, 3, 3, 1))
-    assert lacking.published[0].rank is None and not lacking.agrees
-    assert GlobalOutcome(2, "exact", outcome.found).published == ()
-    # the tables are written as they are printed; 26.1674 is 1.47 % over the best
-    monkeypatch.setattr(minima_of, "search_cases", lambda cases, equation, n, seed: iter([outcome]))
-    console = Console(file=io.StringIO(), width=130)
-    options = {"n": 3, "seed": 1, "json_path": None, "folder": tmp_path / "out"}
-    assert minima_of.run(console, [2], "printed", **options) == 0
-    written = (tmp_path / "out" / "minima.txt").read_text(encoding="utf-8")
-    assert written in console.file.getvalue()
-    (row,) = (line for line in written.splitlines() if " GPM " in line)
-    assert row.split()[-3:] == ["26.16568950", "0.3785", "+1.47"]

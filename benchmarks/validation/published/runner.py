@@ -1,0 +1,123 @@
+"""The tables of the published systems.
+
+    python -m benchmarks.validation.published [SYSTEM ...] [--study] [--runs 1000] [--json OUT]
+
+A row has what the publication prints, our value, what an independent computation gives, and why they differ where they
+do. ``--study`` adds what less time costs (a front of optima), and plans beside the published controller over
+dispersed runs. The exit code is 1 if a row fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.validation.published.comparison import Claim, Row, compare, known, numbers, summary
+from benchmarks.validation.published.pareto import front_rows
+from benchmarks.validation.published.tracked import RUNS, dispersed_rows
+
+SYSTEMS = {
+    "rendezvous": "Time-optimal rendezvous",
+    "formation_flying": "Formation flying",
+    "reaction_wheels": "Reaction wheels",
+    "flexible_spacecraft": "Flexible spacecraft",
+    "tethered_formation": "Tethered pair",
+}
+"""Modules of this package by their titles; each has ``values()``, ``front()`` and ``rivals()``."""
+
+_WIDTH = 170
+"""Columns where the output is no terminal."""
+
+
+def table_rows(system: str) -> list[Row]:
+    """Return the rows of a system's table."""
+    return compare(known(system), import_module(f"{__package__}.{system}").values())
+
+
+def study_rows(system: str, runs: int = RUNS) -> Iterator[Row]:
+    """Yield the rows of a system's front, and of its dispersed runs (none if there are to be none)."""
+    module = import_module(f"{__package__}.{system}")
+    yield from front_rows(module.front())
+    if runs > 0:
+        rivals = module.rivals()
+        yield from dispersed_rows(rivals, rivals.fly(runs))
+
+
+def table(title: str, rows: Sequence[Row]) -> Table:
+    """Return the table of rows."""
+    found = Table(title=title, title_justify="left", pad_edge=False, box=None)
+    for heading in (
+        "quantity",
+        "ours",
+        "publication",
+        "",
+        "independent",
+        "",
+        "reason of the difference; note",
+    ):
+        found.add_column(heading, overflow="fold")
+    for row in rows:
+        text = "; ".join(part for part in (row.reason, row.note) if part)
+        if row.differs != bool(row.reason):
+            text = "; ".join(filter(None, ("NO REASON" if row.differs else "NO DIFFERENCE", text)))
+        cells = (*_cells(row.published, "differs"), *_cells(row.independent, "FAIL"))
+        found.add_row(row.quantity, numbers(row.ours), *cells, text)
+    return found
+
+
+def _cells(claim: Claim | None, otherwise: str) -> tuple[str, str]:
+    if claim is None:
+        return "", ""
+    size = f" {claim.difference} (allowed {claim.allowed})" if claim.difference else ""
+    return claim.text, f"{'agrees' if claim.agrees else otherwise}{size}"
+
+
+def count(rows: Sequence[Row]) -> str:
+    """Return how many rows agree with the publication, and with the independent computation."""
+    told = summary(rows)
+    publication, independent = told["publication"], told["independent"]
+    line = (
+        f"{publication['agree']} of {publication['compared']} agree with the publication, "
+        f"{publication['differ_with_reason']} differ for stated reasons; "
+        f"{independent['agree']} of {independent['compared']} agree with the independent computation"
+    )
+    return line + (f"; FAIL: {', '.join(told['failed'])}" if told["failed"] else "")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables; return 1 if a row fails."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.validation.published", description="Published systems."
+    )
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"{', '.join(SYSTEMS)}; default all")
+    parser.add_argument("--study", action="store_true", help="fronts and dispersed runs as well")
+    parser.add_argument("--runs", type=int, default=RUNS, help=f"dispersed runs of each loop, default {RUNS}")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the rows to a file")
+    options = parser.parse_args(arguments)
+    for name in options.systems:
+        if name not in SYSTEMS:
+            parser.error(f"there is no system {name}: choose among {', '.join(SYSTEMS)}")
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    found = {}
+    for name in options.systems or SYSTEMS:
+        begin = time.process_time()
+        rows = table_rows(name)
+        if options.study:
+            rows += study_rows(name, options.runs)
+        found[name] = summary(rows)
+        console.print(table(SYSTEMS[name], rows), markup=False)
+        spent = time.process_time() - begin
+        console.print(f"{name}: {count(rows)}; {spent:.0f} s of processor time", markup=False, soft_wrap=True)
+        if options.json:  # after every system: what is done survives whatever ends the run
+            text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
+            options.json.write_text(text + "\n", encoding="utf-8")
+    return int(any(told["failed"] for told in found.values()))

@@ -1,0 +1,237 @@
+r"""Estimator, controllers and wheel limits on board, all of them one controller of measurements; and the loops.
+
+**Estimator.** An extended Kalman filter, multiplicative for the attitude (Lefferts, Markley and Shuster, Kalman
+filtering for spacecraft attitude estimation, J. Guidance, Control, and Dynamics 5 (5), 1982), of attitude, rates,
+momenta of the wheels and bias of the gyro, of star tracker, gyro and tachometers. It takes the commands as applied, and
+knows neither the motors' lag nor the run's inertia, wheels and external torque, which its process noise stands for.
+
+**Laws.** The regulator along the slew of least energy (`problems.reaction_wheels.control.design_tracker`), and the two
+published ones, feedback linearisation and quaternion feedback, which turn straight to the target
+(`problems.reaction_wheels.control`).
+
+**Limits.** Wheel i with the momentum h_i gets its torque T_i cut to
+
+.. math:: |T_i| \le \eta T_{max}, \qquad
+   \frac{h_i - \eta h_{max}}{\tau_c} \le T_i \le \frac{h_i + \eta h_{max}}{\tau_c}
+
+(:math:`\dot h_i = -T_i`): no wheel comes closer to its largest speed than by the time constant :math:`\tau_c`, which
+leaves its motor time to follow; :math:`\eta` is for motors that give more than they are told, and for noise.
+
+**Dispersions.** Every run differs from what is known on board in
+
+* attitude at the start: up to 1 degree about any axis; rates and wheels there: 1 sigma 0.02 deg/s and 50 rpm;
+* moments of inertia: uniform within 5 %; torques of the motors: within 2 % per wheel; their lag: within 30 %;
+* a constant torque from outside: 1 sigma 2e-5 N m per axis;
+* bias of the gyro: 1 sigma 0.05 deg/s per axis, and its drift;
+* noise of star tracker, gyro and tachometers.
+
+The star tracker tells the attitude twice a second, 0.1 s late, and nothing while the body turns faster than 1.5 deg/s,
+which is most of the slew; later it is blinded once, from 55 to 65 s until 75 to 85 s.
+
+From `SETTLED` on the spacecraft has to point to within `POINTING`; no wheel may ever have more torque or speed than it
+can.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.control import Controller, bridge_dropouts, law
+from gnc_opt.estimation import Estimator, Measurement, output_feedback
+from gnc_opt.simulation import (
+    Bias,
+    Campaign,
+    ClosedLoop,
+    Noise,
+    Normal,
+    Outage,
+    Quantity,
+    RandomWalk,
+    Sampling,
+    ScaleFactor,
+    SensorDelay,
+    Turn,
+    Uniform,
+    monte_carlo,
+)
+from gnc_opt.simulation.block import clip
+from gnc_opt.simulation.dispersions import Dispersion
+from gnc_opt.spacecraft import quaternion_retraction
+from problems.attitude_control.model import (
+    GYRO_BIAS,
+    GYRO_NOISE,
+    GYRO_WALK,
+    MAX_MOMENTUM,
+    MAX_TORQUE,
+    RPM,
+    TACHOMETER_NOISE,
+    TARGET,
+    TRACKER_DELAY,
+    TRACKER_NOISE,
+    TRACKER_PERIOD,
+    TRACKER_RATE,
+    WHEEL_INERTIA,
+    off_target,
+    plant,
+    slew,
+)
+from problems.reaction_wheels.control import design_flc, design_quaternion_lqr, design_tracker
+from problems.reaction_wheels.model import INVERSE, REST, wheel_model
+
+DT = 0.1
+"""Control step, s."""
+SHARE = 0.97
+"""Of torque and momentum that are used."""
+CLOSING = 0.5
+"""Time constant with which a wheel comes to its largest speed at most, s."""
+FIRST = {"q": 0.02, "omega": 1e-3, "h": 0.01}
+"""Errors of the expected start (1 sigma), rad, rad/s, N m s."""
+UNKNOWN = {"omega": 3e-4, "h": 1e-3}
+"""Process noise: what wrong inertia, wheels, lag and torques do, rad/s^1.5 and N m s^0.5."""
+
+LAWS = ("least energy", "FLC", "LQR")
+
+
+@cache
+def estimator(*, bias: bool = True) -> Estimator:
+    """Return the filter, for comparison also one that does not know of the gyro's bias."""
+    wrong = {"bias": 2 * GYRO_BIAS, "bias_walk": GYRO_WALK} if bias else {}
+    return go.design_ekf(
+        wheel_model(),
+        REST,
+        [
+            Measurement("q", TRACKER_NOISE, period=TRACKER_PERIOD, delay=TRACKER_DELAY, gate=0.99999),
+            Measurement("omega", GYRO_NOISE, **wrong),
+            Measurement("h", TACHOMETER_NOISE),
+        ],
+        sigma0=FIRST,
+        process_noise=UNKNOWN,
+        dt=DT,
+    )
+
+
+def within_limits(controller: Controller) -> Controller:
+    """Return a law of wheel or body torques as one of wheel torques that keeps the wheels' limits."""
+    inner, craft = controller.unbridged or controller, wheel_model()
+    t, x, r, z = (
+        ca.SX.sym(name, n)
+        for name, n in (("t", 1), ("x", 11), ("r", inner.signals.size), ("z", inner.memory.size))
+    )
+    wanted, after = inner.step(t, x, r, z)
+    torques = wanted if "T" in inner.commands else ca.DM(INVERSE) @ wanted
+    h, most = x[craft.states.slice("h")], SHARE * MAX_MOMENTUM
+    torques = clip(torques, (h - most) / CLOSING, (h + most) / CLOSING)
+    torques = clip(torques, -SHARE * MAX_TORQUE, SHARE * MAX_TORQUE)
+    return bridge_dropouts(
+        replace(
+            inner,
+            step=law(t, x, r, z, torques, after),
+            commands=craft.controls,
+            unbridged=None,
+            flight=None,
+            dt=DT,
+        )
+    )
+
+
+def controller(name: str, *, bias: bool = True) -> Controller:
+    """Return all that runs on board with one of `LAWS`."""
+    if name == "least energy":
+        inner = design_tracker(slew(), MAX_TORQUE)
+    else:
+        inner = design_flc(TARGET) if name == "FLC" else design_quaternion_lqr(TARGET)
+    return output_feedback(within_limits(inner), estimator(bias=bias))
+
+
+END = 100.0
+"""Of the runs, s."""
+SETTLED = 60.0
+"""s."""
+POINTING = float(np.radians(0.1))
+"""rad."""
+START = {"q": [1.0, 0.0, 0.0, 0.0], "omega": np.zeros(3), "h": np.zeros(4), "motor": np.zeros(4)}
+
+LIMITS = {
+    "max(pointing)": POINTING,
+    "max(torque)": MAX_TORQUE,
+    "max(speed)": MAX_MOMENTUM / WHEEL_INERTIA / RPM,
+}
+"""rad, N m, rpm."""
+
+DISPERSIONS: dict[str, Dispersion] = {
+    "initial.q": Turn(Uniform(0.0, float(np.radians(1.0)))),
+    "initial.omega": Normal(float(np.radians(0.02))),
+    "initial.h": Normal(50.0 * WHEEL_INERTIA * RPM),
+    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
+    "plant.lag": Uniform(-0.3, 0.3, relative=True),
+    "plant.external": Normal(2e-5),
+    "motors.factor": Uniform(-0.02, 0.02),
+    "gyro bias.bias": Normal(GYRO_BIAS),
+    "glare.begin": Uniform(-5.0, 5.0),
+    "glare.end": Uniform(-5.0, 5.0),
+}
+
+
+def loop(name: str, *, bias: bool = True) -> ClosedLoop:
+    """Return the loop of one of `LAWS`, before it is dispersed; with a filter that estimates the bias or does not."""
+    craft = plant()
+    t, q = craft.time, craft.symbol("q")
+    return ClosedLoop(
+        craft,
+        controller(name, bias=bias),
+        [ScaleFactor("motors", np.ones(4), on="T")],
+        [
+            Noise("star tracker", TRACKER_NOISE, quaternion_retraction, on="q"),
+            Outage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - TRACKER_RATE, on="q"),
+            Outage("glare", 60.0, 80.0, on="q"),
+            Sampling("exposures", TRACKER_PERIOD, on="q"),
+            SensorDelay("image processing", TRACKER_DELAY, on="q"),
+            Noise("gyro", GYRO_NOISE, on="omega"),
+            Bias("gyro bias", np.zeros(3), on="omega"),
+            RandomWalk("gyro drift", GYRO_WALK, on="omega"),
+            Noise("tachometers", TACHOMETER_NOISE, on="h"),
+        ],
+        quantities=[
+            Quantity("pointing", ca.if_else(t > SETTLED, off_target(q), 0), "rad"),
+            Quantity("torque", ca.norm_inf(craft.symbol("motor")), "N m"),
+            Quantity("speed", ca.norm_inf(craft.symbol("h")) / WHEEL_INERTIA / RPM, "rpm"),
+            Quantity("rate", ca.norm_2(craft.symbol("omega")), "rad/s"),
+        ],
+        dt=DT,
+        accuracy=1e-6,
+        substeps=20,
+    )
+
+
+def campaign(
+    name: str,
+    runs: int,
+    seed: int,
+    executor: Executor | Literal["serial"] | None = None,
+    *,
+    bias: bool = True,
+    progress: bool = False,
+    checkpoint: Path | None = None,
+) -> Campaign:
+    """Fly one of `LAWS`; the same seed gives all of them the same spacecraft, sensors and gaps."""
+    return monte_carlo(
+        loop(name, bias=bias),
+        runs,
+        x0=START,
+        tf=END,
+        seed=seed,
+        dispersions=DISPERSIONS,
+        target={"q": TARGET, "omega": np.zeros(3)},
+        limits=LIMITS,
+        executor=executor,
+        progress=progress,
+        checkpoint=checkpoint,
+    )

@@ -1,0 +1,137 @@
+r"""The measured rendezvous, planned again in flight: every few seconds the problem is solved from the estimated state.
+
+The plan has `PLANNED` of the authority; the rest is the regulator's. Every `EVERY` a new plan of least time is made
+on the paper's mesh, from where the filter will be after `LATENCY`, which the computer on board takes to solve; in the
+last `LAST` the plan stays: so late the least time to take out what is left would be seconds.
+
+What follows a plan has to be had from any plan at once: each axis is a double integrator of mass m or moment J, whose
+linear-quadratic regulator is known in closed form,
+
+.. math:: u = u_{ref} - k_1 e - k_2 \dot e, \qquad k_1 = \sqrt{q_1 / r}, \qquad k_2 = \sqrt{q_2 / r + 2 m k_1},
+
+with the weights of the other regulators; forces are turned into the axes of the body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
+from gnc_opt.control.controller import Schedule
+from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals
+from gnc_opt.estimation import output_feedback
+from gnc_opt.guidance import Replanner
+from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.simulation import ClosedLoop
+from gnc_opt.spacecraft import apply, mrp_difference, mrp_to_dcm
+from problems.rendezvous import INERTIA, MASS
+from problems.rendezvous_tracking.control import ACCEPTED, CORRECTIONS, DT, SETTLING, plan
+from problems.rendezvous_tracking.guidance import Measured
+
+PLANNED = 0.97
+"""Share of the authority that the plans use."""
+REPLANNED_RUNS = 100
+"""At most, unless asked otherwise: each solves four problems."""
+EVERY, LATENCY, LAST = 4.0, 0.5, 8.0
+"""Of the re-planning, s: how often, how long a solve takes on board, and before which end the plan stays."""
+
+
+@cache
+def resolver(case: int) -> go.Resolver:
+    """Return what knows the plan; one per process."""
+    return go.Resolver(plan(case, PLANNED, refined=False), cold=False)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The schedule of when a plan ends, (1, n)."""
+
+    time: float
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        return np.full((1, len(times)), self.time)
+
+
+def follow(solution: go.Solution) -> Schedule:
+    """Return what the regulator has to know of a plan: its states and controls, and its end."""
+    return _schedule(Reference(solution))
+
+
+def _schedule(reference: Reference) -> Schedule:
+    return StackedSchedule(ReferenceSchedule(reference), Arrival(reference.final_time))
+
+
+def follower(reference: Reference) -> Controller:
+    """Return the regulator about a plan, which remembers when that ends."""
+    signals = reference_signals(reference, Variable("arrival", 1, "s"))
+    t, x, row, z = (ca.SX.sym(n, k) for n, k in (("t", 1), ("x", 12), ("row", signals.size), ("z", 1)))
+    planned, fed = row[:12], row[12:18]
+    turn = mrp_difference(planned[3:6], x[3:6])
+    torque = _gains("sigma", "omega", "T_B", np.asarray(INERTIA))
+    force = _gains("r_L", "v_L", "F_B", np.full(3, MASS))
+    push = force[0] * (planned[9:] - x[9:]) + force[1] * (planned[6:9] - x[6:9])
+    u = fed + ca.vertcat(
+        torque[0] * turn + torque[1] * (planned[:3] - x[:3]), apply(mrp_to_dcm(x[3:6]), push)
+    )
+    facts = [
+        Fact(f"gains of {what}", np.concatenate(each))
+        for what, each in (("attitude and rate", torque), ("position and velocity", force))
+    ]
+    return bridge_dropouts(
+        Controller(
+            name="follower",
+            step=law(t, x, row, z, u, row[18]),
+            start=first_memory(t, x, row, row[18]),
+            states=reference.model.states,
+            commands=reference.model.controls,
+            signals=signals,
+            memory=Layout("memory", (Variable("final_time", 1, "s"),)),
+            schedule=_schedule(reference),
+            dt=DT,
+            explanation=Explanation(f"follower of '{reference.model.name}'", tuple(facts)),
+        )
+    )
+
+
+def _gains(error: str, rate: str, control: str, inertia: Array) -> tuple[Array, Array]:
+    """Return k_1 and k_2 of three axes."""
+    k_1 = np.full(3, CORRECTIONS[control] / ACCEPTED[error])
+    return k_1, np.sqrt((CORRECTIONS[control] / ACCEPTED[rate]) ** 2 + 2 * inertia * k_1)
+
+
+@dataclass(frozen=True)
+class Replanned(Measured):
+    """The loop that plans again; its ``solution`` is the first plan.
+
+    Attributes
+    ----------
+    case : int
+        That it is of.
+    """
+
+    case: int = 1
+
+    @cached_property
+    def follower(self) -> Controller:
+        """The regulator about the first plan."""
+        return follower(self.reference)
+
+    def controller(self, name: str = "planned again") -> Controller:
+        """Return the regulator fed by the filter."""
+        return output_feedback(self.follower, self.filter)
+
+    def loop(self, controller: Controller) -> ClosedLoop:
+        """Return the loop of `measured` with the re-planner."""
+        again = Replanner(partial(resolver, self.case), EVERY, latency=LATENCY, last=LAST, follow=follow)
+        return replace(super().loop(controller), replanner=again)
+
+    @property
+    def end(self) -> float:
+        """When the runs are judged, s."""
+        return self.reference.final_time + SETTLING

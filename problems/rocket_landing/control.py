@@ -1,0 +1,261 @@
+r"""The regulator about a plan, and a published law that needs none.
+
+**Regulator.** :math:`T = T_{ref} + m \, (k_1 (r_{ref} - r) + k_2 (v_{ref} - v))`: the errors of a point mass decay with
+two poles.
+
+**ZEM/ZEV.** With :math:`t_{go}` left, the miss and the error of velocity that a flight without thrust would end
+with,
+
+.. math:: a = \frac{6}{t_{go}^2} \mathrm{ZEM} - \frac{2}{t_{go}} \mathrm{ZEV},
+
+is the acceleration of least :math:`\int a^2 dt` where nothing limits it (Guo, Hawkins and Wie, Applications of
+generalized zero-effort-miss/zero-effort-velocity feedback guidance algorithm, J. Guidance, Control, and Dynamics 36
+(3), 2013): the criterion of the plan. It is given the plan's time; from `HELD` before that on, its gains stay.
+
+Both cut the size of the thrust to what the engines can.
+
+**Loops.** Every run differs from the plan in
+
+* initial position and velocity: normal, 1 sigma 20 m and 2 m/s per axis; initial mass: 1 sigma 0.5 %;
+* wind: normal, 1 sigma 10 m/s to the east and to the north; gusts: an acceleration of 0.05 m/s^2 per axis at 0.2 rad/s
+  with a random phase; drag area: uniform within 30 %;
+* engines: thrust factor normal, 1 sigma 1 %; lag of 150 ms, uniform within 30 %, in trim when the engines burn already;
+* measurements, every 0.1 s, with white noise (1 sigma, per axis): 0.1 m, 0.02 m/s, and a mass that is off by 1 sigma
+  0.5 % for the whole flight.
+
+A run ends where the lander meets the ground: as *touchdown*, or as *crash* if it is faster than 2.5 m/s downward; or
+where the tanks are empty. It has to be within 5 m of the target, below 0.5 m/s across and below 2 m/s downward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
+from gnc_opt.control.controller import Schedule
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.guidance import Replanner
+from gnc_opt.model.variables import Layout
+from gnc_opt.simulation import (
+    Bias,
+    Campaign,
+    ClosedLoop,
+    Event,
+    Lag,
+    Noise,
+    Normal,
+    ScaleFactor,
+    Sinusoid,
+    Uniform,
+    monte_carlo,
+)
+from gnc_opt.simulation.dispersions import Dispersion
+from problems.landing.mars_landing import FULL, GRAVITY
+from problems.rocket_landing.model import ENGINES, MESH, SETTLING, START, UP, build, descent, norm, plant
+
+DT = 0.1
+"""Control step, s."""
+POLES = 0.8, 0.8
+"""Of the regulator, 1/s."""
+HELD = 2.0
+"""s."""
+
+
+def regulator(reference: Reference) -> Controller:
+    """Return the regulator about a plan."""
+    k_1, k_2 = POLES[0] * POLES[1], sum(POLES)
+
+    def thrust(t: ca.SX, r: ca.SX, v: ca.SX, m: ca.SX, row: ca.SX) -> ca.SX:
+        return row[7:] + m * (k_1 * (row[:3] - r) + k_2 * (row[3:6] - v))
+
+    facts = (Fact("gain of position", k_1, "1/s^2"), Fact("gain of velocity", k_2, "1/s"))
+    return _controller("regulator", reference, facts, thrust)
+
+
+def zem_zev(reference: Reference, final_time: float) -> Controller:
+    """Return the published law that is at the ground at a time (s); the reference is to compare with."""
+    gravity, target = -GRAVITY * UP, -SETTLING * UP
+
+    def thrust(t: ca.SX, r: ca.SX, v: ca.SX, m: ca.SX, row: ca.SX) -> ca.SX:
+        left = ca.fmax(final_time - t, HELD)
+        goal = target * (t + left - final_time)  # the ground, and where the settling lander will be after it
+        zem = goal - (r + left * v + 0.5 * left**2 * gravity)
+        zev = target - (v + left * gravity)
+        return m * (6 / left**2 * zem - 2 / left * zev)
+
+    return _controller("ZEM/ZEV", reference, (Fact("end", final_time, "s"),), thrust)
+
+
+def _controller(
+    name: str, reference: Reference, facts: tuple[Fact, ...], thrust: Callable[..., ca.SX]
+) -> Controller:
+    model, signals = reference.model, reference_signals(reference)
+    t, x, row, z = ca.SX.sym("t"), ca.SX.sym("x", 7), ca.SX.sym("row", signals.size), ca.SX.sym("z", 0)
+    wanted = thrust(t, x[:3], x[3:6], x[6], row)
+    least, most = (share * FULL for share in ENGINES)
+    u = wanted * ca.fmin(ca.fmax(norm(wanted), least), most) / norm(wanted)
+    return bridge_dropouts(
+        Controller(
+            name=name,
+            step=law(t, x, row, z, u, z),
+            start=first_memory(t, x, row, z),
+            states=model.states,
+            commands=model.controls,
+            signals=signals,
+            memory=Layout("memory"),
+            schedule=ReferenceSchedule(reference),
+            dt=DT,
+            explanation=Explanation(f"{name} of '{model.name}'", facts),
+        )
+    )
+
+
+EVERY, LATENCY, LAST = 3.0, 0.5, 3.0
+"""Of the re-planning, s: how often, how long a solve takes on board, and before which end the plan stays."""
+LAG = 0.15
+"""Of the engines, s."""
+GUST, GUST_RATE = 0.05, 0.2
+"""m/s^2 and rad/s."""
+HARD, EMPTY = 2.5, 1305.0
+"""Speed (m/s) at which the ground is met as a crash, and mass without propellant (kg)."""
+LATEST = 80.0
+"""End of the runs, s, where no event has ended them."""
+
+LIMITS = {"miss": 5.0, "speed across": 0.5, "speed downward": 2.0}
+"""m, m/s, m/s."""
+
+DISPERSIONS: dict[str, Dispersion] = {
+    "initial.r": Normal(20.0),
+    "initial.v": Normal(2.0),
+    "initial.mass": Normal(0.005, relative=True),
+    "plant.wind": Normal([0.0, 10.0, 10.0]),
+    "plant.drag_area": Uniform(-0.3, 0.3, relative=True),
+    "gusts.phase": Uniform(-np.pi, np.pi),
+    "engines.factor": Normal(0.01),
+    "engine lag.tau": Uniform(-0.3, 0.3, relative=True),
+    "mass gauge.bias": Normal(0.005 * 1905.0),
+}
+
+CONTROLLERS = ("as planned", "planned again", "ZEM/ZEV")
+
+
+@cache
+def resolver() -> go.Resolver:
+    """Return what knows the plan; one per process."""
+    return go.Resolver(go.solve(build(), mesh=MESH, tol=None), cold=False)
+
+
+def follow(plan: go.Solution) -> Schedule:
+    """Return the schedule of the regulator."""
+    return ReferenceSchedule(descent(plan))
+
+
+@dataclass(frozen=True)
+class Landing:
+    """The plan and the loops that fly it."""
+
+    @property
+    def plan(self) -> go.Solution:
+        """The descent of `problems.rocket_landing.model`."""
+        return resolver().solution
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The plan, and what follows it."""
+        return descent(self.plan)
+
+    def controller(self, name: str) -> Controller:
+        """Return the law of one of `CONTROLLERS`."""
+        if name == "ZEM/ZEV":
+            return zem_zev(self.reference, self.plan.phase().final_time)
+        return regulator(self.reference)
+
+    def loop(self, name: str) -> ClosedLoop:
+        """Return the loop of one of `CONTROLLERS`, before it is dispersed."""
+        lander = plant()
+        height, downward = lander.symbol("r")[0], -lander.symbol("v")[0]
+        again = Replanner(resolver, EVERY, latency=LATENCY, last=LAST, follow=follow)
+        return ClosedLoop(
+            lander,
+            self.controller(name),
+            [ScaleFactor("engines", np.ones(3), on="T"), Lag("engine lag", LAG, on="T", initial="trim")],
+            [
+                Noise("radar", 0.1, on="r"),
+                Noise("Doppler radar", 0.02, on="v"),
+                Bias("mass gauge", 0.0, on="mass"),
+            ],
+            [Sinusoid("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
+            events=[
+                Event("touchdown", height, "falling", where=downward <= HARD),
+                Event("crash", height, "falling", where=downward > HARD, failure=True),
+                Event("empty", lander.symbol("mass") - EMPTY, "falling", failure=True),
+            ],
+            replanner=again if name == "planned again" else None,
+            dt=DT,
+            accuracy=1e-6,
+            substeps=2,
+        )
+
+    def campaign(
+        self,
+        name: str,
+        runs: int,
+        seed: int,
+        executor: Executor | Literal["serial"] | None = None,
+        *,
+        progress: bool = False,
+        checkpoint: Path | None = None,
+    ) -> Campaign:
+        """Fly one of `CONTROLLERS`; the same seed gives all of them the same landers, winds and starts."""
+        return monte_carlo(
+            self.loop(name),
+            runs,
+            x0=START,
+            tf=LATEST,
+            seed=seed,
+            dispersions=DISPERSIONS,
+            target={"r": np.zeros(3), "v": np.zeros(3)},
+            limits=LIMITS,
+            judge={
+                "miss": _miss,
+                "speed across": _across,
+                "speed downward": _downward,
+                "propellant": _propellant,
+            },
+            executor=executor,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
+
+
+def _miss(campaign: Campaign) -> Array:
+    """m, of the runs that have met the ground."""
+    return _landed(campaign, np.linalg.norm(campaign.state("r")[1:], axis=0))
+
+
+def _across(campaign: Campaign) -> Array:
+    return _landed(campaign, np.linalg.norm(campaign.state("v")[1:], axis=0))
+
+
+def _downward(campaign: Campaign) -> Array:
+    return _landed(campaign, -campaign.state("v")[0])
+
+
+def _propellant(campaign: Campaign) -> Array:
+    return _landed(campaign, campaign.parameter("initial.mass")[0] - campaign.state("mass")[0])
+
+
+def _landed(campaign: Campaign, values: Array) -> Array:
+    """Return values of runs that have met the ground, not-a-number of the others."""
+    met = campaign.happened("touchdown") | campaign.happened("crash")
+    return np.where(met, values, np.nan)

@@ -1,0 +1,241 @@
+"""The tables of the published systems: two comparisons that are judged apart, data and values that belong together."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import gnc_opt as go
+from benchmarks.validation import rendezvous_minima
+from benchmarks.validation.published import runner
+from benchmarks.validation.published.comparison import Claim, Row, Value, compare, known, printed
+from benchmarks.validation.published.pareto import Front, Point, certified, front_rows
+from benchmarks.validation.published.runner import SYSTEMS, count, main, table, table_rows
+from benchmarks.validation.published.tracked import Rivals, dispersed_rows
+from benchmarks.validation.rendezvous_minima import GlobalOutcome
+from gnc_opt.simulation import Uniform
+
+WHY = "the definition in print is unclear"
+
+
+def row(ours: Any, holds: bool | None = None, **data: Any) -> Row:
+    (found,) = compare([{"quantity": "a", **data}], [Value("a", ours, holds)])
+    return found
+
+
+RIGHT = row(72.85, published="172.7", reason=WHY, independent=72.87, relative=0.01)
+"""What the independent computation gives, and not what is printed."""
+
+
+# --- the two comparisons --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_numbers_are_met_from_both_sides(sign: int) -> None:
+    two = {"independent": [1.0, 2.0], "relative": 0.01}
+    assert row((1.0, 2.0 + sign * 0.0199), **two).passes
+    assert not row((1.0, 2.0 + sign * 0.0201), **two).passes
+    assert not row((1.0 + sign * 0.0101, 2.0), **two).passes
+    assert row(sign * 0.09, independent=0, absolute=0.1).passes
+    assert not row(sign * 0.11, independent=0, absolute=0.1).passes
+
+
+def test_what_is_no_number_agrees_with_nothing() -> None:
+    assert not row(np.nan, independent=1, absolute=1.0).passes
+    assert not row(1.0, independent="inf", relative=0.01).passes
+    assert not row(np.inf, independent=1, relative=0.01).passes
+    assert row(np.inf, independent="inf", relative=0.01).passes
+    assert not row(np.nan, at_most=1.0).passes
+    assert not printed("1.0", np.nan).agrees
+
+
+def test_limits_and_conditions() -> None:
+    assert row(1.0, at_most=1.0).passes and not row(1.1, at_most=1.0).passes
+    assert row(0.5, condition="< 1").passes and not row(1.5, condition="< 1").passes
+    assert row(5.0, True, condition="ok").passes and not row(5.0, False, condition="ok").passes
+    with pytest.raises(ValueError, match="whether 'ok' holds has to be computed"):
+        row(5.0, condition="ok")
+
+
+@pytest.mark.parametrize(
+    ("text", "ours", "agrees"),
+    [
+        ("1.825", 1.8255, True),  # cut off
+        ("0.06", 0.0613, True),  # rounded
+        ("1.825", 1.8261, False),
+        ("1.825", 1.8239, False),
+        ("120", 149.4, False),
+        ("-0.05, 0.05", (-0.0498, 0.0499), True),
+        ("-0.05, 0.05", (-0.0498, 0.0390), False),
+        ("about 16.1", 16.05, True),
+        ("2e-4", 2.4e-4, True),
+        ("2e-4", 3.1e-4, False),
+    ],
+)
+def test_digits_in_print_decide_what_agrees(text: str, ours: float, agrees: bool) -> None:
+    assert printed(text, ours).agrees is agrees
+    with pytest.raises(ValueError, match="give a statement"):
+        printed(text, (1.0, 2.0, 3.0))
+
+
+def test_no_mark_contradicts_its_reason() -> None:
+    assert RIGHT.differs and RIGHT.passes
+    assert not row(1.0, published="1.0", independent=2, absolute=0.1).passes
+    assert not row(2.0, published="1.0").passes
+    assert not row(1.0, published="1.0", reason=WHY).passes
+    assert not row(1.0, reason=WHY).passes
+    assert row(1.0, published="1.0").passes
+    assert row(2.0, published="1.0", reason=WHY).passes
+    assert row(2.0, statement="< 1", reason=WHY).passes
+    assert row((), statement="drawn", agrees=False, reason=WHY).passes
+    assert not row(2.0, False, statement="never", condition="rare").passes
+
+
+# --- the tables -----------------------------------------------------------------------------------------
+
+
+def test_values_have_to_be_those_of_the_data() -> None:
+    data = [{"quantity": "a"}, {"quantity": "b"}]
+    with pytest.raises(ValueError, match="row 2 is 'b' in the data and 'c' computed"):
+        compare(data, [Value("a", 1.0), Value("c", 1.0)])
+    with pytest.raises(ValueError, match="row 2 is 'b' in the data and 'nothing' computed"):
+        compare(data, [Value("a", 1.0)])
+
+
+def test_table_shows_both_counts_and_what_contradicts_its_reason() -> None:
+    rows = [RIGHT, row(2.0, published="1.0"), row(1.0, reason=WHY), row(2.0, independent=1, absolute=0.1)]
+    console = Console(width=200, highlight=False, file=io.StringIO())
+    console.print(table("title", rows))
+    _, _, right, unexplained, needless, _ = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert "differs -57.8 % (allowed 0.058 %)" in right and "agrees -0.0274 % (allowed 1 %)" in right
+    assert "NO REASON" in unexplained and "NO DIFFERENCE" in needless
+    assert count([RIGHT, row(1.0, published="1.0"), rows[3]]) == (
+        "1 of 2 agree with the publication, 1 differ for stated reasons; "
+        "1 of 2 agree with the independent computation; FAIL: a"
+    )
+
+
+def test_main_writes_the_rows_and_fails_with_one_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, bad = tmp_path / "out.json", row(np.inf, independent=1, absolute=0.1)
+    for rows, code in (([RIGHT], 0), ([RIGHT, bad], 1)):
+        monkeypatch.setattr(runner, "table_rows", lambda name, rows=rows: rows)
+        assert main(["rendezvous", "--json", str(out)]) == code
+    told = json.loads(out.read_text(encoding="utf-8"))["rendezvous"]
+    assert told["failed"] == ["a"] and [r["ours"] for r in told["rows"]] == [[72.85], [None]]
+    assert "1 of 2 agree with the independent computation" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["moon"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_every_row_passes(system: str) -> None:
+    """All that the five publications print, and what was computed independently of it."""
+    rows = table_rows(system)
+    assert [r.quantity for r in rows if not r.passes] == []
+    counts = {
+        "rendezvous": (27, 10),
+        "formation_flying": (19, 56),
+        "reaction_wheels": (80, 150),
+        "flexible_spacecraft": (31, 126),
+        "tethered_formation": (17, 201),
+    }
+    found = sum(r.published is not None for r in rows), sum(r.independent is not None for r in rows)
+    assert found == counts[system] and len(known(system)) == len(rows)
+
+
+# --- fronts and dispersed runs --------------------------------------------------------------------------
+
+
+def push(duration: float) -> go.Problem:
+    """One metre from rest to rest with the least integral of u^2: 12 / duration^3."""
+    cart = go.Model("cart")
+    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
+    cart.ode({x: v, v: u})
+    problem = go.Problem("push")
+    leg = problem.phase("leg", cart)
+    leg.time(initial=0.0, final=duration)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    problem.minimize(leg.integral(u**2, "effort"))
+    return problem
+
+
+def test_points_of_a_front_are_solved_verified_and_in_the_order_of_time() -> None:
+    points = certified((2.0, 1.0), lambda t: go.solve(push(t)), lambda s: (s.phase().final_time, s.objective))
+    assert [point.time for point in points] == [1.0, 2.0] and all(point.certified for point in points)
+    assert [point.cost for point in points] == pytest.approx([12.0, 1.5], rel=1e-9)
+
+
+def test_excess_over_the_front_and_rows_that_fail() -> None:
+    """A power law is met exactly between its points, too; beyond its ends the last one counts."""
+    points = (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True))
+    halves = Front("effort (N m s^2)", points, (2.0, 12.0), "law")
+    assert halves.excess == pytest.approx(3.0) and all(r.passes for r in front_rows(halves))
+    for time, cost in ((2.5, 8 / 2.5), (8.0, 2.0), (0.5, 8.0)):
+        assert Front("", points, (time, cost), "").excess == pytest.approx(1.0)
+    doubtful = Front("", (*points[:2], Point(4.0, 2.0, False, "bounds")), (2.0, 12.0), "law")
+    (failed,) = (r for r in front_rows(doubtful) if not r.passes)
+    assert failed.quantity.startswith("front, 4 s") and failed.note == "bounds"
+    rising = Front("", (*points, Point(5.0, 2.1, True)), (2.0, 12.0), "law")
+    beaten = Front("", points, (2.0, 3.9), "law")
+    assert [[r.passes for r in front_rows(front)].count(False) for front in (rising, beaten)] == [1, 1]
+
+
+def still(gain: float) -> go.ClosedLoop:
+    """x' = u with u = -gain x: after a second exp(-gain) of the start is left."""
+    cart = go.Model("cart")
+    x, u = cart.state("x", unit="m"), cart.control("u")
+    cart.ode({x: -gain * x + u})
+    return go.ClosedLoop(cart, go.feedforward(go.Reference.constant(cart, [0.0], [0.0])), dt=0.1)
+
+
+def test_plans_and_controller_fly_from_the_same_starts() -> None:
+    rivals = Rivals(
+        {"plan": (still(2.0), np.array([1.0])), "law": (still(1.0), np.array([1.0]))},
+        1.0,
+        {"initial.x": Uniform(-0.5, 0.5)},
+        {"x": np.zeros(1)},
+        {"x": ("left (cm)", 100.0)},
+    )
+    spread, failed = dispersed_rows(rivals, rivals.fly(50, seed=3, executor="serial"))
+    plan, law = np.array(spread.ours).reshape(2, 3)
+    np.testing.assert_allclose(plan / law, np.exp(-1.0), rtol=1e-6)
+    assert 100 * np.exp(-1) * 1.3 < law[2] < 100 * np.exp(-1) * 1.5 and law[0] < law[1] <= law[2]
+    assert failed.passes and spread.quantity == "50 runs, plan: left (cm), 50 %, 99 %, largest; law"
+    assert spread.independent is None and failed.independent == Claim("none", True)
+
+
+# --- local minima of the rendezvous ---------------------------------------------------------------------
+
+
+def test_published_times_are_named_by_their_minima(monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = go.solve(push(1.0), tol=None)
+
+    def minimum(exact: float, *coarse: float) -> go.Minimum:
+        return go.Minimum(solution, exact, 1, (0,), 1, coarse, True, True)
+
+    minima = (
+        minimum(25.787180768, 25.7892),
+        minimum(26.0335257, 26.0365),
+        minimum(26.1656895, 26.167, 26.1674),
+    )
+    outcome = GlobalOutcome(2, "printed", go.Multistart("rendezvous", minima, {}, 3, 3, 1))
+    gpm, gpops = outcome.published
+    assert (gpm.rank, gpm.ours) == (3, 26.1674) and (gpops.rank, gpops.ours) == (2, 26.0335257)
+    assert outcome.agrees
+    lacking = GlobalOutcome(2, "printed", go.Multistart("rendezvous", minima[:2], {}, 3, 3, 1))
+    assert lacking.published[0].rank is None and not lacking.agrees
+    assert GlobalOutcome(2, "exact", outcome.found).published == ()
+    console = Console(file=io.StringIO(), width=130)
+    rendezvous_minima.report(console, [outcome])
+    (line,) = (line for line in console.file.getvalue().splitlines() if " GPM " in line)  # type: ignore[attr-defined]
+    assert line.split()[-3:] == ["26.16568950", "0.3785", "+1.47"]  # 26.1674 is 1.47 % over the best
