@@ -20,7 +20,6 @@ from gnc_opt.control.input_output_linearization import (
 from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.mpc import design_mpc
-from gnc_opt.control.predictive_reaching import PredictiveReaching
 from gnc_opt.control.quadratic_cost import bryson
 from gnc_opt.control.reaching_laws import (
     ConstantRate,
@@ -47,7 +46,6 @@ __all__ = [
     "FlightCode",
     "MockupUnit",
     "PowerRate",
-    "PredictiveReaching",
     "Reference",
     "SaturationLayer",
     "Sign",

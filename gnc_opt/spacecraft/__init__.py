@@ -69,7 +69,6 @@ from gnc_opt.spacecraft.rigid_body import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from gnc_opt.spacecraft.tether import TetherAccelerations, TetheredPair, TetherMotion
 from gnc_opt.spacecraft.vectors import apply, cross, dot, scale, stack, stack_rows, transpose
 
 __all__ = [
@@ -80,9 +79,6 @@ __all__ = [
     "RADIUS_EARTH",
     "RATE_EARTH",
     "FlexibleBody",
-    "TetherAccelerations",
-    "TetherMotion",
-    "TetheredPair",
     "air_density",
     "air_temperature",
     "air_velocity",

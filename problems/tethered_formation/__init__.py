@@ -6,9 +6,10 @@ control structure among others. The numbers that are known of it are reproduced 
 
 To be read in this order:
 
-* `model`: data, dynamics, the reference orbit;
+* `tether`: equations of motion; `model`: data, dynamics, the reference orbit;
 * `optimal`: the optimal control problems and their solutions;
-* `control`: the published structure (surface, observer, reaching laws), and following a plan.
+* `predictive_reaching`: the published reaching law; `control`: the published structure (surface, observer, reaching
+  laws), and following a plan.
 """
 
 from problems.tethered_formation.model import (

@@ -26,9 +26,9 @@ from gnc_opt.control import Explanation, Fact, SuperTwistingObserver
 from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
 from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
-from gnc_opt.control.predictive_reaching import PredictiveReaching
 from problems._example import Array
 from problems.tethered_formation.model import DURATION, MAX_ANGLE, MAX_RATE, RADIUS, Orbit, tether_model
+from problems.tethered_formation.predictive_reaching import PredictiveReaching
 
 Unknown: TypeAlias = Literal["observed", "ignored", "modelled"]
 

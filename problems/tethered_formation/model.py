@@ -11,8 +11,8 @@ moves at the circular rate n_0; ``climb`` and ``drift`` (m/s), their rates; ``th
 .. math:: r = R_0 + h, \qquad \alpha = n_0 t + l / R_0 ,
 
 so that metres are not lost among thousands of kilometres. The accelerations of r, :math:`\alpha` and :math:`\theta` are
-those of `gnc_opt.spacecraft.tether`; `tether_model` is the only model: controller, optimal control, simulated plant
-(with exact gravity) and flight code come from it.
+those of `problems.tethered_formation.tether`; `tether_model` is the only model: controller, optimal control, simulated
+plant (with exact gravity) and flight code come from it.
 
 Source: Jia and Meng, Orbit cooperative control for tethered satellite formation system via attitude maneuvering, J.
 Astronautics 43 (10), 1361-1367, 2022, whose equations and data are lost in the text that is available: structure
@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from gnc_opt.spacecraft import TetheredPair, TetherMotion
 from problems._example import Array
+from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 Gravity: TypeAlias = Literal["first order", "exact"]
 

@@ -38,7 +38,7 @@ EXPECTED = {
     """,
     "gnc_opt.control": """
         CodeOptions ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode
-        MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
+        MockupUnit PowerRate Reference SaturationLayer Sign SuperTwisting
         SuperTwistingObserver TanhLayer bridge_dropouts bryson decoupling_matrix
         design_feedback_linearization design_gain_schedule design_hierarchical_sliding_mode
         design_integral_sliding_mode design_lqr design_mpc design_sliding_mode design_tvlqr export_c
@@ -67,7 +67,7 @@ EXPECTED = {
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
-        TetherAccelerations TetherMotion TetheredPair air_density air_temperature air_velocity
+        air_density air_temperature air_velocity
         altitude angular_acceleration angular_momentum angular_momentum_about_axis apply
         array_momentum cross differential_j2 divide_by_inertia dot drag_acceleration
         gravity_gradient_torque gravity_potential hill_acceleration inertial_from_relative

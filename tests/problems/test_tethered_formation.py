@@ -119,7 +119,7 @@ def test_reference_is_a_motion_of_the_model():
 
 
 def test_model_is_the_pair_in_other_coordinates():
-    from gnc_opt.spacecraft import TetherMotion
+    from problems.tethered_formation.tether import TetherMotion
 
     x = np.array([12.0, 0.3, -40.0, 2.0, 0.4, 1e-3, 0.1])
     n0 = np.sqrt(PAIR.mu / RADIUS**3)

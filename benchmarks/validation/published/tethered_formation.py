@@ -22,7 +22,6 @@ from benchmarks.validation.published.tracked import Flight, Rivals, flight_value
 from gnc_opt.arrays import Array
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.simulation import Noise, Saturation, Uniform
-from gnc_opt.spacecraft import TetheredPair, TetherMotion
 from problems.tethered_formation.control import (
     STEP,
     Gains,
@@ -50,6 +49,7 @@ from problems.tethered_formation.model import (
     tether_model,
 )
 from problems.tethered_formation.optimal import optimum, solve
+from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 DURATIONS = (105.0, 115.0, 130.0, 150.0, 175.0, DURATION)
 """Of the front, s."""

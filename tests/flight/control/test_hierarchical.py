@@ -18,7 +18,7 @@ from gnc_opt.control import (
 from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
-from gnc_opt.spacecraft import TetheredPair, TetherMotion
+from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 OMEGA2, A, B = 2.000331e-3, 0.199867, 0.142653
 """Swing frequency squared (1/s^2); response of the leader to the thrust angle, direct and through its force (m/s^2)."""

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import minimize
 
 from gnc_opt.control import (
     ConstantRate,
@@ -18,7 +17,6 @@ from gnc_opt.control import (
     Explanation,
     ExponentialRate,
     PowerRate,
-    PredictiveReaching,
     Reference,
     SaturationLayer,
     Sign,
@@ -45,7 +43,6 @@ from gnc_opt.control.horizon_qp import Horizon, Programme, Rows
 from gnc_opt.control.input_output_linearization import Pair, _labels, _output, given_for
 from gnc_opt.control.integral_sliding_mode import _nominal, _poles, _surface
 from gnc_opt.control.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
-from gnc_opt.control.predictive_reaching import _insert, _interpolate
 from gnc_opt.control.reaching_laws import read_bounds
 from gnc_opt.control.sampled_data import SampledStep
 from gnc_opt.control.sliding_mode import (
@@ -633,93 +630,6 @@ def test_inverses_are_exact_or_of_least_length():
     assert Memory("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
     both = StackedSchedule(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
     assert both(np.array([1.0, 2.0]), 0.5).tolist() == [[1, 2], [0.5, 1]]
-
-
-# --- predictive reaching ----------------------------------------------------------------------------------
-
-
-def test_interpolation_between_knots_and_beyond():
-    x, values = [ca.SX(v) for v in (0.0, 1.0, 1.0, 3.0)], [ca.SX(v) for v in (10.0, 20.0, 40.0, 80.0)]
-    for at, found in ((-5, 10), (0, 10), (0.5, 15), (0.999999, 19.99999), (1.0, 40), (2.0, 60), (9.0, 80)):
-        assert number(_interpolate(ca.SX(at), x, values)) == pytest.approx(found)
-    for value, found in ((-1, [-1, 0, 2, 5]), (1, [0, 1, 2, 5]), (3, [0, 2, 3, 5]), (9, [0, 2, 5, 9])):
-        assert [number(v) for v in _insert(ca.SX(value), [ca.SX(v) for v in (0, 2, 5)])] == found
-
-
-def reaching(**changes):
-    return PredictiveReaching(
-        **({"steps": 3, "dt": 0.1, "weight": 2.0, "effort": 0.05, "rate": 1.0, "travel": 0.15} | changes)
-    )
-
-
-@pytest.mark.parametrize(
-    ("s", "drift", "position"),
-    [(0.05, 0.0, 0.0), (0.5, 0.2, 0.02), (-0.3, -0.1, 0.1), (-2.0, 0.3, -0.14), (0.02, 0.4, 0.15)],
-)
-@pytest.mark.parametrize("effect", [1.5, -0.7])
-def test_the_best_rate_is_that_of_the_programme(s, drift, position, effect):
-    """Against a general solver, with rates and positions bounded at every step."""
-    law = reaching()
-    n, h = law.steps, law.dt
-    hold = -drift / effect
-
-    def cost(v):
-        total, here = 0.0, s
-        for rate in v:
-            here += h * (drift + effect * rate)
-            total += law.weight * here**2 + law.effort * (rate - hold) ** 2
-        return total
-
-    within = [
-        {
-            "type": "ineq",
-            "fun": lambda v, k=k, side=side: law.travel - side * (position + h * np.sum(v[: k + 1])),
-        }
-        for k in range(n)
-        for side in (1, -1)
-    ]
-    best = minimize(
-        cost,
-        np.zeros(n),
-        bounds=[(-law.rate, law.rate)] * n,
-        constraints=within,
-        method="SLSQP",
-        options={"ftol": 1e-15, "maxiter": 300},
-    )
-    found = number(law.command(ca.SX(s), ca.SX(drift), ca.SX(effect), ca.SX(position)))
-    assert found == pytest.approx(best.x[0], abs=2e-5)
-
-
-def test_away_from_the_limits_the_law_is_linear():
-    law = reaching(rate=99.0, travel=99.0)
-    gain = law.gain(1.5)
-    assert number(law.command(ca.SX(0.2), ca.SX(0.0), ca.SX(1.5), ca.SX(0.0))) == pytest.approx(-0.2 * gain)
-    assert number(law.command(ca.SX(0.2), ca.SX(0.3), ca.SX(1.5), ca.SX(0.0))) == pytest.approx(
-        -0.2 * gain - 0.2
-    )
-
-
-@pytest.mark.parametrize(
-    ("v", "position", "out"),
-    [
-        (5.0, 0.0, 1.0),
-        (0.5, 0.0, 0.5),
-        (1.0, 0.1, 0.5),
-        (-1.0, -0.1, -0.5),
-        (0.0, 0.2, -0.5),
-        (0.0, 0.9, -1.0),
-    ],
-)
-def test_a_rate_keeps_the_travel_and_above_all_itself(v, position, out):
-    assert number(reaching().limit(ca.SX(v), ca.SX(position))) == pytest.approx(out)
-
-
-@pytest.mark.parametrize(
-    "changes", [{"steps": 0}, {"dt": 0.0}, {"weight": -1.0}, {"effort": 0.0}, {"rate": 0.0}, {"travel": 0.0}]
-)
-def test_predictive_reaching_needs_positive_numbers(changes):
-    with pytest.raises((ArgumentError, DesignError), match="reaching law"):
-        reaching(**changes)
 
 
 # --- horizons ---------------------------------------------------------------------------------------------

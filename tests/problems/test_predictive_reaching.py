@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control import PredictiveReaching
-from gnc_opt.errors import DesignError
+from gnc_opt.errors import ArgumentError, DesignError
+from problems.tethered_formation.predictive_reaching import PredictiveReaching
 
 LIMIT = np.pi / 9
 
@@ -101,3 +101,32 @@ def test_impossible_laws_are_refused():
         law(0)
     with pytest.raises(DesignError, match="'travel'"):
         law(travel=0.0)
+
+
+def brief(**changes):
+    return PredictiveReaching(
+        **({"steps": 3, "dt": 0.1, "weight": 2.0, "effort": 0.05, "rate": 1.0, "travel": 0.15} | changes)
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "position", "out"),
+    [
+        (5.0, 0.0, 1.0),
+        (0.5, 0.0, 0.5),
+        (1.0, 0.1, 0.5),
+        (-1.0, -0.1, -0.5),
+        (0.0, 0.2, -0.5),
+        (0.0, 0.9, -1.0),
+    ],
+)
+def test_a_rate_keeps_the_travel_and_above_all_itself(v, position, out):
+    assert float(ca.evalf(brief().limit(ca.SX(v), ca.SX(position)))) == pytest.approx(out)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"steps": 0}, {"dt": 0.0}, {"weight": -1.0}, {"effort": 0.0}, {"rate": 0.0}, {"travel": 0.0}]
+)
+def test_predictive_reaching_needs_positive_numbers(changes):
+    with pytest.raises((ArgumentError, DesignError), match="reaching law"):
+        brief(**changes)

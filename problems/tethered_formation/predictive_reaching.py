@@ -57,13 +57,6 @@ class PredictiveReaching:
         Limit of the command's magnitude.
     travel : float
         Limit of the position's magnitude.
-
-    Examples
-    --------
-    >>> from gnc_opt.control import PredictiveReaching
-    >>> reaching = PredictiveReaching(steps=10, dt=0.1, weight=1.0, effort=1.0, rate=0.5, travel=2.0)
-    >>> print(f"{reaching.gain(1.0):.4f}")  # of a discrete regulator of one integrator
-    0.7326
     """
 
     steps: int

@@ -6,7 +6,7 @@ import pytest
 from testing.flows import flow
 
 from gnc_opt.errors import ModelError
-from gnc_opt.spacecraft import TetheredPair, TetherMotion
+from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 MU = 3.986004418e14
 PAIR = TetheredPair(500.0, 200.0, 1.0, 100.0, MU)

@@ -55,7 +55,7 @@ from gnc_opt.spacecraft.vectors import is_symbolic
 
 
 class TetherMotion(NamedTuple):
-    """Where a tethered pair is and how it moves, in the coordinates of `gnc_opt.spacecraft.tether`.
+    """Where a tethered pair is and how it moves, in the coordinates of this module.
 
     Attributes
     ----------
@@ -65,11 +65,6 @@ class TetherMotion(NamedTuple):
         Orbital rate of the leader, rad/s.
     theta, theta_rate : casadi scalar, float or array (n_times,)
         Swing angle (rad) and its rate (rad/s).
-
-    Examples
-    --------
-    >>> from gnc_opt.spacecraft import TetherMotion
-    >>> trailing = TetherMotion(r=7e6, r_rate=0.0, alpha_rate=1.078e-3, theta=0.0, theta_rate=0.0)
     """
 
     r: Any
@@ -86,15 +81,6 @@ class TetherAccelerations(NamedTuple):
     ----------
     r, alpha, theta : casadi scalar, float or array (n_times,)
         m/s^2, rad/s^2 and rad/s^2.
-
-    Examples
-    --------
-    >>> from gnc_opt.spacecraft import TetheredPair, TetherMotion
-    >>> pair = TetheredPair(leader_mass=500.0, follower_mass=50.0, tether_mass=5.0, length=1000.0)
-    >>> still = TetherMotion(r=7e6, r_rate=0.0, alpha_rate=1.078e-3, theta=0.0, theta_rate=0.0)
-    >>> rates = pair.accelerations(still, force=1.0, gamma=0.0)
-    >>> print(f"{rates.alpha:.3e} {rates.theta:.3e}")
-    2.574e-10 -2.574e-10
     """
 
     r: Any
@@ -119,14 +105,6 @@ class TetheredPair:
     ------
     ModelError
         A mass or the length is not positive.
-
-    Examples
-    --------
-    >>> from gnc_opt.spacecraft import TetheredPair, TetherMotion
-    >>> pair = TetheredPair(leader_mass=500.0, follower_mass=50.0, tether_mass=5.0, length=1000.0)
-    >>> still = TetherMotion(r=7e6, r_rate=0.0, alpha_rate=1.078e-3, theta=np.pi / 2, theta_rate=0.0)
-    >>> print(f"{pair.tension(still, 0.0, 0.0):.3f} N")  # gravity gradient: nearly 3 W m* d
-    0.163 N
     """
 
     leader_mass: float
