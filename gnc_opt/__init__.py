@@ -37,7 +37,6 @@ if TYPE_CHECKING:  # the same names for type checkers
     )
     from gnc_opt.estimation import (
         design_ekf,
-        design_scheduled_ekf,
         design_ukf,
         output_feedback,
     )
@@ -161,7 +160,6 @@ __all__ = [
     "design_mpc",
     "design_neighbouring_extremal",
     "design_neighbouring_optimal",
-    "design_scheduled_ekf",
     "design_sliding_mode",
     "design_tvlqr",
     "design_ukf",
@@ -199,7 +197,7 @@ _NAMES_OF_MODULES = {
         "ArgumentError DesignError GncOptError ModelError ProblemError ProblemWarning "
         "UnknownAttributeError UnknownNameError"
     ),
-    "estimation": "design_ekf design_scheduled_ekf design_ukf output_feedback",
+    "estimation": "design_ekf design_ukf output_feedback",
     "guidance": "design_neighbouring_extremal design_neighbouring_optimal",
     "model": "Model",
     "model.expressions": "smooth_abs",

@@ -17,7 +17,7 @@ import math
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -160,10 +160,6 @@ def _join(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 
-OlderReader: TypeAlias = Callable[[dict[str, Any], Arrays], dict[str, Any]]
-"""Returns the fields of the result from header and arrays of a file of an older version."""
-
-
 @dataclass(frozen=True)
 class FileFormat:
     """How results of one class are written to files and read.
@@ -178,8 +174,6 @@ class FileFormat:
     packing : Packing
     alike : tuple of int
         Older versions that lack nothing but fields with defaults.
-    older : mapping of int to callable
-        What reads files of other older versions.
     """
 
     kind: type
@@ -187,7 +181,6 @@ class FileFormat:
     version: int
     packing: Packing
     alike: tuple[int, ...] = ()
-    older: Mapping[int, OlderReader] = field(default_factory=dict)
 
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
         """Write a result, and more values by name; return the file written.
@@ -224,16 +217,13 @@ class FileFormat:
         if not isinstance(header, dict) or header.get("format") != self._name:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
-        older = self.older.get(version) if isinstance(version, int) else None
-        if version not in (self.version, *self.alike) and older is None:
+        if version not in (self.version, *self.alike):
             written = f" (gnc_opt {header['written_by']})" if "written_by" in header else ""
             raise GncOptError(
                 f"'{path}' has format version {version}{written}, but this gnc_opt reads version {self.version}: "
                 "load it with the version that wrote it."
             )
         try:
-            if older is not None:
-                return self.kind(**older(header, arrays)), {}
             trees = {name: tree for name, tree in header.items() if name not in _ABOUT_THE_FILE}
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)

@@ -24,7 +24,6 @@ import scipy
 from gnc_opt.arguments import Strict, expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.estimation.chi_square import chi_square
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.run import Run
@@ -261,13 +260,14 @@ def _band(components: int, values: int, confidence: float, gate: float | None = 
     if values < 1:
         return float("nan"), float("nan")
     mean, freedom = (components, components) if gate is None else _gated(components, gate)
-    low, high = (chi_square(freedom * values, p) for p in (0.5 - confidence / 2, 0.5 + confidence / 2))
+    tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
+    low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
 def _gated(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
-    half, limit = components / 2, chi_square(components, gate) / 2
+    half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))
     mean = components * first
     return mean, 2 * mean**2 / (components * (components + 2) * second - mean**2)

@@ -3,7 +3,6 @@
 from gnc_opt.estimation.design import design_ekf, design_ukf
 from gnc_opt.estimation.estimator import Estimator, output_feedback
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions
-from gnc_opt.estimation.scheduled_filter import design_scheduled_ekf
 
 __all__ = [
     "Estimator",
@@ -11,7 +10,6 @@ __all__ = [
     "Measurement",
     "UnscentedOptions",
     "design_ekf",
-    "design_scheduled_ekf",
     "design_ukf",
     "output_feedback",
 ]

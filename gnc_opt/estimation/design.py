@@ -21,7 +21,7 @@ from gnc_opt.control.riccati import steady, unreached
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
-from gnc_opt.estimation.estimator import Estimator, Remembered
+from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.estimation.kalman_filter import COVARIANCE, build_filter
 from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions, read_options
@@ -220,7 +220,7 @@ class FilterDesign:
             errors=model.errors,
             measured=Layout("measurement", tuple(c.variable for c in augmented.channels), f"'{self.name}'"),
             commands=model.controls,
-            covariances=Remembered(rows, columns, augmented.errors.size),
+            pattern=filter_.pattern,
             memory=filter_.memory,
             error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
             sizes={c.name: c.space.errors for c in augmented.channels},

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,57 +11,25 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, Schedule, first_memory, law
+from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.design_report import Explanation
-from gnc_opt.control.feedforward import StackedSchedule
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.model.variables import Layout, as_point
 
 
-class Covariances(Protocol):
-    """Where the covariances of an estimator's errors are."""
-
-    def of(self, memory: Array, layout: Layout) -> Array:
-        """Return that of all errors (n, n) of a memory (n_memory,), or (m, n, n) of many (n_memory, m)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Remembered:
-    """Covariances in the memory.
-
-    Attributes
-    ----------
-    rows, columns : int arrays (k,)
-        What of the lower triangle the entries of ``covariance`` are.
-    size : int
-        Number of errors.
-    """
-
-    rows: Any
-    columns: Any
-    size: int
-
-    def of(self, memory: Array, layout: Layout) -> Array:
-        """Return the covariances, see `Covariances`."""
-        column = memory[layout.slice(COVARIANCE)]
-        full = np.zeros((self.size, self.size, *column.shape[1:]))
-        full[self.rows, self.columns] = full[self.columns, self.rows] = column
-        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
-
-
 @dataclass(frozen=True, eq=False)
 class Estimator:
-    """A discrete-time estimator: ``(t, y, r, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
+    """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
 
-    At a control step that begins at t it gets the samples y, a row r of its schedule and its memory z, the prediction
-    for t; it returns the estimated states x, and, once the command u is known, the prediction for the next step.
+    At a control step that begins at t it gets the samples y and its memory z, the prediction for t; it
+    returns the estimated states x, and, once the command u is known, the prediction for the next step.
 
     Attributes
     ----------
     name : str
     update, predict : casadi.Function
-        ``(t, y, r, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured
+        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured
         for longer than the estimator's ``hold``.
     first : array (n_memory,)
         The memory at the first step.
@@ -72,13 +39,13 @@ class Estimator:
         Of y.
     commands : Layout
         Of u.
-    covariances : Covariances
-        Where those of the errors are.
+    pattern : casadi.Sparsity
+        Of the lower triangle of the covariance of all errors: the entries that ``covariance`` holds, column by column.
     memory : Layout
         ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
-        its lower triangle can differ from zero; where it is known beforehand ``predicted_for``, s), and for each
-        measurement ``<measurement>_nis`` (sum of the normalised innovations squared of the samples taken),
-        ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
+        its lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the
+        normalised innovations squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused``
+        (how many).
     error : casadi.Function
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
@@ -88,12 +55,6 @@ class Estimator:
     dt : float
         Control step, s.
     explanation : Explanation
-    signals : Layout
-        Of r, what is known beforehand; nothing by default.
-    schedule : callable, optional
-        Of r, see `gnc_opt.control.controller.Schedule`.
-    span : tuple of two floats, optional
-        Times (s) between which it changes.
 
     Examples
     --------
@@ -112,16 +73,13 @@ class Estimator:
     errors: Layout
     measured: Layout
     commands: Layout
-    covariances: Covariances
+    pattern: Any
     memory: Layout
     error: Any
     sizes: dict[str, int]
     dt: float
     explanation: Explanation
     gates: dict[str, float] = field(default_factory=dict)
-    signals: Layout = field(default_factory=partial(Layout, "signal"))
-    schedule: Schedule | None = None
-    span: tuple[float, float] | None = None
 
     def explain(self) -> Explanation:
         """Return the facts of the design; print them to read them."""
@@ -145,8 +103,7 @@ class Estimator:
         """
         sample = as_point(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
         command = as_point(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
-        row = np.zeros(0) if self.schedule is None else self.schedule(np.array([float(t)]), self.dt)[:, 0]
-        x, after = self.update(float(t), sample, row, self.first if z is None else self._memory(z))
+        x, after = self.update(float(t), sample, self.first if z is None else self._memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
@@ -157,9 +114,13 @@ class Estimator:
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
         (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
-        return self.covariances.of(self._memory(memory), self.memory)[
-            ..., : self.errors.size, : self.errors.size
-        ]
+        column = self._memory(memory)[self.memory.slice(COVARIANCE)]
+        rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
+        size, states = self.pattern.size1(), self.errors.size
+        full = np.zeros((size, size, *column.shape[1:]))
+        full[rows, columns] = full[columns, rows] = column
+        own = full[:states, :states]
+        return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
     def _memory(self, given: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, which come first in that of `output_feedback`."""
@@ -224,7 +185,6 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         start=start,
         states=estimator.measured,
         estimated=controller.states,
-        **_known_beforehand(controller, estimator),
         memory=Layout(
             "memory",
             (*estimator.memory.variables, *controller.memory.variables),
@@ -243,21 +203,6 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _known_beforehand(controller: Controller, estimator: Estimator) -> dict[str, Any]:
-    """Return signals, schedule and span of both."""
-    if estimator.schedule is None:
-        return {}
-    spans = [span for span in (controller.span, estimator.span) if span is not None]
-    whole = len(spans) == 2 or (len(spans) == 1 and not controller.signals.size)
-    return {
-        "signals": Layout(
-            "signal", (*controller.signals.variables, *estimator.signals.variables), "the schedule"
-        ),
-        "schedule": StackedSchedule(controller.schedule, estimator.schedule),
-        "span": (min(begin for begin, _ in spans), max(end for _, end in spans)) if whole else None,
-    }
-
-
 def _functions(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
@@ -266,16 +211,14 @@ def _functions(
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size
     t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
-    sizes = controller.signals.size, controller.signals.size + estimator.signals.size
-    row, z = kind.sym("r", sizes[1]), kind.sym("z", size + controller.memory.size)
-    r, known = ca.vertsplit(row, [0, *sizes])
+    r, z = kind.sym("r", controller.signals.size), kind.sym("z", size + controller.memory.size)
     own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
-    x, after = estimator.update(t, y, known, own)
+    x, after = estimator.update(t, y, own)
     u, inner_after, *enough = bare(t, x[fed], r, inner)
-    step = law(t, y, row, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
-    x_first, _ = estimator.update(t, y, known, ca.DM(estimator.first))
+    step = law(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
+    x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
-    return step, first_memory(t, y, row, begun)
+    return step, first_memory(t, y, r, begun)
 
 
 def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
@@ -301,9 +244,4 @@ def _check_names(controller: Controller, estimator: Estimator) -> None:
         if name in controller.memory:
             raise ArgumentError(
                 f"'{controller.name}' and '{estimator.name}' both remember a '{name}': rename the state or the output."
-            )
-    for name in estimator.signals.names:
-        if name in controller.signals:
-            raise ArgumentError(
-                f"the schedules of '{controller.name}' and '{estimator.name}' both have a '{name}': rename the output."
             )

@@ -42,11 +42,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, saturated
 from gnc_opt.estimation.augmented_model import AugmentedModel, Channel
-from gnc_opt.estimation.chi_square import chi_square
 from gnc_opt.estimation.linearization import Approximation, Map, Tangent, cholesky, solved_left
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -97,7 +97,7 @@ class Tally:
         name, gate = channel.name, channel.measurement.gate
         taken = good
         if gate is not None:
-            passes = nis <= chi_square(channel.space.errors, gate)
+            passes = nis <= float(scipy.stats.chi2.ppf(gate, channel.space.errors))
             taken = ca.logic_and(good, passes)
             self.entries[f"{name}_refused"] += ca.logic_and(good, ca.logic_not(passes))
         due = self.due(channel)
@@ -127,8 +127,7 @@ class Filter:
     Attributes
     ----------
     update : casadi.Function
-        ``(t, y, r, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory;
-        r has no rows.
+        ``(t, y, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory.
     predict : casadi.Function
         ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
     memory : Layout
@@ -168,7 +167,6 @@ class _Builder:
         self.augmented, self.linearization = augmented, linearization
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
-        self.no_row = ca.SX.sym("r", 0)
         self.pattern = self._pattern()
         self.memory = self._layout()
 
@@ -228,7 +226,7 @@ class _Builder:
     # --- update -------------------------------------------------------------------------------------------
 
     def update(self) -> Any:
-        """Return ``(t, y, r, z) -> (x, z)``."""
+        """Return ``(t, y, z) -> (x, z)``."""
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
@@ -245,7 +243,7 @@ class _Builder:
         x = augmented.space.retraction(x, error)
         told = tally.told(x[: augmented.model.states.size], self.hold)
         outputs = ca.cse([told, self._memory(tally.entries, x, P)])
-        return ca.Function("update", [t, y, self.no_row, z], outputs, ["t", "y", "r", "z"], ["x", "z_next"])
+        return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _views(self, t: Any, x: Any, P: Any) -> list[_View]:
         """Return how the measurements see the errors of x at t."""

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -134,9 +133,6 @@ def _parallel(first: Any, second: Any) -> bool:
     return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= _SAME_DIRECTION)
 
 
-_REHEARSALS = 3
-"""Solves of which the slowest is the latency where none is stated."""
-
 _PREDICTED = 4
 """Integration steps of the prediction per control step."""
 
@@ -176,11 +172,8 @@ class Replanner:
     when : callable, optional
         ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and
         those of the plan x_ref (n,) in the order of what the controller follows. Default: always.
-    latency : float, optional
-        How long solving takes on board, s; it is rounded up to control steps. Default: measured here, the slowest of
-        three solves.
-    slowdown : float
-        How many times slower the computer on board is than this one; for a latency that is measured.
+    latency : float
+        How long solving takes on board, s; it is rounded up to control steps.
     last : float
         Before the end of the plan in which it stays as it is, s.
     follow : callable
@@ -206,8 +199,7 @@ class Replanner:
     resolver: Callable[[], Solver]
     every: float
     when: Callable[[float, Array, Array], bool] | None = field(default=None, kw_only=True)
-    latency: float = field(default=None, kw_only=True)  # type: ignore[assignment]
-    slowdown: float = field(default=1.0, kw_only=True)
+    latency: float = field(default=0.0, kw_only=True)
     last: float = field(default=0.0, kw_only=True)
     follow: Callable[[Solution], Schedule] = field(default=follow_plan, kw_only=True)
 
@@ -221,11 +213,8 @@ class Replanner:
         set_ = object.__setattr__
         set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
         set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
-        set_(self, "slowdown", read_positive(self.slowdown, "the slowdown of a Replanner"))
-        self._check_plan()
-        if self.latency is None:
-            set_(self, "latency", self.slowdown * self._measured())
         set_(self, "latency", read_positive(self.latency, "the latency of a Replanner", or_zero=True))
+        self._check_plan()
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -392,23 +381,6 @@ class Replanner:
                 f"the resolver of a Replanner returned {shown(self.solver)}, which has no solve(): write lambda: "
                 "Resolver(plan)."
             )
-
-    def _measured(self) -> float:
-        """Return the longest time (s) that a solve from a state of the plan takes."""
-        (leg,) = self.plan.phases.values()
-        found = []
-        for k in range(1, _REHEARSALS + 1):
-            t = leg.initial_time + k / (_REHEARSALS + 1) * leg.duration
-            begun = time.perf_counter()
-            try:
-                self.solved(t, leg.x(t), self.plan)
-            except GncOptError as error:
-                raise ArgumentError(
-                    f"the Replanner cannot solve the rest of its own plan from {t:g} s on ({in_words(error)}): let its "
-                    "resolver solve from the start, with cold=True, or plan on another mesh."
-                ) from error
-            found.append(time.perf_counter() - begun)
-        return max(found)
 
 
 def _named(function: Any) -> str:

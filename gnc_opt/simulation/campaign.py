@@ -22,7 +22,6 @@ from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percen
 from gnc_opt.simulation.measures import Envelope, Measures, envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.version_one_files import campaign_fields
 from gnc_opt.text import preformatted
 
 
@@ -403,7 +402,6 @@ CAMPAIGN_FILES = FileFormat(
     7,
     Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
     alike=(2, 3, 4, 5, 6),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans, 6 no quantities
-    older={1: campaign_fields},
 )
 
 

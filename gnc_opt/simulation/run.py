@@ -22,7 +22,6 @@ from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.events import Occurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.version_one_files import run_fields
 from gnc_opt.text import preformatted
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
@@ -369,7 +368,6 @@ RUN_FILES = FileFormat(
     4,
     Packing((Run, Outcome, RunStatus, Layout, Variable, Occurrence, Replan)),
     alike=(2, 3),  # 2 knows no events, 3 no re-plans
-    older={1: run_fields},
 )
 
 _MOST_TOLD = 4

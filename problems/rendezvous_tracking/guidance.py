@@ -28,7 +28,6 @@ from gnc_opt.estimation import (
     FilterOptions,
     Measurement,
     design_ekf,
-    design_scheduled_ekf,
     output_feedback,
 )
 from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
@@ -159,17 +158,16 @@ def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -
 
 @dataclass(frozen=True)
 class Filtered(Tracking):
-    """The plan with reserve, followed by the TVLQR behind a filter: one that makes its gains in flight, one before."""
+    """The plan with reserve, followed by the TVLQR behind the extended Kalman filter."""
 
-    def filter(self, name: str) -> Estimator:
-        """Return "EKF" or "scheduled EKF"."""
-        if name == "EKF":
-            return kalman_filter(tuple(self.initial))
-        return design_scheduled_ekf(observed_chaser(), self.reference, SENSORS, **KNOWN)
+    @property
+    def filter(self) -> Estimator:
+        """The extended Kalman filter."""
+        return kalman_filter(tuple(self.initial))
 
-    def controller(self, name: str) -> Controller:
-        """Return the TVLQR behind one of them."""
-        return output_feedback(self.tvlqr, self.filter(name))
+    def controller(self, name: str = "TVLQR") -> Controller:
+        """Return the TVLQR fed by the filter."""
+        return output_feedback(self.tvlqr, self.filter)
 
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the loop of `control` with these sensors."""

@@ -30,7 +30,7 @@ EXPECTED = {
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
+        design_neighbouring_extremal design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         linear_covariance load
         monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
@@ -46,7 +46,7 @@ EXPECTED = {
         zero_dynamics
     """,
     "gnc_opt.estimation": """
-        Estimator FilterOptions Measurement UnscentedOptions design_ekf design_scheduled_ekf
+        Estimator FilterOptions Measurement UnscentedOptions design_ekf
         design_ukf output_feedback
     """,
     "gnc_opt.guidance": """

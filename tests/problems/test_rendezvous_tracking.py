@@ -30,7 +30,7 @@ from problems.rendezvous_tracking import (
     plan,
     turned,
 )
-from problems.rendezvous_tracking.__main__ import FILTERS, main
+from problems.rendezvous_tracking.__main__ import main
 from problems.rendezvous_tracking.guidance import KEEP_OUT, Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import PLANNED, Replanned, resolver
 
@@ -105,18 +105,12 @@ def test_planned_again_it_arrives_within_all_limits():
 
 
 @pytest.mark.slow
-def test_a_filter_with_gains_made_beforehand_follows_as_well(tracking):
-    """The same runs behind both filters: errors at the end alike, and estimates within what the filters say."""
+def test_the_tvlqr_behind_the_filter_passes_and_the_filter_is_consistent(tracking):
     filtered = Filtered(tracking.solution)
-    ends = []
-    for name in FILTERS:
-        campaign = filtered.campaign(name, 6, SEED, "serial")
-        assert campaign.passed().all()
-        ends.append(np.median(campaign.measure("r_L")))
-        assert consistency(campaign, filtered.filter(name)).innovations["range"].average == pytest.approx(
-            1, abs=0.25
-        )
-    assert ends[1] == pytest.approx(ends[0], rel=0.5)
+    campaign = filtered.campaign("TVLQR", 6, SEED, "serial")
+    assert campaign.passed().all()
+    found = consistency(campaign, filtered.filter).innovations["range"]
+    assert found.average == pytest.approx(1, abs=0.25)
 
 
 @pytest.mark.slow
@@ -354,7 +348,7 @@ def test_main_writes_statistics_and_figures(tracking, guided, measured, tmp_path
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
     assert set(told["controllers"]) == {
-        "open loop", "TVLQR", "integral sliding mode", "TVLQR, EKF", "TVLQR, scheduled EKF", "guided",
+        "open loop", "TVLQR", "integral sliding mode", "TVLQR, EKF", "guided",
         "guided, filtered", "planned again, filtered",
     }  # fmt: skip
     assert len([*(tmp_path / "kept").glob("*/runs*.npz")]) >= 8

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_name, read_numbers, read_positive
+from gnc_opt.arguments import expect, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, c_statements
 from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
@@ -55,8 +55,6 @@ class FlightCode:
         Control step, s.
     table_bytes : int
         Of the schedule.
-    table_error : float
-        Of the schedule between its knots, relative to the largest number of each column; 0 if every row is kept.
     command_error : array (n_commands,) or None
         Largest difference of the compiled code's commands from the law's over the given samples.
 
@@ -74,7 +72,6 @@ class FlightCode:
     rows: int
     dt: float
     table_bytes: int
-    table_error: float
     command_error: Array | None = None
 
 
@@ -86,9 +83,6 @@ class CodeOptions:
     ----------
     precision : {"float64", "float32"}
         Of all numbers but times, which stay double: a clock in single precision would lose the row of the schedule.
-    table_tolerance : float
-        Largest error of interpolated gains, relative to the largest of each; 0: no interpolation. References and
-        feedforwards are kept row by row.
     samples : (times (n,), measured (n_states, n)), optional
         A flight, of one control step after the other: ``(run.times[:-1], run.measured)``. The code is compiled
         (``cc``) and run over it, and what its commands miss the law's by is told.
@@ -102,7 +96,6 @@ class CodeOptions:
     """
 
     precision: Literal["float64", "float32"] = "float64"
-    table_tolerance: float = 0.0
     samples: tuple[ArrayLike, ArrayLike] | None = None
 
 
@@ -134,7 +127,7 @@ def export_c(
     span : (initial_time, final_time), optional
         Times between which the schedule changes, if the controller does not tell.
     options : CodeOptions, optional
-        Single precision, interpolated gains, and a flight over which the code is compared with the law.
+        Single precision, and a flight over which the code is compared with the law.
 
     Returns
     -------
@@ -161,9 +154,9 @@ def export_c(
     form = flight_form(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
-    told = _read_options(options, form)
+    told = _read_options(options)
     step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
-    table = flight_table(form.controller, dt, span, float(told.table_tolerance))
+    table = flight_table(form.controller, dt, span)
     files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[told.precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
@@ -172,41 +165,29 @@ def export_c(
     source.write_text(files.source(), encoding="ascii")
     driver.write_text(files.driver(), encoding="ascii")
     size = table.size(files.numbers)
-    code = FlightCode(header, source, driver, prefix, len(table.rows), dt, size, table.error)
+    code = FlightCode(header, source, driver, prefix, len(table.rows), dt, size)
     if told.samples is None:
         return code
     missed = command_error(controller, source, driver, told.samples, dt)
-    header.write_text(files.header(_remarks(code, told, missed)), encoding="ascii")
+    header.write_text(files.header(_remark(told, missed)), encoding="ascii")
     return replace(code, command_error=missed)
 
 
-def _read_options(options: CodeOptions | None, form: FlightLaw) -> CodeOptions:
+def _read_options(options: CodeOptions | None) -> CodeOptions:
     told = CodeOptions() if options is None else options
     expect(told, CodeOptions, "the options of export_c()", "give CodeOptions(...)")
     if told.precision not in _NUMBERS:
         raise ArgumentError(
             f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
         )
-    tolerance = read_positive(told.table_tolerance, "the table tolerance of export_c()", or_zero=True)
-    if tolerance >= 1:
-        raise ArgumentError(f"the table tolerance of export_c() is {tolerance:g}: give a share below 1.")
-    if tolerance and form.solver is not None:
-        raise ArgumentError(
-            f"the schedule of '{form.controller.name}' has no gains to interpolate: leave table_tolerance out."
-        )
     return told
 
 
-def _remarks(code: FlightCode, options: CodeOptions, missed: Array) -> tuple[str, ...]:
-    """What the options cost, for the header."""
+def _remark(options: CodeOptions, missed: Array) -> str:
+    """Return what the header says of the comparison with the law."""
     count = np.size(options.samples[0]) if options.samples is not None else 0
     by = ", ".join(f"{v:.2g}" for v in missed)
-    told = [
-        f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
-    ]
-    if options.table_tolerance:
-        told.append(f"interpolated gains: off by at most {code.table_error:.2g} of the largest of each")
-    return tuple(told)
+    return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
 
 def _read_prefix(name: str) -> str:
@@ -350,7 +331,7 @@ class FlightFiles:
     def operations(self) -> int:
         """Of how many operations a step consists, at most: arithmetic, comparisons, calls."""
         own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
-        return own + self.table.operations + (0 if self.form.solver is None else self.form.solver.operations)
+        return own + (0 if self.form.solver is None else self.form.solver.operations)
 
     @property
     def stack(self) -> int:
@@ -360,8 +341,8 @@ class FlightFiles:
         own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)
         return int(self.numbers.size * (row + max(self.start.sz_w(), own)))
 
-    def header(self, remarks: tuple[str, ...] = ()) -> str:
-        """Return the header; remarks are lines of comment at its top."""
+    def header(self, remark: str = "") -> str:
+        """Return the header; the remark is a line of comment at its top."""
         upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
         bounded = "at most" if self.form.solver is not None else "the same at every step, whatever the data"
         sizes = {
@@ -373,7 +354,7 @@ class FlightFiles:
         }
         lines = [
             f"/* {_plain(controller.name)}: discrete-time control law, written by gnc_opt. */",
-            *(f"/* {_plain(remark)} */" for remark in remarks),
+            *([f"/* {_plain(remark)} */"] if remark else []),
             f"#ifndef {upper}_H",
             f"#define {upper}_H",
             "",

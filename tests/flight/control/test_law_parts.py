@@ -916,7 +916,7 @@ def test_the_rows_of_a_schedule_in_c():
     """From the beginning of the span in steps to its end, and the row that is good from there on."""
 
     def table(law, dt, span=None):
-        return flight_table(law, dt, span, 0.0)
+        return flight_table(law, dt, span)
 
     found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
     assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])

@@ -556,49 +556,6 @@ def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary
         assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two
 
 
-def _twisted(boundary, disturbance, x0=(0.5, 0.0)):
-    """k_2 = 1: what a disturbance may grow by in a second."""
-    model = integrators()
-    law = {"reaching": SuperTwisting(2.0, 1.0), "boundary": boundary, "bound": 0.5, "dt": 0.01}
-    controller = design_sliding_mode(model, [0, 0], outputs="x0", slopes=1.0, **law)
-    run = step_through(controller, model, x0, dt=0.01, tf=15.0, disturbance=lambda t: disturbance(t)[None, :])
-    assert "overpowered" in controller.alarms
-    return run, run.memory("overpowered")[0]
-
-
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05), Sign()], ids=str)
-@pytest.mark.parametrize(
-    ("rate", "latest"), [(2.0, 3.0), (-3.0, 2.0), (1.2, 9.0)], ids=["twice", "thrice", "a fifth more"]
-)
-def test_a_disturbance_that_outruns_the_twist_raises_an_alarm(boundary, rate, latest):
-    """z follows d at k_2 = 1 per second and falls behind: s stays on one side and grows with the square of the time."""
-    run, flags = _twisted(boundary, lambda t: rate * np.maximum(t - 5.0, 0))
-    assert not flags[run.times < 5.0].any() and flags[-1] == 1
-    assert run.times[np.argmax(flags)] - 5.0 < latest
-    # s = c t^2 obeys s' = -2 sqrt(s) + (|rate| - 1) t
-    root = (np.sqrt(2 * abs(rate) - 1) - 1) / 2
-    if abs(rate) > 1.5:  # far beyond the layer
-        assert np.abs(run.memory("s")[0, -1]) == pytest.approx((root * 10.0) ** 2, rel=0.1)
-
-
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), Sign()], ids=str)
-@pytest.mark.parametrize(
-    "disturbance",
-    [
-        lambda t: 0.9 * t + 3.0,
-        lambda t: 5.0 * (t > 5.0),
-        lambda t: 2.0 * np.sign(np.sin(t)),
-        lambda t: 0.9 * np.sin(t),
-    ],
-    ids=["slower than the twist", "a jump", "jumps", "waves"],
-)
-def test_what_the_twist_catches_up_with_raises_none(boundary, disturbance):
-    """Overshoot, jumps and waves, from near and from far."""
-    for start in ((0.5, 0.0), (5.0, -3.0), (-0.1, 8.0)):
-        run, flags = _twisted(boundary, disturbance, start)
-        assert not flags.any() and np.abs(run.memory("s")[0, -1]) < 1.0
-
-
 def test_the_reserve_of_super_twisting_claims_no_largest_command():
     """It asks for k1 |s|^1/2 and more, whatever s; only the feedforward is certain."""
     model = Model("cart")

@@ -1,4 +1,4 @@
-"""Flight code made smaller: single precision and interpolated gains, with the error that this costs."""
+"""Flight code made smaller: single precision, with the error that this costs."""
 
 import re
 import shutil
@@ -26,10 +26,8 @@ from testing.mpc_designs import DT, A, B, tracker
 
 import gnc_opt as go
 from gnc_opt.control import CodeOptions
-from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT
-from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
+from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model import Layout, Variable
 
 SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]
 
@@ -88,59 +86,11 @@ def test_single_precision_of_a_quadratic_programme(tmp_path):
     assert 1e-9 < code.command_error[0] < 1e-3
 
 
-def table(columns, tolerance, *names):
-    layout = Layout("signal", tuple(Variable(name, 1) for name in names))
-    return FlightTable(0.0, np.transpose(columns), layout, tolerance)
-
-
-def test_knots_of_known_curves():
-    """A broken line needs its corners; a parabola, by the error h^2 / 4 of its chords, pieces of 2 sqrt(tolerance)."""
-    s = np.linspace(0.0, 1.0, 201)
-    found = table([np.abs(s - 0.3), s**2, np.ones(201), s], 1e-3, "broken", "parabola", "constant", "q_ref")
-    assert list(found.knots[0]) == [0, 60, 200]
-    assert list(found.knots[2]) == [0, 200]
-    assert 3 not in found.knots  # references are kept row by row
-    pieces = np.diff(found.knots[1])[:-1] / 200
-    assert np.all(pieces**2 / 4 <= 1e-3 * (1 + 1e-9)) and np.max((pieces + 0.005) ** 2 / 4) > 1e-3
-    assert found.error == pytest.approx(np.max(pieces) ** 2 / 4, rel=0.03)
-    assert np.array_equal(found.interpolated[:, 3], s)
-    count = sum(len(k) for k in found.knots.values())
-    assert found.size(DOUBLE) == 201 * 8 + 10 * count
-    assert found.size(FLOAT) == 201 * 4 + 6 * count
-    assert table([s], 0.0, "gain").error == 0
-
-
-@needs_compiler
-def test_interpolated_gains_are_found_again_by_the_compiled_code(tmp_path):
-    law = follower(0.02)
-    bare = law.unbridged
-    whole, small = (flight_table(law, 0.02, None, tolerance) for tolerance in (0.0, 1e-2))
-    assert small.size(DOUBLE) < 0.8 * whole.size(DOUBLE)
-    assert 1e-3 < small.error <= 1e-2 * (1 + 1e-9)
-    k = np.array([0, 1, 17, 60, 150])
-    times, states = 0.5 + 0.02 * k, np.full((k.size, 2), 0.3)
-    expected = [
-        float(bare.step(t, x, row, [])[0])
-        for t, x, row in zip(times, states, small.interpolated[k], strict=True)
-    ]
-    options = CodeOptions(table_tolerance=1e-2, samples=(times, states.T))
-    code = go.export_c(law, tmp_path, options=options)
-    found = run(compiled(code, "-O0", "-Wconversion"), times, states)[:, 0]
-    assert np.allclose(found, expected, rtol=1e-13)
-    exact = python(law, times, states, 0.02)[:, 0]
-    assert code.command_error[0] == pytest.approx(np.max(np.abs(found - exact)), rel=1e-9)
-    assert code.command_error[0] > 1e-6
-    header = code.header.read_text()
-    assert f"off by at most {code.table_error:.2g} of the largest of each" in header
-    assert int(re.search(r"_TABLE (\d+)", header)[1]) == code.table_bytes == small.size(DOUBLE)
-
-
 def test_refusals(tmp_path, monkeypatch):
     law = follower(0.1)
     good = (0.5 + 0.1 * np.arange(3), np.zeros((2, 3)))
     for options, message in (
         (CodeOptions(precision="float16"), "no precision 'float16': did you mean"),
-        (CodeOptions(table_tolerance=-1.0), "table tolerance of export_c"),
         (
             CodeOptions(samples=(good[0], np.zeros((3, 2)))),
             r"shapes \(3,\) and \(3, 2\), and 'TVLQR' measures 2 states",
@@ -150,8 +100,6 @@ def test_refusals(tmp_path, monkeypatch):
     ):
         with pytest.raises(ArgumentError, match=message):
             go.export_c(law, tmp_path / "none", options=options)
-    with pytest.raises(ArgumentError, match="'MPC' has no gains to interpolate"):
-        go.export_c(tracker(), tmp_path / "none", options=CodeOptions(table_tolerance=0.1))
     with pytest.raises(ArgumentError, match="1e\\+300 is beyond the numbers of the type 'float'"):
         FLOAT(1e300)
     monkeypatch.setattr(shutil, "which", lambda name: None)

@@ -82,11 +82,6 @@ def test_a_start_a_little_beyond_a_limit_begins_on_it() -> None:
         assert rest.phases["leg"].numbers.initial.lower == pytest.approx(used, abs=1e-15)
 
 
-def test_a_plan_whose_rest_is_not_solved_has_no_latency() -> None:
-    with pytest.raises(go.ArgumentError, match=r"rest of its own plan from 0\.25 s on .ProblemError: no"):
-        Replanner(Refusing, every=0.1)
-
-
 def test_seldom_plans_come_when_they_are_due() -> None:
     """More than 1000 control steps lie between two: runs are flown in legs of so many."""
     run = loop(5e-4, every=0.6).simulate([-1.0, 0.0], tf=1.0)

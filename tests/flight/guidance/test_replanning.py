@@ -196,12 +196,6 @@ def test_in_a_campaign(tmp_path: Path) -> None:
     assert loaded.replans == again.replans
 
 
-def test_a_latency_that_is_not_stated_is_measured() -> None:
-    once = every(latency=None)
-    slow = every(latency=None, slowdown=1000.0)
-    assert 0 < once.latency < slow.latency
-
-
 def two_phases() -> Any:
     class Two:
         solution = go.Solution.__new__(go.Solution)
@@ -216,7 +210,6 @@ def two_phases() -> Any:
         (lambda: every(-0.1), "between two re-plannings is"),
         (lambda: every(last=-1.0), "last part without"),
         (lambda: every(latency=-1.0), "latency of a Replanner"),
-        (lambda: every(slowdown=0.0), "slowdown"),
         (lambda: every(when=3), "when of a Replanner is no function"),
         (lambda: Replanner(resolver(), every=0.1), "write lambda"),  # type: ignore[arg-type]
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),

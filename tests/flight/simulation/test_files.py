@@ -1,4 +1,4 @@
-"""Files of runs and campaigns: every field comes back, also from files of the first version."""
+"""Files of runs and campaigns: every field comes back, also from campaigns of version 2."""
 
 import dataclasses
 import errno
@@ -100,65 +100,9 @@ def test_a_run_is_no_campaign(run, tmp_path):
         Campaign.load(run.save(tmp_path / "run"))
 
 
-# --- version 1 ------------------------------------------------------------------------------------------
-
-
-def first_layouts(layouts):
-    return {
-        kind: [layout.kind, layout.owner, [[v.name, v.size, v.unit] for v in layout.variables]]
-        for kind, layout in layouts.items()
-    }
-
-
-def first_outcome(outcome):
-    return [outcome.status.value, outcome.what, None if math.isnan(outcome.time) else outcome.time]
-
-
 def write(path, header, arrays):
     np.savez_compressed(path, header=np.array(json.dumps(header)), **arrays)
     return path
-
-
-def arrays_of(result):
-    values = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
-    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-
-
-@pytest.mark.parametrize("error", [0.1 + 0.2, math.inf, math.nan])
-def test_a_run_of_version_1_is_read(run, tmp_path, error):
-    run = dataclasses.replace(run, integration_error=error)
-    header = {
-        "format": "gnc_opt run",
-        "version": 1,
-        "seed": run.seed,
-        "integration_error": repr(error),
-        "outcome": first_outcome(run.outcome),
-        "layouts": first_layouts(run.layouts),
-    }
-    assert run.reference is None or run.errors is not None
-    assert_same(Run.load(write(tmp_path / "run.npz", header, arrays_of(run))), run)
-
-
-def test_a_campaign_of_version_1_is_read(campaign, tmp_path):
-    header = {
-        "format": "gnc_opt campaign",
-        "version": 1,
-        "seed": campaign.seed,
-        "asked": campaign.asked,
-        "span": list(campaign.span),
-        "limits": dict(campaign.limits),
-        "measured": list(campaign.measured),
-        "interrupted": campaign.interrupted,
-        "outcomes": [first_outcome(outcome) for outcome in campaign.outcomes],
-        "layouts": first_layouts(campaign.layouts),
-    }
-    arrays = arrays_of(campaign) | {f"measured {i}": v for i, v in enumerate(campaign.measured.values())}
-    loaded = Campaign.load(write(tmp_path / "campaign.npz", header, arrays))
-    assert_same(loaded, campaign, left_out=("flight", "fingerprint"))
-    assert loaded.fingerprint == ""
-    header["outcomes"] = 3
-    with pytest.raises(GncOptError, match="is damaged"):
-        Campaign.load(write(tmp_path / "campaign.npz", header, arrays))
 
 
 def test_a_campaign_of_version_2_is_read(campaign, tmp_path):
