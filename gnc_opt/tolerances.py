@@ -60,7 +60,7 @@ LARGEST = 1e30
 would leave the range of doubles."""
 
 PLAUSIBLE = 1e15
-"""Size of a state beyond which a rehearsal or a run has diverged, in any unit: a hundred times as far as Neptune, in
+"""Size of a state beyond which a run has diverged, in any unit: a hundred times as far as Neptune, in
 metres."""
 
 

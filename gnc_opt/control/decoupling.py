@@ -7,7 +7,7 @@ work as soon as it can. What it does without a measurement is the business of `g
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -21,7 +21,6 @@ from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals, reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.rehearsal import Path, Rehearsal
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import dependent
@@ -130,34 +129,6 @@ def _singular_everywhere(errors: OutputErrors, reference: Reference, times: Arra
     return True
 
 
-def determinant_on(
-    path: Path, errors: OutputErrors, reference: Reference, inverse: Inverse, guard: float
-) -> Fact:
-    """Return the fact about the smallest |det E| on a rehearsed path.
-
-    Raises
-    ------
-    DesignError
-        It falls below ``guard`` times the largest on the reference.
-    """
-    pair, times = errors.pair, path.times
-    columns = (times[None, :], path.x, reference.x(times), reference.u(times))
-    look = ca.Function(
-        "look", [pair.t, pair.x, pair.x_ref, pair.u_ref], [errors.determinant, inverse.regular]
-    )
-    size, regular = (np.asarray(v.full())[0] for v in look(*columns))
-    lost = np.flatnonzero(~(regular > 0) & np.all(np.isfinite(path.x), axis=0))
-    if lost.size:
-        raise DesignError(
-            f"from this start the decoupling matrix becomes singular: |det E| = {abs(size[lost[0]]):.3g} at t = "
-            f"{times[lost[0]]:.4g} s falls below {guard:g} times its largest value {inverse.scale:.3g} on the "
-            "reference; choose other outputs (errors instead of absolute attitudes), less overshoot, or a detour."
-        )
-    least = int(np.nanargmin(np.abs(size)))
-    remark = f"at t = {times[least]:.4g} s, from the given start"
-    return Fact("smallest determinant on the way", abs(float(size[least])), remark=remark)
-
-
 def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[Fact]:
     """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
     t = reference.final_time
@@ -209,9 +180,8 @@ def guarded_controller(
     *,
     dt: float | None,
     explanation: Explanation,
-    rehearsal: Rehearsal | None = None,
 ) -> Controller:
-    """Return the controller of a law with its guards, rehearsed."""
+    """Return the controller of a law with its guards."""
     memory, nominal = guarded.memory, guarded.nominal
     last = ca.SX.sym("u_last", pair.u.numel())
     singular, regular = ca.SX.sym(SINGULAR), guarded.regular
@@ -253,9 +223,6 @@ def guarded_controller(
         span=(reference.initial_time, reference.final_time),
         alarms=alarms,
     )
-    if rehearsal is not None:
-        told = Explanation(explanation.title, (*explanation.facts, *rehearsal(guarded_law)))
-        guarded_law = replace(guarded_law, explanation=told)
     return bridge_dropouts(guarded_law)
 
 

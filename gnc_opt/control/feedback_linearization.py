@@ -10,7 +10,7 @@ dynamics, is left to itself and has to be stable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -20,14 +20,13 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, read_limits, require_reserve
+from gnc_opt.control.control_limits import Limits, read_limits, require_reserve
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
     GUARD,
     GuardedLaw,
     check_zero_dynamics,
-    determinant_on,
     guarded_controller,
     guarded_inverse,
 )
@@ -35,15 +34,11 @@ from gnc_opt.control.design_report import Explanation, Fact, number_text
 from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
 from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import as_vector
-
-_SPAN = 20.0
-"""A rehearsal lasts this many time constants of the slowest pole."""
 
 
 @one_thread()
@@ -60,7 +55,6 @@ def design_feedback_linearization(
     growth: float = GROWTH,
     fallback: ArrayLike | None = None,
     limits: Limits | None = None,
-    start: ArrayLike | None = None,
     dt: float | None = None,
     name: str = "feedback linearisation",
 ) -> Controller:
@@ -91,9 +85,6 @@ def design_feedback_linearization(
         ``singular`` is raised either way.
     limits : (lower, upper), optional
         Authority; the reserve is reported.
-    start : array (n_states,), optional
-        State from which the closed loop is rehearsed, its commands cut to ``limits``: designs that meet a singular E on
-        the way are refused, and those that run away or are kept from settling.
     dt : float, optional
         Length of a control step, s: the sampled chains have to be stable.
     name : str
@@ -106,8 +97,14 @@ def design_feedback_linearization(
     Raises
     ------
     DesignError
-        Undefined relative degree, singular decoupling matrix on the reference or on the way to it, unstable poles or
-        zero dynamics, steps too long, a start from which the limited loop runs away or does not settle.
+        Undefined relative degree, singular decoupling matrix on the reference, unstable poles or zero dynamics, steps
+        too long.
+
+    Notes
+    -----
+    Whether E stays regular, and the errors decay, from a distant start and within the limits of the actuators is
+    answered by a run: ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)]).simulate(x0, tf)``. It ends
+    as ``ALARM`` if E becomes singular and as ``DIVERGED`` if the state leaves all bounds.
 
     Examples
     --------
@@ -144,9 +141,6 @@ def design_feedback_linearization(
             )
         spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
 
-    def watch(path: Path) -> Fact:
-        return determinant_on(path, errors, reference, inverse, guard)
-
     return guarded_controller(
         name,
         pair,
@@ -154,9 +148,6 @@ def design_feedback_linearization(
         GuardedLaw(u, inverse.regular, fallback=spare),
         dt=dt,
         explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
-        rehearsal=None
-        if start is None
-        else _rehearsal(errors, reference, closed, start, authority, dt, watch),
     )
 
 
@@ -274,22 +265,3 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
         )
     return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
 
-
-def _rehearsal(
-    errors: OutputErrors,
-    reference: Reference,
-    poles: Array,
-    start: ArrayLike,
-    limits: Authority | None,
-    dt: float | None,
-    watch: Callable[[Path], Fact],
-) -> Rehearsal:
-    """Return the rehearsal of a start; ``watch`` tells of the way, or refuses it."""
-    span = max(_SPAN / float(np.min(-poles.real)), reference.duration)
-    step = FINENESS / float(np.max(np.abs(poles))) if dt is None else dt
-
-    def rehearsal(controller: Controller) -> list[Fact]:
-        path = rehearse(controller, Trial(errors, reference, start, limits, step, span), watch)
-        return [watch(path), *limit_facts(path, limits, step), *drift_facts(path, errors, reference)]
-
-    return rehearsal

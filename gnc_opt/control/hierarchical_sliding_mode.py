@@ -56,7 +56,6 @@ def design_hierarchical_sliding_mode(
     bound: float = 0.0,
     observer: SuperTwistingObserver | None = None,
     limits: Limits | None = None,
-    start: ArrayLike | None = None,
     dt: float | None = None,
     guard: float = GUARD,
     growth: float = GROWTH,
@@ -80,7 +79,7 @@ def design_hierarchical_sliding_mode(
         k of the second level, 1/s; without effect where S has relative degree 1.
     bound : float
         Largest disturbance of the r-th derivative of S.
-    reaching, boundary, observer, limits, start, dt, guard, growth
+    reaching, boundary, observer, limits, dt, guard, growth
         As in `design_sliding_mode`.
     name : str
         For messages and reports.
@@ -120,7 +119,7 @@ def design_hierarchical_sliding_mode(
         errors,
         reference,
         [np.atleast_1d(np.poly(poles))[::-1].astype(float)],
-        SlidingOptions(reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth),
+        SlidingOptions(reaching, boundary, bound, observer, limits, dt, guard=guard, growth=growth),
     )
 
 

@@ -42,7 +42,6 @@ from gnc_opt.control.decoupling import (
     Inverse,
     Memory,
     check_zero_dynamics,
-    determinant_on,
     guarded_controller,
     guarded_inverse,
 )
@@ -60,19 +59,15 @@ from gnc_opt.control.reaching_laws import (
     read_bounds,
 )
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
 from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
 from gnc_opt.control.super_twisting import SuperTwistingObserver, sampled_band
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import as_point
 
 _SETTLED = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""
 _RESPONSE_STEPS = 4000
-_SPAN = 20.0
-"""A rehearsal lasts this many time constants of the slowest pole of the surface, and the reaching time."""
 
 
 def surface_controller(
@@ -115,7 +110,6 @@ def surface_controller(
         GuardedLaw(u, inverse.regular, tuple(memory)),
         dt=switching.dt,
         explanation=Explanation(title, tuple(facts)),
-        rehearsal=_reaching(errors, s, coefficients, reference, switching, inverse, options),
     )
 
 
@@ -203,65 +197,6 @@ def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switchin
     return facts
 
 
-def _reaching(
-    errors: OutputErrors,
-    s: Any,
-    coefficients: Sequence[Array],
-    reference: Reference,
-    switching: Switching,
-    inverse: Inverse,
-    options: SlidingOptions,
-) -> Rehearsal | None:
-    """Return the rehearsal of a start: how long the surface takes, with what the limits leave of the command."""
-    start = options.start
-    if start is None:
-        return None
-    t, pair, reaching = reference.initial_time, errors.pair, switching.reaching
-    x = as_point(start, pair.x.numel(), "the state at the start", DesignError)
-    first = np.asarray(pair.function(s)(t, x, reference.u(t), reference.x(t), reference.u(t)).full())[:, 0]
-    ideal = np.array(
-        [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
-    )
-    rates = np.concatenate([np.empty(0), *[np.roots(c[::-1]) for c in coefficients]])
-    slope = reaching.slope(switching.boundary)
-    rates = np.abs(np.append(rates.real, slope if np.isfinite(slope) else 1.0))
-    step = FINENESS / float(np.max(rates)) if switching.dt is None else switching.dt
-    span = max(
-        _SPAN / float(np.min(rates)),
-        reference.duration,
-        float(np.max(ideal[np.isfinite(ideal)], initial=0.0)),
-    )
-
-    def rehearsal(controller: Controller) -> list[Fact]:
-        def watch(path: Path) -> Fact:
-            return determinant_on(path, errors, reference, inverse, options.guard)
-
-        path = rehearse(controller, Trial(errors, reference, x, switching.limits, step, span), watch)
-        times, remark = ideal, "upper bound with ideal switching and the disturbance at its bound"
-        if path.cut(switching.limits).any():
-            times, remark = (
-                _arrivals(path, controller, first, switching),
-                "rehearsed within the limits, undisturbed",
-            )
-        return [
-            Fact("s at the start", first),
-            Fact("reaching time", times, "s", remark),
-            *limit_facts(path, switching.limits, step),
-            *drift_facts(path, errors, reference),
-        ]
-
-    return rehearsal
-
-
-def _arrivals(path: Path, controller: Controller, first: Array, switching: Switching) -> Array:
-    """Return when each s first changes its sign or enters its boundary layer (s after the start)."""
-    s = path.memory[controller.memory.slice("s")][:, 1:]  # that of the step before
-    layer = 1 / switching.boundary.slope
-    there = (s * first[:, None] <= 0) | (np.abs(s) <= np.maximum(layer, switching.bands)[:, None])
-    times = path.times[:-1] - path.times[0]
-    return np.array([times[np.argmax(row)] if row.any() else np.inf for row in there])
-
-
 def _peak_gain(c: Array) -> float:
     """Return the largest |e| that |s| <= 1 can cause: the integral of the impulse response of 1 / c(p)."""
     if c.size == 1:
@@ -295,7 +230,6 @@ class SlidingOptions:
     bound: ArrayLike = 0.0
     observer: SuperTwistingObserver | None = None
     limits: Limits | None = None
-    start: ArrayLike | None = None
     dt: float | None = None
     guard: float = GUARD
     growth: float = GROWTH
@@ -423,7 +357,7 @@ class Switching:
         times = reference_times(reference)
         if isinstance(
             self.reaching, SuperTwisting
-        ):  # its command has no bound: the rehearsal tells what it asks for
+        ):  # its command has no bound
             return require_reserve(reference, self.limits, times, dt=self.dt)
         matrices = errors.pair.along(reference, times, errors.decoupling)
         need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
@@ -501,7 +435,6 @@ def design_sliding_mode(
     bound: ArrayLike = 0.0,
     observer: SuperTwistingObserver | None = None,
     limits: Limits | None = None,
-    start: ArrayLike | None = None,
     dt: float | None = None,
     guard: float = GUARD,
     growth: float = GROWTH,
@@ -528,9 +461,6 @@ def design_sliding_mode(
     limits : (lower, upper), optional
         Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
         limited command for the one in force. The law itself does not limit its command.
-    start : array (n_states,), optional
-        State from which the closed loop is rehearsed, its commands cut to ``limits``: a start from which it runs away
-        or does not come back is refused, and the reaching time in `Controller.explain` is that of the limited command.
     dt : float, optional
         Length of a control step, s; needed by laws with memory.
     guard : float
@@ -548,8 +478,13 @@ def design_sliding_mode(
     ------
     DesignError
         Undefined relative degree, singular decoupling matrix, disturbances above the gain, gain above the
-        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics, a start from
-        which the limited loop does not come back.
+        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics.
+
+    Notes
+    -----
+    ``reaching.reaching_time(s, bound)`` is the time from s at the start to the surface with ideal switching. How long
+    it takes within the limits of the actuators, and whether the loop comes back at all, is answered by a run of
+    ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)])``.
 
     Examples
     --------
@@ -567,7 +502,7 @@ def design_sliding_mode(
     coefficients = _coefficients(errors, slopes)
     title = f"sliding mode of '{model.name}' on {', '.join(errors.labels)}"
     options = SlidingOptions(
-        reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth
+        reaching, boundary, bound, observer, limits, dt, guard=guard, growth=growth
     )
     return surface_controller(name, title, errors, reference, coefficients, options)
 

@@ -106,11 +106,6 @@ class SmoothPlan:
         plan._require_no_limit()
         return plan
 
-    def beyond(self, u: Array) -> Mask:
-        """Return where controls (n_controls, n) are beyond their limits, (n,)."""
-        bounds = self.leg.control_bounds
-        return np.asarray(np.any((u < bounds.lower[:, None]) | (u > bounds.upper[:, None]), axis=0))
-
     def _require_no_limit(self) -> None:
         leg, times = self.leg, self.leg.sample_times()
         inner = times[1:-1]

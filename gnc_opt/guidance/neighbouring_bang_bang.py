@@ -185,11 +185,6 @@ _TIME = 0.03
 _SHIFT = 0.04
 """A correction by this share of the flight weighs as much as an accepted error."""
 
-_TRIES = 15
-"""Corrections after which a deviation of the start has to be met."""
-
-_HALVINGS = 7
-"""Deviations of the start that are tried: the range of the state in the plan, and halves of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -435,7 +430,6 @@ class _Guidance:
     def facts(self) -> list[Fact]:
         """Return what the design says of itself."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
-        labels = ", ".join(plan.reference.states.labels)
         how = "with the reserve" if ending.reserve else "without a reserve"
         if f"{best.tau[-1]:.6g}" != f"{max(best.tau[-1], plan.times[-1]):.6g}":  # faster than the fastest
             how += (
@@ -460,31 +454,5 @@ class _Guidance:
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
             Fact("operations", str(self.correct.n_instructions()), "", "of a correction"),
-            Fact(
-                "corrected at the start",
-                self.validity(),
-                "",
-                f"deviations, each alone and both ways, that {_TRIES} corrections meet: {labels}",
-            ),
         ]
 
-    def validity(self) -> Array:
-        """Return the largest of the deviations tried of each state at the start that the corrections meet."""
-        plan = self.plan
-        times = np.linspace(plan.initial_time, plan.reference.final_time, 50)
-        ranges = np.ptp(plan.reference.x(times), axis=1)
-        found = np.zeros(ranges.size)
-        for i, size in enumerate(ranges):
-            for k in range(_HALVINGS):
-                off = size * 0.5**k * np.eye(ranges.size)[i]
-                if self._met(plan.initial + off) and self._met(plan.initial - off):
-                    found[i] = size * 0.5**k
-                    break
-        return found
-
-    def _met(self, x: Array) -> bool:
-        at, tau = self.plan.initial_time - self.options.delay, self.optimum.tau
-        allowed = OFF + float(self.correct(at, self.plan.initial, tau)[1])
-        for _ in range(_TRIES):
-            tau, miss = self.correct(at, x, tau)
-        return bool(float(miss) <= allowed)  # false for not-a-number

@@ -27,19 +27,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError
 from gnc_opt.guidance.accessory_problem import Feedback, SmoothPlan, feedback
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.planning.solution.propagation import state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
-
-BENT = 0.1
-"""Share of the largest deviation by which a flight may differ from its first-order prediction where that is valid."""
-
-_SIZES = 0.5 ** np.arange(10)
-"""Deviations of the start that are tried, in shares of the magnitude of a state."""
-
-_SMALL = 1e-4
-"""One from which the first order is taken, in those shares."""
-
-_STEPS = 100
 
 
 @one_thread()
@@ -116,7 +104,7 @@ def design_neighbouring_extremal(
         schedule=schedule,
         dt=step,
         span=(plan.leg.initial_time, plan.leg.final_time),
-        explanation=Explanation(f"{name} of '{plan.name}'", tuple(_facts(plan, found, schedule))),
+        explanation=Explanation(f"{name} of '{plan.name}'", tuple(_facts(plan, found))),
     )
     return bridge_dropouts(controller)
 
@@ -144,7 +132,7 @@ class ExtremalSchedule:
         return np.vstack([self.reference(times, dt), self.gains(np.atleast_1d(times)), end])
 
 
-def _facts(plan: SmoothPlan, found: Feedback, schedule: ExtremalSchedule) -> list[Fact]:
+def _facts(plan: SmoothPlan, found: Feedback) -> list[Fact]:
     states, controls = ", ".join(plan.leg.states.labels), ", ".join(plan.leg.controls.labels)
     facts = [
         Fact("end", plan.leg.final_time, "s", "free" if plan.free_end else "given"),
@@ -157,59 +145,5 @@ def _facts(plan: SmoothPlan, found: Feedback, schedule: ExtremalSchedule) -> lis
                 "end by deviation", found.end_gain[0], "", f"s per unit of each state at the start: {states}"
             )
         )
-    remark = (
-        f"deviations at the start, each alone and both ways, whose flights first order tells to {BENT:.0%}"
-    )
-    return [*facts, Fact("valid for", validity(plan, schedule), "", f"{remark}: {states}")]
+    return facts
 
-
-def validity(plan: SmoothPlan, schedule: ExtremalSchedule) -> Array:
-    """Return the largest of the deviations tried of each state at the start for which the first order is valid.
-
-    The flight under the continuous law, until the gains stay, differs by less than `BENT` of its largest deviation from
-    the first-order one, the end moves by less than that share of the flight, and no control leaves its limits.
-    """
-    magnitudes = state_magnitudes(plan.leg)
-    n = magnitudes.size
-    shares = np.append(_SIZES, _SMALL)
-    columns = [
-        sign * share * magnitudes[i] * np.eye(n)[i] for i in range(n) for sign in (1, -1) for share in shares
-    ]
-    flown, within = _flown(plan, schedule, np.stack([*columns, np.zeros(n)], axis=1))
-    off = (flown[..., :-1] - flown[..., -1:]) / magnitudes[:, None]  # of the flight from where it was planned
-    off, within = off.reshape(-1, n, n, 2, shares.size), within[:-1].reshape(n, 2, shares.size)
-    linear = off[..., -1:] / _SMALL * shares
-    bent = np.max(np.linalg.norm(off - linear, axis=1), axis=0)
-    most = np.max(np.linalg.norm(linear, axis=1), axis=0)
-    shift = np.abs(schedule.feedback.end_gain[0] * magnitudes)[:, None] * shares / plan.leg.duration
-    valid = (np.all((bent <= BENT * most) & within, axis=1) & (shift <= BENT))[:, :-1]
-    return np.array(
-        [magnitudes[i] * (_SIZES[np.argmax(row)] if row.any() else 0.0) for i, row in enumerate(valid)]
-    )
-
-
-def _flown(plan: SmoothPlan, schedule: ExtremalSchedule, starts: Array) -> tuple[Array, Array]:
-    """Return the deviations (n_times, n_states, n) of flights from deviations (n_states, n), and whether controls stay
-    within their limits (n,)."""
-    reference, rates = plan.reference, plan.functions.rates
-    n, m, count = plan.leg.states.size, plan.leg.controls.size, starts.shape[1]
-    times = np.linspace(plan.leg.initial_time, schedule.feedback.times[-1], _STEPS + 1)
-    within = np.ones(count, dtype=bool)
-
-    def rate(t: float, x: Array) -> Array:
-        K = schedule.gains(np.array([t]))[: m * n].reshape(m, n)
-        u = reference.u(t)[:, None] - K @ (x - reference.x(t)[:, None])
-        within[plan.beyond(u)] = False
-        return rates(np.full(count, t), x, u)
-
-    x = reference.x(times[0])[:, None] + starts
-    found = [starts]
-    with np.errstate(all="ignore"):
-        for t, h in zip(times[:-1], np.diff(times), strict=True):
-            k1 = rate(t, x)
-            k2 = rate(t + h / 2, x + h / 2 * k1)
-            k3 = rate(t + h / 2, x + h / 2 * k2)
-            k4 = rate(t + h, x + h * k3)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            found.append(x - reference.x(t + h)[:, None])
-    return np.array(found), within

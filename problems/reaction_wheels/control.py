@@ -155,7 +155,6 @@ def design_flc(
     output: Output = "absolute",
     gains: tuple[float, float] = PRINTED_FLC,
     singular: float = SINGULAR,
-    start: ArrayLike | None = None,
 ) -> go.Controller:
     """Return the published feedback linearisation, or the same with the error quaternion as its output.
 
@@ -169,13 +168,6 @@ def design_flc(
     singular : float
         Smallest scalar part of the output's quaternion; below it the law raises the alarm ``singular`` and falls back
         on the quaternion feedback (60), which divides by nothing.
-    start : array (11,), optional
-        State from which the design is rehearsed: one that meets the singularity is refused.
-
-    Raises
-    ------
-    DesignError
-        The slew leads through the singularity.
     """
     craft = wheel_model(drive="body")
     on_target = abs(float(np.asarray(target)[0])) if output == "absolute" else 1.0
@@ -189,7 +181,6 @@ def design_flc(
         gains=gains,
         guard=singular / on_target,
         fallback=spare,
-        start=start,
         name="FLC",
     )
 

@@ -213,7 +213,7 @@ def test_slews_up_to_147_degrees_work() -> None:
     assert np.max(np.abs(edge.body_torque)) == pytest.approx(0.182, abs=5e-4)
     assert np.degrees(np.max(np.abs(edge.rates))) == pytest.approx(9.63, abs=5e-3)
     assert edge.peak_speed == pytest.approx(4171, abs=1.0)
-    assert fly(design_flc(about_z(145), start=REST), about_z(145), 120.0).angle[-1] < 0.01
+    assert fly(design_flc(about_z(145)), about_z(145), 120.0).angle[-1] < 0.01
 
 
 @pytest.mark.parametrize("angle", BREAKDOWNS)
@@ -221,10 +221,7 @@ def test_larger_slews_break_down_where_the_closed_form_says(angle: int) -> None:
     assert unguarded_breakdown(angle) == pytest.approx(breakdown_time(angle), abs=0.01)
 
 
-def test_larger_slews_are_refused_guarded_or_rerouted() -> None:
-    for angle in (148, 150):
-        with pytest.raises(go.DesignError, match="from this start the decoupling matrix becomes singular"):
-            design_flc(about_z(angle), start=REST)
+def test_larger_slews_are_guarded_or_rerouted() -> None:
     guarded = guarded_run(150)
     assert guarded.outcome.status is go.RunStatus.ALARM
     assert guarded.outcome.time < breakdown_time(150)

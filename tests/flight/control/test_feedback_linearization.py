@@ -115,19 +115,9 @@ def test_slews_agree_with_the_converged_integrals_of_the_published_manoeuvres(an
     assert np.all(run.memory("singular") == 0)
 
 
-def test_overshoot_past_the_singularity_is_refused_before_it_flies():
-    """The overshoot of 4.1 % drives |q_v| to 1 for slews above 147.74 deg from the frame of the outputs."""
-    _, controller = slew(about_z(145), start=REST)
-    assert (
-        controller.explain()["smallest determinant on the way"]
-        > 0.05 * controller.explain()["smallest determinant on the reference"]
-    )
-    with pytest.raises(DesignError, match="from this start the decoupling matrix becomes singular"):
-        slew(about_z(150), start=REST)
-
-
 def test_145_degrees_converge_and_150_degrees_raise_the_alarm_in_flight():
     brake = np.hstack([np.zeros((3, 4)), np.diag(0.5 * INERTIA)])
+    # the overshoot of 4.1 % drives |q_v| to 1 for slews above 147.74 deg from the frame of the outputs
     for angle, alarm in ((145, 0), (150, 1)):
         model, controller = slew(about_z(angle), dt=0.02, fallback=brake)
         run = step_through(controller, model, REST, dt=0.02, tf=120.0)
@@ -140,7 +130,7 @@ def test_145_degrees_converge_and_150_degrees_raise_the_alarm_in_flight():
 def test_the_error_quaternion_is_singular_at_half_a_turn_only():
     """As an output it takes slews that the absolute quaternion cannot."""
     target = about_z(170)
-    model, controller = slew(target, difference=True, dt=0.02, start=REST)
+    model, controller = slew(target, difference=True, dt=0.02)
     run = step_through(controller, model, REST, dt=0.02, tf=120.0)
     assert np.degrees(quaternion_angle(run.x[:4, -1], target)) < 0.01
     assert run.memory("singular")[0, -1] == 0

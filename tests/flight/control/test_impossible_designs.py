@@ -228,10 +228,6 @@ GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
             "initial state of a run is given 1 value in a",
         ),
         (
-            lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes=1.0, start=[1.0]),
-            "is given 1 value in a list",
-        ),
-        (
             lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes="f"),
             "slope of output 'q' is 'f': give lambda",
         ),

@@ -143,8 +143,6 @@ def test_the_end_moves_at_first_as_it_is_told(straight, controller):
 
 
 def test_a_guided_flight_ends_where_the_plan_ends(straight, controller):
-    off, valid = np.array([0.3, -0.2]), controller.explain()["valid for"]
-    assert np.all(np.abs(off) < valid) and np.all(valid < straight.phase().x(0.0) + 0.5)
     guided, open_ = (
         ClosedLoop(mass(), law, dt=DT).simulate([4.3, 0.3], tf=straight.phase().final_time)
         for law in (controller, go.feedforward(go.Reference(straight, tail="hold")))
