@@ -129,6 +129,13 @@ def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or
     raise error(f"{what} is {shown(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
 
 
+def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) -> float:
+    """Return a number in (0, 1)."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < value < 1:
+        return float(value)
+    raise error(f"{what} is {shown(value)}: give a number between 0 and 1.")
+
+
 def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
     """Return numbers as a new float array of their own shape; texts, ``None`` and expressions are refused."""
     if type(value) is np.ndarray and value.dtype == float:  # by far the most frequent

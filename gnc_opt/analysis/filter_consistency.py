@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import Strict, expect, read_positive
+from gnc_opt.arguments import Strict, expect, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
@@ -172,9 +172,7 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     2 True
     """
     expect(estimator, Estimator, "what consistency() got", "give the estimator of the loop")
-    level = read_positive(confidence, "the confidence of consistency()")
-    if level >= 1:
-        raise ArgumentError(f"the confidence of consistency() is {level:g}: give a number in (0, 1).")
+    level = read_probability(confidence, "the confidence of consistency()")
     if not isinstance(flown, (Run, Campaign)):
         expect(flown, Run, "what consistency() got", "give a run or a campaign")
     layout = flown.layouts.get("memory")

@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.analysis.scenario import Experiment
-from gnc_opt.arguments import expect, read_integer
+from gnc_opt.arguments import expect, read_integer, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign import Campaign
@@ -167,7 +167,7 @@ def sobol_indices(
     expect(experiment, Experiment, f"what {name} got", "give an Experiment")
     experiment.require(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
-    level = _confidence(confidence, name)
+    level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(experiment, measure)
     shared = Shared.picklable(
         design, name, 'define judge= functions at the top of a module, or use executor="serial"'
@@ -318,7 +318,7 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
       initial.v  -0.194 (-0.595 to 0.285)
     """
     expect(campaign, Campaign, "what correlations() got", "give what monte_carlo() returned")
-    level = _confidence(confidence, "correlations()")
+    level = read_probability(confidence, "the confidence of correlations()")
     values = campaign.measure(measure)
     known = np.isfinite(values)
     runs = int(np.sum(known))
@@ -333,9 +333,3 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
             found[label] = Share(r, float(np.tanh(z - half)), float(np.tanh(z + half)))
     ordered = dict(sorted(found.items(), key=lambda item: -abs(item[1].value)))
     return Correlations(measure, ordered, level, runs)
-
-
-def _confidence(value: float, caller: str) -> float:
-    if not 0 < value < 1:
-        raise ArgumentError(f"the confidence of {caller} is {value!r}: give a number between 0 and 1.")
-    return float(value)

@@ -10,15 +10,13 @@ met, a quantum, a large angle) none of this holds. That is measured: a few runs 
 the linear prediction is computed as well, number by number. If r is the root mean square of what they differ by,
 standard deviations lie within :math:`\sigma \pm r`, by the triangle inequality (but for the small number of runs).
 
-The covariance of a filter is held (see `Linearization`) unless a change of all of it by a tenth moves something by more
-than a hundredth of its standard deviation, as where the filter is in error on the nominal run already.
+The gains of a filter are those of the nominal run if its innovations vanish there: a change of its covariance then has
+no effect to first order. Otherwise, as where the filter starts in error, its covariance is part of X.
 
 References
 ----------
 D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous onboard mission planning,
 Journal of Guidance, Control, and Dynamics 29 (2006), section III.
-
-Agreement: the ends of a campaign's runs beside a predicted mean and variance.
 
 Tables of analyses: linear covariances with their sources.
 
@@ -29,7 +27,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -40,7 +38,7 @@ import scipy
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
 from gnc_opt.analysis.scenario import Experiment
-from gnc_opt.arguments import Strict, expect, read_integer, read_positive
+from gnc_opt.arguments import Strict, expect, read_integer, read_positive, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, unknown_name, warn_user
@@ -53,16 +51,10 @@ from gnc_opt.simulation.dispersions import Dispersions, dispersed
 from gnc_opt.simulation.step_selection import steps_for_modes
 from gnc_opt.tolerances import ROUNDING, TINY
 
-_LEAST_KURTOSIS = 1.01
-"""Of a sample; two values that are equally frequent have 1, and their variance is known at once."""
-
-_REDRAWN = 20
-"""Runs whose parameters are drawn again: few values could be the same by chance."""
-
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """A campaign beside linear covariances; arrays have an entry per component of the errors.
+    """Variances of the runs of a campaign over those of a linear covariance; arrays have an entry per component.
 
     Attributes
     ----------
@@ -73,12 +65,8 @@ class Agreement:
     ratio : array (n,)
         Variance of the runs over that predicted.
     band : array (2, n)
-        Where the ratio should be: quantiles of chi-square, over their degrees of freedom, which are 2 / (kurtosis - 1)
-        per run, by the kurtosis of the sample (one per run for normal errors).
-    shift : array (n,)
-        Mean of the runs less that predicted, in standard deviations of such a mean.
-    shift_limit : float
-        Largest shift to be expected.
+        Of the ratio: quantiles of chi-square over its degrees of freedom, 2 / (kurtosis - 1) per run, by the kurtosis
+        of the runs (one per run for normal errors).
     confidence : float
         Of all bands together (Bonferroni).
 
@@ -95,15 +83,12 @@ class Agreement:
     runs: int
     ratio: Array
     band: Array
-    shift: Array
-    shift_limit: float
     confidence: float
 
     @property
     def within(self) -> Array:
-        """Whether each component's variance and mean are within their bands, bool array (n,)."""
-        inside = (self.band[0] <= self.ratio) & (self.ratio <= self.band[1])
-        return np.asarray(inside & (np.abs(self.shift) <= self.shift_limit))
+        """Whether each ratio is in its band, bool array (n,)."""
+        return np.asarray((self.band[0] <= self.ratio) & (self.ratio <= self.band[1]))
 
     @property
     def ok(self) -> bool:
@@ -112,59 +97,14 @@ class Agreement:
 
     def __str__(self) -> str:
         width = max([9, *map(len, self.labels)])
-        lines = [
-            f"{self.runs} runs beside the linear covariance ({100 * self.confidence:g} % for all bands together)"
-        ]
-        lines.append(f"  {'':{width}}  variance ratio  band              mean shift")
-        for i, label in enumerate(self.labels):
-            low, high = self.band[:, i]
-            lines.append(
-                f"  {label:{width}}  {self.ratio[i]:<14.4f}  {low:.4f} to {high:.4f}  {self.shift[i]:+.2f} "
-                f"(of {self.shift_limit:.2f})  {'within' if self.within[i] else 'OUTSIDE'}"
-            )
+        title = f"variance of {self.runs} runs over the predicted one"
+        lines = [f"{title} ({100 * self.confidence:g} % for all bands together)"]
+        for label, ratio, (low, high), inside in zip(
+            self.labels, self.ratio, self.band.T, self.within, strict=True
+        ):
+            verdict = "within" if inside else "OUTSIDE"
+            lines.append(f"  {label:{width}}  {ratio:<8.4f}  {low:.4f} to {high:.4f}  {verdict}")
         return "\n".join(lines)
-
-
-def agreement(
-    flight: Flight,
-    dispersions: Dispersions,
-    nominal: Array,
-    predicted: tuple[Array, Array],
-    campaign: Campaign,
-    confidence: float,
-) -> Agreement:
-    """Return how the ends of runs agree with the mean and variance (n_errors,) predicted about a nominal end."""
-    expect(campaign, Campaign, "what compare() got", "give what monte_carlo() returned")
-    level = read_positive(confidence, "the confidence of compare()")
-    if level >= 1:
-        raise ArgumentError(f"the confidence of compare() is {level:g}: give a number in (0, 1).")
-    if campaign.fingerprint != flight.fingerprint:
-        raise ArgumentError(
-            "the campaign flew another loop or span than the linear covariance is of: fly the same."
-        )
-    _require_same(dispersions, flight, campaign)
-    ends = campaign.states[:, np.isfinite(campaign.states).all(axis=0)]
-    runs = ends.shape[1]
-    if runs < 2:
-        raise ArgumentError(f"{runs} runs of the campaign ended with finite numbers: fly at least two.")
-    errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())
-    mean, variance = predicted
-    # what scatters by no more than the integration errs is fixed
-    erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
-    scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal[:, None])) ** 2)
-    errors, mean, variance = errors[scatters], mean[scatters], variance[scatters]
-    kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), _LEAST_KURTOSIS)
-    freedom = 2 * (runs - 1) / (kurtosis - 1)
-    tail = (1 - level) / (4 * max(scatters.size, 1))  # two bands per component, two ends each
-    return Agreement(
-        labels=tuple(flight.error_layout.labels[i] for i in scatters),
-        runs=runs,
-        ratio=errors.var(axis=1, ddof=1) / variance,
-        band=np.stack([scipy.stats.chi2.ppf(p, freedom) / freedom for p in (tail, 1 - tail)]),
-        shift=(errors.mean(axis=1) - mean) / np.sqrt(variance / runs),
-        shift_limit=float(-scipy.special.ndtri(tail)),
-        confidence=level,
-    )
 
 
 def magnitudes(values: Array) -> Array:
@@ -181,20 +121,6 @@ def error_sizes(flight: Flight, states: Array) -> Array:
             for error in flight.error_layout.variables
         ]
     )
-
-
-def _require_same(dispersions: Dispersions, flight: Flight, campaign: Campaign) -> None:
-    """Refuse a campaign whose runs have drawn what these dispersions do not: they are drawn again."""
-    names = flight.layout.names
-    for index, drawn in zip(campaign.indices[:_REDRAWN], campaign.parameters.T[:_REDRAWN], strict=True):
-        again = dispersed(dispersions, flight.layout, flight.nominal, campaign.seed, int(index))
-        for name in names:
-            place = flight.layout.slice(name)
-            if not np.allclose(again[place], drawn[place], rtol=ROUNDING, atol=0.0, equal_nan=True):
-                raise ArgumentError(
-                    f"run {index} of the campaign has another '{name}' than the dispersions of the linear covariance "
-                    "draw: give both the same dispersions, initial state and parameters."
-                )
 
 
 _SOURCES = 3
@@ -267,8 +193,8 @@ LINEAR = 0.05
 _CHECKS = 30
 """Runs flown beside their linear predictions unless told otherwise."""
 
-_HEARD = 0.1
-"""Standard deviations that the derivative by a common factor of a filter's covariance may be, if it is held."""
+FROZEN_GAINS_MAX_NIS = 1e-2
+"""Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
 
 _FOLLOWED = 1e-3
 """Error of a mode over the run, relative, above which the user is told."""
@@ -388,7 +314,7 @@ class LinearCovariance(Strict):
         return bool(np.all(self.nonlinearity(signal)[:, -1] <= tolerance))
 
     def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> Agreement:
-        """Return how the ends of a campaign's runs agree with the last covariance.
+        """Return the variances of a campaign's errors at the end over those predicted, with bands.
 
         Parameters
         ----------
@@ -400,15 +326,33 @@ class LinearCovariance(Strict):
         Raises
         ------
         ArgumentError
-            The campaign flew another loop or span, drew other numbers, or fewer than two runs ended.
+            The campaign flew another loop or span, or fewer than two runs ended.
         """
-        return agreement(
-            self.flight,
-            self.dispersions,
-            self.nominal[:, -1],
-            (self.mean[:, -1], np.diag(self.parts["error"][:, -1].sum(axis=0))),
-            campaign,
-            confidence,
+        expect(campaign, Campaign, "what compare() got", "give what monte_carlo() returned")
+        level = read_probability(confidence, "the confidence of compare()")
+        flight, nominal = self.flight, self.nominal[:, -1]
+        if campaign.fingerprint != flight.fingerprint:
+            raise ArgumentError(
+                "the campaign flew another loop or span than the linear covariance is of: fly the same."
+            )
+        ends = campaign.states[:, np.isfinite(campaign.states).all(axis=0)]
+        runs = ends.shape[1]
+        if runs < 2:
+            raise ArgumentError(f"{runs} runs of the campaign ended with finite numbers: fly at least two.")
+        variance = np.diag(self.parts["error"][:, -1].sum(axis=0))
+        # what scatters by no more than the integration errs is fixed
+        erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
+        scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal[:, None])) ** 2)
+        errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())[scatters]
+        kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), 1 + ROUNDING)
+        freedom = 2 * (runs - 1) / (kurtosis - 1)
+        tail = (1 - level) / (2 * max(scatters.size, 1))
+        return Agreement(
+            labels=tuple(flight.error_layout.labels[i] for i in scatters),
+            runs=runs,
+            ratio=errors.var(axis=1, ddof=1) / variance[scatters],
+            band=np.stack([scipy.stats.chi2.ppf(p, freedom) / freedom for p in (tail, 1 - tail)]),
+            confidence=level,
         )
 
     def _parse(self, signal: str) -> tuple[str, str]:
@@ -467,14 +411,10 @@ def linear_covariance(
     checks = read_integer(checks, "the number of runs to compare with", 0)
     flight, dispersions = experiment.flight, experiment.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
-
-    def flown(hold: bool) -> LinearCovariance | None:
-        linearization = Linearization(flight, experiment.loop.wiring, columns, hold)
-        return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
-
-    told = flown(hold=True) or flown(hold=False)
-    assert told is not None  # nothing is held
-    return told
+    linearization = Linearization(flight, experiment.loop.wiring, columns)
+    if linearization.nominal_nis() <= FROZEN_GAINS_MAX_NIS:
+        linearization = replace(linearization, hold=True)
+    return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
 
 
 class _Pass:
@@ -503,8 +443,8 @@ class _Pass:
         self.scatters: dict[str, list[tuple[Array, Array]]] = {kind: [] for kind in ("error", *_KINDS)}
         self.mean: list[Array] = []
 
-    def result(self) -> LinearCovariance | None:
-        """Return what the pass found; none where what is held matters."""
+    def result(self) -> LinearCovariance:
+        """Return what the pass found."""
         X, g, h = self.linearization.start()
         numbers = self._numbers()
         n = next(numbers)
@@ -521,8 +461,6 @@ class _Pass:
                 self._keep_state(X, scatter)
                 self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, n, first=first))
             scatter, X = scatter.through(step.a, step.g, step.h, n, first=first), step.X_next
-            if self._heard(X, step.by_held, scatter):
-                return None
         self._keep_state(X, scatter)
         self._warn_of_modes(needed)
         return self._collected()
@@ -545,14 +483,6 @@ class _Pass:
             yield from itertools.repeat(np.empty((len(drawn), 0)))
         for legs in zip(*(flight.legs([self.seed, i], rows) for i, rows in enumerate(known)), strict=True):
             yield from np.stack([rows[:, drawn] for _, rows in legs], axis=2)
-
-    def _heard(self, X: Array, by_held: Array, scatter: Scatter) -> bool:
-        """Whether what is held moves anything by more than `_HEARD` and what integration may err by."""
-        if not self.linearization.held:
-            return False
-        sigma = np.sqrt(np.maximum(np.diag(scatter.covariances.sum(axis=0)), 0.0))
-        quiet = self.flight.accuracy * (1 + np.abs(X[self.linearization.carried]))
-        return bool(np.any(np.abs(by_held) > _HEARD * sigma + quiet))
 
     def _keep_state(self, X: Array, scatter: Scatter) -> None:
         places = self.linearization.state.split(np.arange(scatter.runs.shape[0]))["plant"]

@@ -10,9 +10,8 @@ sensors, estimator, controller, actuators. About the nominal run, the one withou
 n the standard normal numbers of the step, y what is logged. The derivatives are those of the compiled functions
 themselves; what only keeps the books (times of faults, say) is left out of X.
 
-The covariance P of a filter weighs innovations, and these are small on the nominal run. Where what it carries is much
-(a thousand entries for late samples) it may be *held*: taken as it is there. What that leaves out is told step by step,
-as the derivative by a common factor of P.
+The covariance P of a filter, which may have a thousand entries, weighs innovations. Where these are zero on the nominal
+run, P has no effect to first order: it may be *held*, taken as it is there.
 """
 
 from __future__ import annotations
@@ -53,8 +52,6 @@ class LinearStep:
         Derivatives of the next column by X, noise and parameters.
     c, d, e : array
         The same of `OUTPUTS`.
-    by_held : array (n,)
-        Derivatives of the carried part of the next column by a common factor of what is held.
     """
 
     X_next: Array
@@ -65,7 +62,6 @@ class LinearStep:
     c: Array
     d: Array
     e: Array
-    by_held: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +146,17 @@ class Linearization:
         keep = self.carried
         return X[:, 0], by_w[keep][:, self.drawn], by_p[keep][:, self.columns]
 
+    def nominal_nis(self) -> float:
+        """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
+        memory, kernel = self.wiring.controller.memory, self.flight.kernel
+        if COVARIANCE not in memory:
+            return 0.0
+        C, X = kernel.constants(self.flight.nominal), self.start()[0]
+        for row in self._rows():
+            X = kernel.step(X, row, C)[0]
+        final = kernel.state.split(np.asarray(X.full()[:, 0]))["memory"]
+        return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
+
     def steps(self, X: Array) -> Iterator[LinearStep]:
         """Yield the control steps of the nominal run that begins with the column X (n_X,).
 
@@ -164,13 +171,13 @@ class Linearization:
         n = self.state.size
         for k, row in enumerate(self._rows()):
             after, y, *jacobians = self._function(X[self.carried], X[self._rest], row, C)
-            by_X, by_w, by_C, by_held = (np.asarray(j.full()) for j in jacobians)
+            by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
             self._require_finite(k, np.hstack([by_X, by_w, by_P_now]))
             X = np.asarray(after.full()[:, 0])
             outputs = np.asarray(y.full()[:, 0])
             derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
-            yield LinearStep(X, outputs, *derivatives, by_held[:n, 0])
+            yield LinearStep(X, outputs, *derivatives)
 
     # --- internals ----------------------------------------------------------------------------------------
 
@@ -205,7 +212,7 @@ class Linearization:
 
     @cached_property
     def _function(self) -> Any:
-        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC, d/dfactor)``.
+        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``.
 
         The derivatives are those of the carried part of X_next and below it of y.
         """
@@ -218,9 +225,8 @@ class Linearization:
         told = self.flight.kernel.log.split(log)
         y = ca.vertcat(*[told[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
-        by_factor = ca.jtimes(column, others, others * ca.DM(np.isin(rest, self.held)))
         jacobians = [ca.jacobian(column, x), ca.jacobian(column, w)[:, self.drawn], ca.jacobian(column, C)]
-        return ca.Function("linear", [x, others, w, C], [after, y, *jacobians, by_factor])
+        return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
     def _by_constants(self) -> Array:

@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.analysis.scenario import Experiment
-from gnc_opt.arguments import expect, read_integer, read_numbers
+from gnc_opt.arguments import expect, read_integer, read_numbers, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
@@ -161,8 +161,7 @@ def failure_probability(
     if count % round(1 / SHARE):
         raise ArgumentError(f"a level of {name} has {count} runs: give a multiple of {round(1 / SHARE)}.")
     repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
-    if not 0 < confidence < 1:
-        raise ArgumentError(f"the confidence of {name} is {confidence!r}: give a number between 0 and 1.")
+    confidence = read_probability(confidence, f"the confidence of {name}")
     search = _Search(experiment, measure, bound, count)
     shared = Shared.picklable(
         search, name, 'define judge= functions at the top of a module, or use executor="serial"'

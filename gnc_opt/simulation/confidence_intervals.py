@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arguments import read_integer, read_numbers, read_probability
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.errors import ArgumentError
 
 CONFIDENCE = 0.95
 """Of all intervals, unless another one is asked for."""
@@ -80,7 +80,7 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRat
     if passed > runs:
         raise ArgumentError(f"{passed} of {runs} runs cannot have passed: count again.")
     interval = scipy.stats.binomtest(passed, runs).proportion_ci(
-        _share(confidence, "the confidence"), method="exact"
+        read_probability(confidence, "the confidence"), method="exact"
     )
     return PassRate(passed, runs, float(interval.low), float(interval.high), confidence)
 
@@ -105,7 +105,10 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed., Wiley (2003), section 7.1.
     """
     ordered = _ordered(values)
-    p, alpha = _share(level, "the level of a percentile"), 1 - _share(confidence, "the confidence")
+    p, alpha = (
+        read_probability(level, "the level of a percentile"),
+        1 - read_probability(confidence, "the confidence"),
+    )
     n = ordered.size
     lower = int(
         scipy.stats.binom.ppf(alpha / 2, n, p)
@@ -126,7 +129,7 @@ def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
     :math:`\alpha^{1/n}`, :math:`\alpha = 1 - \text{confidence}`; n = 59 gives 95 % (Wilks).
     """
     runs = read_integer(runs, "the number of runs", 1)
-    return float((1 - _share(confidence, "the confidence")) ** (1 / runs))
+    return float((1 - read_probability(confidence, "the confidence")) ** (1 / runs))
 
 
 def _ordered(values: ArrayLike) -> Array:
@@ -134,12 +137,6 @@ def _ordered(values: ArrayLike) -> Array:
     if not array.size:
         raise ArgumentError("there are no values to take a percentile of: give some.")
     return np.sort(np.where(np.isnan(array), np.inf, array))
-
-
-def _share(value: float, what: str) -> float:
-    if not 0 < value < 1:
-        raise ArgumentError(f"{what} is {shown(value)}: give a number between 0 and 1.")
-    return float(value)
 
 
 def _percent(share: float) -> str:

@@ -8,7 +8,6 @@ from testing.controller_steps import step_through
 
 import gnc_opt as go
 from gnc_opt.control import (
-    CodeOptions,
     ConstantRate,
     ExponentialRate,
     Reference,
@@ -245,10 +244,6 @@ GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
         (
             lambda: Reference.from_functions(cart(), lambda t: [0], lambda t: [0], 0, 1),
             "is given 1 value in a list",
-        ),
-        (
-            lambda: go.export_c(LAW, "folder", options=CodeOptions(table_tolerance=2.0)),
-            "give a share below 1",
         ),
         (
             lambda: go.ClosedLoop(cart(), LAW, sensors=[Outage("fog", 2.0, 1.0)]).simulate(
