@@ -131,7 +131,7 @@ def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or
 
 def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) -> float:
     """Return a number in (0, 1)."""
-    if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < value < 1:
+    if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < 1:
         return float(value)
     raise error(f"{what} is {shown(value)}: give a number between 0 and 1.")
 

@@ -153,8 +153,8 @@ class Linearization:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.start()[0]
         for row in self._rows():
-            X = kernel.step(X, row, C)[0]
-        final = kernel.state.split(np.asarray(X.full()[:, 0]))["memory"]
+            X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
+        final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
     def steps(self, X: Array) -> Iterator[LinearStep]:

@@ -264,4 +264,3 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
             f"{radius:.4g}; give a shorter dt or slower poles."
         )
     return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
-

@@ -355,9 +355,7 @@ class Switching:
         if self.limits is None or not np.isfinite(gain):
             return []
         times = reference_times(reference)
-        if isinstance(
-            self.reaching, SuperTwisting
-        ):  # its command has no bound
+        if isinstance(self.reaching, SuperTwisting):  # its command has no bound
             return require_reserve(reference, self.limits, times, dt=self.dt)
         matrices = errors.pair.along(reference, times, errors.decoupling)
         need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
@@ -501,9 +499,7 @@ def design_sliding_mode(
     errors = output_errors(model, reference, outputs)
     coefficients = _coefficients(errors, slopes)
     title = f"sliding mode of '{model.name}' on {', '.join(errors.labels)}"
-    options = SlidingOptions(
-        reaching, boundary, bound, observer, limits, dt, guard=guard, growth=growth
-    )
+    options = SlidingOptions(reaching, boundary, bound, observer, limits, dt, guard=guard, growth=growth)
     return surface_controller(name, title, errors, reference, coefficients, options)
 
 

@@ -186,7 +186,6 @@ _SHIFT = 0.04
 """A correction by this share of the flight weighs as much as an accepted error."""
 
 
-
 @dataclass(frozen=True, kw_only=True)
 class GuidanceOptions:
     """What `design_neighbouring_optimal` can be told beside the plan and what is accepted at its end.
@@ -455,4 +454,3 @@ class _Guidance:
             ),
             Fact("operations", str(self.correct.n_instructions()), "", "of a correction"),
         ]
-

@@ -146,4 +146,3 @@ def _facts(plan: SmoothPlan, found: Feedback) -> list[Fact]:
             )
         )
     return facts
-
