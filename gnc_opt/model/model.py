@@ -391,6 +391,25 @@ class Model(Strict):
         twin._composed_controls = {**self._composed_controls, **{c.name: c for c, _ in composed}}
         return twin
 
+    def with_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> Model:
+        """Return the same dynamics with further states, which may be controls of this model, and further controls.
+
+        Parameters
+        ----------
+        rates : mapping of Symbol to casadi.SX
+            Time derivatives of the states that are added; a control of this model keeps its symbol.
+        controls : sequence of Symbol
+            Controls that are added.
+        """
+        twin = copy.copy(self)
+        twin._functions = {}
+        twin._variables = self._variables.with_states(list(rates), controls)
+        twin._equations = {
+            **self._equations,
+            **{s.variable.name: as_expression(r, "") for s, r in rates.items()},
+        }
+        return twin
+
     # --- what it is -------------------------------------------------------------------------------
 
     @property

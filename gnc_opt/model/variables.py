@@ -267,6 +267,15 @@ class Variables:
         """Return the same states and parameters with other controls."""
         return Variables(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
 
+    def with_states(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> Variables:
+        """Return variables with further states, which are no controls then, and further controls."""
+        own = {
+            "state": {**self._symbols["state"], **{s.variable.name: s for s in states}},
+            "control": {**self._symbols["control"], **{c.variable.name: c for c in controls}},
+        }
+        own["control"] = {name: c for name, c in own["control"].items() if name not in own["state"]}
+        return Variables(self._owner, {**self._symbols, **own})
+
     def declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
         """Add a variable of a name that is not taken; see `Model.state`."""
         what = f"{kind} '{name}' of {self._owner}"

@@ -32,6 +32,24 @@ def merged(old: Interval, layout: Layout, values: Mapping[str, Any], what: str, 
     return Interval(lower, upper)
 
 
+def by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
+    """Return the ranges of a layout's variables by name."""
+    places = ((name, layout.slice(name)) for name in layout.names)
+    return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
+
+
+def from_names(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
+    """Return ranges by name as one of all of a layout's variables, free where none is given."""
+    box = free(layout.size)
+    for name in layout.names:
+        if name in boxes:
+            box.lower[layout.slice(name)], box.upper[layout.slice(name)] = (
+                boxes[name].lower,
+                boxes[name].upper,
+            )
+    return box
+
+
 def without_negative_parts(model: Model) -> Interval:
     """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
     box = free(model.controls.size)

@@ -6,7 +6,7 @@ The numbers of a phase, apart from what it is made of.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -22,11 +22,15 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_kinds
+from gnc_opt.planning.problem.bounds_over_time import constant_ranges
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
+from gnc_opt.planning.problem.control_states import fraction_of, limit_rates, make_polynomials
 from gnc_opt.planning.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
 from gnc_opt.planning.problem.interval import (
     Interval,
+    by_name,
     free,
+    from_names,
     intersect,
     merged,
     of_magnitudes,
@@ -156,13 +160,19 @@ class Phase(Strict):
         self.follows: str | None = None
         self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
-        self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
-        self.final_time: Any = ca.SX.sym(f"{name}_final_time")
+        self._name_ends()
+        self._note_curved(model.derivative())
+
+    def _name_ends(self) -> None:
+        """Make the symbols of both ends."""
+        self.initial_time: Any = ca.SX.sym(f"{self.name}_initial_time")
+        self.final_time: Any = ca.SX.sym(f"{self.name}_final_time")
         self._ends = {
-            end: {v.name: ca.SX.sym(f"{name}_{end}_{v.name}", v.size) for v in model.states.variables}
+            end: {
+                v.name: ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size) for v in self.model.states.variables
+            }
             for end in ("initial", "final")
         }
-        self._note_curved(model.derivative())
 
     def __repr__(self) -> str:
         return f"Phase({self.name!r} on {self.model!r})"
@@ -205,17 +215,20 @@ class Phase(Strict):
         self._owner.changed()
 
     def initial(self, **values: Any) -> None:
-        """State the initial values of states by name; states left out are free."""
-        self._set(
-            initial=merged(self.numbers.initial, self.model.states, values, "initial value", self.where)
-        )
+        """State initial values by name, of states and of controls with `rates` or `polynomials`; others are free."""
+        self._set(initial=self._at_end(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
-        """State the final values of states by name; states left out are free."""
-        self._set(final=merged(self.numbers.final, self.model.states, values, "final value", self.where))
+        """State final values by name, of states and of controls with `rates` or `polynomials`; others are free."""
+        self._set(final=self._at_end(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
-        """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
+        """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
+
+        An end may be a function of time, a table of it, or an expression of ``model.time``, `fraction` and parameters:
+        ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
+        """
+        ranges = constant_ranges(self, ranges)
         states, controls = self._split(one_sided(self.model, ranges, self.where), "bounds")
         self._set(
             states=merged(self.numbers.states, self.model.states, states, "bounds", self.where),
@@ -233,7 +246,7 @@ class Phase(Strict):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
         """
-        self.bounds(**of_magnitudes(self.model, ranges, self.where))
+        self.bounds(**of_magnitudes(self.model, constant_ranges(self, ranges), self.where))
 
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -261,6 +274,12 @@ class Phase(Strict):
         self.paths[name] = constraint
         self._note_curved(constraint.expression)
         self._owner.changed()
+
+    def drop_path(self, name: str) -> None:
+        """Remove a path constraint, if there is one of that name."""
+        self._owner.refuse_if_frozen()
+        if self.paths.pop(name, None) is not None:
+            self._owner.changed()
 
     def integral(self, integrand: Any, name: str | None = None) -> Any:
         """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
@@ -311,6 +330,73 @@ class Phase(Strict):
             size = self._owner_layout(name, "scale")[name].size
             scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
         self._set(scales=scales)
+
+    def rates(self, **ranges: Any) -> None:
+        """State ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
+
+        The control is a state of the phase from then on, continuous, with values at both ends and a costate, and
+        ``a_rate`` is the control; see `gnc_opt.planning.problem.control_states`.
+
+        Raises
+        ------
+        ProblemError
+            The name is that of no control, or of one that is made of others.
+        """
+        limit_rates(self, ranges)
+
+    def polynomials(self, **degrees: int) -> None:
+        """Make controls polynomials of time of a given degree over the whole phase: ``polynomials(a=3)``.
+
+        The control is a state of the phase from then on, with values at both ends; the coefficients of its derivative,
+        constant states ``a_coefficients``, are optimised.
+
+        Raises
+        ------
+        ProblemError
+            As in `rates`, or a degree that is no integer >= 0.
+        """
+        make_polynomials(self, degrees)
+
+    @property
+    def fraction(self) -> Any:
+        """The symbol of the share of the phase that has passed, from 0 to 1, for bounds and expressions along it."""
+        return fraction_of(self)
+
+    def add_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> None:
+        """Add states, which may have been controls, with their time derivatives, and controls; bounds stay by name.
+
+        Parameters
+        ----------
+        rates, controls
+            As in `Model.with_states`.
+        """
+        old, box = self.model, self.numbers
+        self._owner.refuse_if_frozen()
+        model = old.with_states(rates, controls)
+        bounds = {**by_name(box.states, old.states), **by_name(box.controls, old.controls)}
+        self._set(
+            states=from_names(bounds, model.states),
+            controls=from_names(bounds, model.controls),
+            initial=from_names(by_name(box.initial, old.states), model.states),
+            final=from_names(by_name(box.final, old.states), model.states),
+        )
+        self.model = model
+        for end, symbols in self._ends.items():
+            for v in model.states.variables:
+                symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
+        self._owner.changed()
+
+    def followers(self, names: Sequence[str]) -> list[Phase]:
+        """Return phases like this one, the last one with its final values, which it loses; see `Problem.divide`."""
+        final, none = self.numbers.final, free(self.model.states.size)
+        self._set(final=none)
+        found = [self.clone() for _ in names]
+        for name, twin in zip(names, found, strict=True):
+            twin.name = name
+            twin._set(initial=none)
+            twin._name_ends()
+        found[-1]._set(final=final)
+        return found
 
     def hold(
         self,
@@ -507,6 +593,7 @@ class Phase(Strict):
         """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
+        twin._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
         twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
         twin.handed, twin.told = dict(self.handed), dict(self.told)
         twin._owner = owner or self._owner
@@ -515,6 +602,15 @@ class Phase(Strict):
     def _set(self, **numbers: Any) -> None:
         self._owner.refuse_if_frozen()
         self.numbers = replace(self.numbers, **numbers)
+
+    def _at_end(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
+        jumping = next((name for name in values if name in self.model.controls), None)
+        if jumping is not None:
+            raise ProblemError(
+                f"the {what} of control '{jumping}' in {self.where} changes nothing, because a control may jump there: "
+                f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or leave it out."
+            )
+        return merged(old, self.model.states, values, what, self.where)
 
     def _end(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name

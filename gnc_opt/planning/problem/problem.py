@@ -26,6 +26,7 @@ from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_
 from gnc_opt.planning.problem.arcs import Junction, Smooth
 from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
+from gnc_opt.planning.problem.division import divided
 from gnc_opt.planning.problem.expressions import (
     parameter_arguments,
     refuse_foreign_along,
@@ -389,6 +390,35 @@ class Problem(Statement):
             left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
             jump = {n: -read_numbers(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
             self.link(first, second, jump=jump)
+
+    def divide(
+        self, phase: Phase | str, *, times: ArrayLike | None = None, fractions: ArrayLike | None = None
+    ) -> tuple[Phase, ...]:
+        """Divide a phase into linked ones, for constraints that hold during a window of it only.
+
+        The parts are named ``leg``, ``leg_2``, ``leg_3``, ... and have the bounds and path constraints of the phase;
+        initial values remain those of the first part, final values become those of the last one. Call it before
+        ``integral``, ``guess``, and costs or constraints at the phase's end.
+
+        Parameters
+        ----------
+        phase : Phase or str
+        times : array (n,), optional
+            s.
+        fractions : array (n,), optional
+            Of the duration, instead of times.
+
+        Returns
+        -------
+        tuple of Phase
+            n + 1 parts.
+
+        Raises
+        ------
+        ProblemError
+            Times or fractions that do not increase or lie outside of the phase, or a call too late.
+        """
+        return divided(self, self.get_phase(phase), times, fractions)
 
     def minimize(self, cost: Any) -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters."""

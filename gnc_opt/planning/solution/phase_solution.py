@@ -239,6 +239,8 @@ class PhaseSolution:
             if composed.name == name:
                 own, variable = ComposedSignal(composed, self.controls, source), composed.variable
                 return Signal(name, variable.unit, variable.labels, own, slice(None))
+        if name in self.states and name not in self.controls:
+            return self.state(name)  # a control of which the rate is limited
         signal = self._signal(name, self.controls, source)
         return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
 

@@ -1,0 +1,125 @@
+r"""Controls as states of a phase: with limits of their rates, or as polynomials; the share of a phase that has passed.
+
+A control a with a limited rate is a state with :math:`\dot a = r` and the control r. A polynomial of degree n over the
+phase is a state with constant coefficients c and, in Legendre polynomials of the fraction :math:`\tau` of the phase,
+
+.. math::
+
+    \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
+
+The fraction follows :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, which makes s the inverse of the
+duration, whether that is fixed or free. All of these have costates, as other states do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import legendre
+
+from gnc_opt.arguments import read_integer, read_name
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Symbol, Variable
+
+FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
+"""Names of the states that tell the share of the phase that has passed, and its rate, 1/s."""
+
+
+class StatedPhase(Protocol):
+    """Declarations of a phase that others are made of."""
+
+    model: Model
+
+    @property
+    def where(self) -> str: ...
+
+    @property
+    def fraction(self) -> Any: ...
+
+    def add_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> None: ...
+
+    def bounds(self, **ranges: Any) -> None: ...
+
+    def initial(self, **values: Any) -> None: ...
+
+    def final(self, **values: Any) -> None: ...
+
+    def guess(self, time: None = None, **values: Any) -> None: ...
+
+    def path(self, name: str, expression: Any, *, lower: Any = None, upper: Any = None) -> None: ...
+
+    def drop_path(self, name: str) -> None: ...
+
+
+def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
+    """Make controls states of a phase, with rates in given ranges; see `Phase.rates`."""
+    for name, limits in ranges.items():
+        symbol = _control(leg, name, "rates")
+        v = symbol.variable
+        rate = _new(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
+        leg.add_states({symbol: rate}, [rate])
+        leg.bounds(**{rate.variable.name: limits})
+
+
+def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
+    """Make controls polynomials of time over a phase; see `Phase.polynomials`."""
+    for name, given in degrees.items():
+        symbol = _control(leg, name, "polynomials")
+        degree = read_integer(given, f"the degree of control '{name}' in {leg.where}", 0, ProblemError)
+        v = symbol.variable
+        if degree == 0:
+            leg.add_states({symbol: ca.SX.zeros(v.size)})
+            continue
+        coefficients = _new(leg, f"{name}_coefficients", v.size * degree, v.unit)
+        place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
+        slopes = [_value(legendre.leg2poly(legendre.legder(row)), place) for row in np.eye(degree + 1)[1:]]
+        rate = 2.0 * leg.model.symbol(FRACTION_RATE) * (table @ ca.vertcat(*slopes))
+        leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
+
+
+def fraction_of(leg: StatedPhase) -> Any:
+    """Return the symbol of the fraction of a phase, a state that is added at the first call; see `Phase.fraction`."""
+    if FRACTION not in leg.model.states:
+        fraction, rate = _new(leg, FRACTION, 1, ""), _new(leg, FRACTION_RATE, 1, "1/s")
+        leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
+        leg.initial(fraction=0.0)
+        leg.final(fraction=1.0)
+        leg.guess(fraction=(0.0, 1.0))
+    return leg.model.symbol(FRACTION)
+
+
+def _value(polynomial: Any, at: Any) -> Any:
+    return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
+
+
+def _control(leg: StatedPhase, name: str, what: str) -> Symbol:
+    """Return the symbol of a control that may become a state."""
+    layout, composed = leg.model.controls, leg.model.composed_controls
+    if name in leg.model.states:
+        raise ProblemError(
+            f"{what}() of {leg.where} got '{name}', which is a state: give the names of controls."
+        )
+    owner = next((c.name for c in composed.values() if name == c.name or name in c.parts), None)
+    if owner is not None:
+        raise ProblemError(
+            f"{what}() of {leg.where} got '{name}', but '{owner}' is made of several controls: "
+            "declare it with control()."
+        )
+    if name not in layout:
+        raise unknown_name("control", name, f"{what}() of {leg.where}", layout.names)
+    return leg.model.symbol(name)
+
+
+def _new(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
+    """Return a new variable of a phase."""
+    model = leg.model
+    for layout in (model.states, model.controls, model.parameters, model.outputs):
+        if name in layout:
+            raise ProblemError(
+                f"{leg.where} needs the name '{name}', which its model has as {layout.kind}: rename that."
+            )
+    return Symbol(Variable(read_name(name, f"variable of {leg.where}", ProblemError), size, unit))

@@ -1,0 +1,113 @@
+"""A phase divided at times, or at fractions of its duration, for constraints that hold during a window of it only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.phase import Phase
+
+
+class Divisible(Protocol):
+    """What a problem has whose phases are divided."""
+
+    phases: dict[str, Phase]
+    cost: Any
+
+    def refuse_if_frozen(self) -> None: ...
+
+    def changed(self) -> None: ...
+
+    def link(self, first: Phase, second: Phase) -> None: ...
+
+    def constrain(
+        self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
+    ) -> None: ...
+
+    def constraint_expression(self) -> Any: ...
+
+
+def divided(
+    problem: Divisible, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
+) -> tuple[Phase, ...]:
+    """Divide a phase of a problem and return its parts; see `Problem.divide`."""
+    _refuse_late(problem, leg)
+    begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
+    if begin is None or end is None:
+        raise ProblemError(f"{leg.where} has no times: call time(initial=..., final=...) before divide().")
+    parts = [
+        leg,
+        *leg.followers([f"{leg.name}_{k + 2}" for k in range(np.size(_given(leg, times, fractions)))]),
+    ]
+    marks = [begin, *_cuts(leg, times, fractions, begin, end), end]
+    for part, (first, last) in zip(parts, pairwise(marks), strict=True):
+        part.numbers = replace(part.numbers, initial_time=first, final_time=last, duration=positive())
+        problem.phases[part.name] = part
+    problem.changed()
+    for one, other in pairwise(parts):
+        problem.link(one, other)
+    duration = parts[-1].final_time - leg.initial_time
+    if fractions is not None:
+        for part, share, mark in zip(parts[1:], np.ravel(fractions), marks[1:], strict=False):
+            if not mark.fixed[0]:
+                elapsed = part.initial_time - leg.initial_time
+                problem.constrain(f"start of {part.name}", elapsed - float(share) * duration, equals=0.0)
+    if total.lower[0] > 0.0 or np.isfinite(total.upper[0]):
+        problem.constrain(f"duration of {leg.name}", duration, lower=total.lower, upper=total.upper)
+    return tuple(parts)
+
+
+def positive() -> Interval:
+    """Return the range of a duration of which nothing was stated."""
+    return Interval(np.zeros(1), np.full(1, np.inf))
+
+
+def _given(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
+    if (times is None) == (fractions is None):
+        raise ProblemError(f"divide() of {leg.where} needs either times or fractions: give one of them.")
+    return times if fractions is None else fractions
+
+
+def _cuts(
+    leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
+) -> Iterator[Interval]:
+    """Yield the ranges of the times at which the phase is divided."""
+    what = "times" if fractions is None else "fractions"
+    values = np.ravel(read_numbers(_given(leg, times, fractions), f"the {what} of divide()", ProblemError))
+    least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
+    if not (values.size and np.all(np.diff([least, *values, most]) > 0)):
+        raise ProblemError(
+            f"the {what} of divide() of {leg.where} are {values}: give increasing ones between {least:g} and {most:g}."
+        )
+    for value in values:
+        if fractions is None:
+            yield Interval(np.array([value]), np.array([value]))
+        else:
+            limits = [
+                (1.0 - value) * a + value * b for a, b in ((begin.lower, end.lower), (begin.upper, end.upper))
+            ]
+            yield Interval(*limits)
+
+
+def _refuse_late(problem: Divisible, leg: Phase) -> None:
+    """Raise `ProblemError` if something was stated that would have to be divided, too."""
+    problem.refuse_if_frozen()
+    stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
+    if (
+        leg.integrands
+        or leg.numbers.guess.values
+        or ca.depends_on(stated, ca.vertcat(leg.ends("final"), leg.final_time))
+    ):
+        raise ProblemError(
+            f"{leg.where} has an integral, a guess, or a cost or constraint at its end: call divide() before these, "
+            "and state them of its parts."
+        )
