@@ -33,8 +33,30 @@ FROM_ROOT = {
 }
 """Pages that are files of the root, by their place in the site."""
 
-_REFERENCE_OF_README = "**API reference** in the site that `mkdocs build` writes"
-_REFERENCE_OF_SITE = "**[API reference](api/index.md)**"
+SEARCH_WEIGHTS = {
+    "howto": 8.0,
+    "control": 8.0,
+    "analysis": 8.0,
+    "start": 8.0,
+    "stating_problems.md": 8.0,
+    "refinement.md": 6.0,
+    "learn": 4.0,
+    "reference": 4.0,
+    "theory": 3.0,
+    "conventions.md": 4.0,
+    "api": 0.5,
+    "gallery": 0.1,
+    "systems": 0.05,
+    "coming_from": 0.3,
+    "development": 0.1,
+}
+"""By page or folder; 1 for all others."""
+
+_ON_THE_SITE = {
+    "**API reference** in the site that `mkdocs build` writes": "**[API reference](api/index.md)**",
+    "**[Gallery](problems.md)**": "**[Gallery](gallery/index.md)**",
+}
+"""What the first page says in the repository, where nothing is generated, and on the site."""
 
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
@@ -49,7 +71,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         {"Problems": [{gallery.heading(e): f"gallery/{e.name}.md"} for e in examples()]}
     )
     sections["API"].append("api/index.md")
-    sections["API"].extend({package: f"api/{package}.md"} for package in api.entries())
+    sections["API"].extend({p.removeprefix("gnc_opt."): f"api/{p}.md"} for p in api.entries())
     sections["Project"].extend(place for place in FROM_ROOT if place.startswith("development/"))
     return config
 
@@ -80,12 +102,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     """Let links to files of the repository lead to the pages that show them; what is generated has the site's own."""
     place = page.file.src_uri
+    page.meta["search"] = {"boost": search_weight(place)}
     if place not in FROM_ROOT and page.file.generated_by:
         return markdown
     pieces = re.split(f"({_FENCE.pattern})", markdown, flags=_FENCE.flags)
     source = FROM_ROOT.get(place, f"docs/{place}")
     shown = (piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)
-    return "".join(shown).replace(_REFERENCE_OF_README, _REFERENCE_OF_SITE)
+    text = "".join(shown)
+    for here, there in _ON_THE_SITE.items() if place == "index.md" else ():
+        text = text.replace(here, there)
+    return text
+
+
+def search_weight(place: str) -> float:
+    """Return the weight of a page in the search: guides before references, these before generated pages."""
+    folder = place.partition("/")[0] if "/" in place else ""
+    return SEARCH_WEIGHTS.get(place, SEARCH_WEIGHTS.get(folder, 1.0))
 
 
 def relinked(text: str, source: str, place: str) -> str:
