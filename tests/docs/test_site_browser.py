@@ -115,8 +115,12 @@ def file_at(path: str) -> Path | None:
 
 
 def chosen(site: Path) -> list[Path]:
-    """The two largest pages of each folder, where something cut off is likeliest; all of them by SITE_PAGES=all."""
-    pages = sorted(site.rglob("*.html"), key=lambda page: (page.parent, -page.stat().st_size))
+    """The two largest pages of each folder, where something cut off is likeliest; all of them by SITE_PAGES=all.
+
+    Redirects are left out.
+    """
+    shown = [page for page in site.rglob("*.html") if 'http-equiv="refresh"' not in page.read_text("utf-8")]
+    pages = sorted(shown, key=lambda page: (page.parent, -page.stat().st_size))
     if os.environ.get("SITE_PAGES") == "all":
         return pages
     return [page for page in pages if page in [p for p in pages if p.parent == page.parent][:2]]
@@ -162,9 +166,62 @@ def test_first_page_in_light_and_dark(address: str, tab: Tab, size: tuple[int, i
 def test_search_finds(address: str, tab: Tab, word: str) -> None:
     """A word of the text that also stands within code, and a name."""
     tab.open(f"{address}/index.html", DESKTOP)
-    tab.ask(
-        f"(i => {{ i.focus(); i.value = '{word}'; i.dispatchEvent(new Event('keyup', {{bubbles: true}})); }})"
-        "(document.querySelector('.md-search__input'))"
-    )
+    search(tab, word)
     tab.wait("document.querySelectorAll('.md-search-result__item').length > 3", 20.0)
     assert not tab.said
+
+
+PHRASES = {
+    "path constraint": "stating_problems",
+    "thrust vector": "stating_problems",
+    "mesh refinement": "refinement",
+    "costate": "theory/collocation",
+    "sign of the Hamiltonian": "conventions",
+    "bang-bang": "learn/bang_bang",
+    "initial guess": "howto/guess",
+    "scaling": "howto/scaling",
+    "multiple phases": "howto/phases",
+    "parameter sweep": "howto/sweeps",
+    "warm start": "howto/warm_start",
+    "save solution": "howto/results",
+    "not optimal": "howto/when_it_does_not_solve",
+    "infeasible": "reference/statuses",
+    "linear solver": "reference/solver_options",
+    "lower bound": "verdict",
+    "LQR": "control/linear",
+    "MPC": "control/predictive",
+    "sliding mode": "control/sliding_mode",
+    "Kalman filter": "control/estimation",
+    "event": "control/events",
+    "Monte Carlo": "control/campaigns",
+    "re-planning": "control/guidance",
+    "gain margin": "analysis/frequency",
+    "C code": "control/c_code",
+    "FMU": "control/fmu",
+    "outcome": "reference/outcomes",
+    "installation": "start/installation",
+    "glossary": "reference/glossary",
+}
+"""What users type, and the page that comes first."""
+
+
+def search(tab: Tab, phrase: str) -> None:
+    """Type a phrase into the search of the open page."""
+    tab.ask(
+        f"(i => {{ i.focus(); i.value = '{phrase}'; i.dispatchEvent(new Event('keyup', {{bubbles: true}})); }})"
+        "(document.querySelector('.md-search__input'))"
+    )
+
+
+@needs_browser
+def test_search_returns_the_right_page_first(address: str, tab: Tab) -> None:
+    first = "document.querySelector('.md-search-result__item a')?.getAttribute('href') ?? ''"
+    wrong = []
+    for phrase, page in PHRASES.items():
+        tab.open(f"{address}/index.html", DESKTOP)  # without results of the phrase before
+        search(tab, phrase)
+        tab.wait(first, 20.0)
+        found = urlsplit(tab.ask(first)).path.lstrip("/")
+        if found != f"{page}.html":
+            wrong.append(f"{phrase}: {found}")
+    assert not wrong, "\n".join(wrong)
