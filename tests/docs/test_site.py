@@ -81,7 +81,8 @@ def test_a_problem_without_controls_or_without_a_plan_of_its_own_has_a_picture()
 
 def test_the_first_page_leads_to_the_reference_and_the_gallery() -> None:
     """The README cannot: they are generated."""
-    place = types.SimpleNamespace(file=types.SimpleNamespace(src_uri="index.md", generated_by="hooks"))
+    file = types.SimpleNamespace(src_uri="index.md", generated_by="hooks")
+    place = types.SimpleNamespace(file=file, meta={})
     shown = hooks.on_page_markdown(README.text, place)
     assert "[API reference](api/index.md)" in shown and "[Gallery](gallery/index.md)" in shown
 
