@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import io
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,16 @@ def heading(example: Example) -> str:
     return example.title.partition(":")[0]
 
 
+def by_trade() -> dict[str, list[Example]]:
+    """Return the examples by trade, the published systems first; a trade is named by the docstring of its folder."""
+    found: dict[str, list[Example]] = {"Systems": [e for e in examples() if e.is_system]}
+    for example in sorted(examples(), key=lambda e: (e.path.parent.name, e.name)):
+        if not example.is_system:
+            trade = import_module(example.import_name.rpartition(".")[0]).__doc__ or example.path.parent.name
+            found.setdefault(trade.partition(":")[0], []).append(example)
+    return found
+
+
 def pages(pictures: bool) -> dict[str, str]:
     """Return the Markdown of every example and of their overview by its place in the site."""
     each = {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
@@ -39,12 +50,13 @@ def _overview(pictures: bool) -> Iterator[str]:
     """All exhibits at a glance: the controls, or the states of what has none."""
     yield "# Gallery\n"
     yield "Every problem that comes along, solved and drawn. [A table](../problems.md) tells what each teaches.\n"
-    yield '<div class="exhibits" markdown>\n'
-    for example in examples():
-        title, kind = heading(example), shown(example)[-1]
-        picture = f"![{title}: {kind}]({example.name}_{kind}.svg)<br>" if pictures else ""
-        yield f"[{picture}{title}]({example.name}.md)\n"
-    yield "</div>\n"
+    for trade, members in by_trade().items():
+        yield f'## {trade}\n\n<div class="exhibits" markdown>\n'
+        for example in members:
+            title, kind = heading(example), shown(example)[-1]
+            picture = f"![{title}: {kind}]({example.name}_{kind}.svg)<br>" if pictures else ""
+            yield f"[{picture}{title}]({example.name}.md)\n"
+        yield "</div>\n"
 
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:

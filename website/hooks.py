@@ -70,8 +70,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """List what is generated in the navigation."""
     sections = dict(_sections(config.nav))
     sections["Examples"].insert(0, "gallery/index.md")
-    sections["Examples"].append(
-        {"Problems": [{gallery.heading(e): f"gallery/{e.name}.md"} for e in examples()]}
+    sections["Examples"].extend(
+        {trade: [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]}
+        for trade, members in gallery.by_trade().items()
     )
     sections["API"].append("api/index.md")
     sections["API"].extend({p.removeprefix("gnc_opt."): f"api/{p}.md"} for p in api.entries())
