@@ -78,7 +78,7 @@ def build(eccentricity: float = ECCENTRICITY) -> go.Problem:
     return problem
 
 
-REFERENCE = Reference(least_energy(), "Gramian of the transition matrix, integrated", 1e-4, "m^2")
+REFERENCE = Reference(least_energy(), "Gramian of the transition matrix, integrated", 1e-3, "m^2")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,90 @@
+"""The benchmark of the solver on all problems: its independent program, what it counts, and its limit of CPU time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.validation import engine, engine_page
+from benchmarks.validation.engine import Case, Row
+from benchmarks.validation.reference_collocation import collocate, radau
+from gnc_opt.problem_file import example, examples
+
+
+def test_radau_rule_is_exact_for_its_degree() -> None:
+    points, slopes, weights = radau(4)
+    for power in range(7):  # 2 K - 2
+        assert weights @ points**power == pytest.approx(1 / (power + 1), abs=1e-13)
+    for power in range(5):
+        values = np.r_[0.0, points] ** power
+        np.testing.assert_allclose(slopes @ values, power * points ** max(power - 1, 0), atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("name", "relative"),
+    [
+        ("zermelo", 1e-10),
+        ("interior_point", 1e-8),  # two phases
+        ("edelbaum_transfer", 1e-10),
+        ("elliptic_rendezvous", 1e-8),  # an integral as cost
+        ("cannonball", 1e-8),  # a free parameter, no control
+    ],
+)
+def test_independent_program_finds_known_optima(name: str, relative: float) -> None:
+    """From the statement's guess, then warm on a finer mesh."""
+    module = example(name).module
+    coarse = collocate(module.build(), 10, 5)
+    fine = collocate(module.build(), 25, 5, coarse)
+    assert coarse.solved and fine.solved
+    assert fine.objective == pytest.approx(module.REFERENCE.value, rel=relative)
+
+
+def test_every_file_has_a_group() -> None:
+    names = {each.name for each in examples() if not each.is_system}
+    groups = {name: engine.group_of(example(name)) for name in names}
+    assert sum(group == "flagship" for group in groups.values()) == 26
+    assert sum(group == "gallery" for group in groups.values()) == 30
+    assert engine.group_of(example("rendezvous")) == "gallery"
+
+
+def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: Path) -> None:
+    cases = [Case("further", "terrain_following"), Case("gallery", "zermelo")]
+    late, right = (
+        next(iter(engine.run([case], tmp_path, limit))) for case, limit in zip(cases, (1, 60), strict=True)
+    )
+    assert late.note == "stopped at the limit of CPU time" and not late.right
+    assert right.right and right.ok and right.minimum
+    assert right.true is not None and right.true < 1e-8
+
+
+def test_what_was_lost_and_gained_is_named(tmp_path: Path) -> None:
+    before = Row(
+        "set", "a", right=True, ok=True, cpu_s=1.0, objective=2.0, reference=2.0, tolerance=1e-3, true=0.0
+    )
+    other = Row(
+        "set", "b", right=False, ok=True, cpu_s=1.0, objective=1.0, reference=2.0, tolerance=1e-3, true=1.0
+    )
+    now = [replace(before, ok=False, objective=2.0001, cpu_s=3.0), replace(other, right=True)]
+    engine.write_rows(tmp_path / "rows.json", [before, other])
+    lines = list(engine.changes(now, engine.read_rows(tmp_path / "rows.json")))
+    assert lines[0] == "gained right: b" and "lost ok: a" in lines
+    assert any("objective of a changed by +5.0e-05" in line for line in lines)
+    assert lines[-1] == "CPU all: 2.0 s before, 4.0 s now, ratio 2.00"
+    assert "1 wrong and ok" in next(iter(engine.sums([before, other])))
+
+
+def test_estimates_are_compared_only_where_the_true_error_is_known() -> None:
+    row = Row("set", "a", reference=1.0, tolerance=1e-6, true=1e-4, estimated=3e-4)
+    assert row.estimate_ratio == pytest.approx(3.0)
+    assert replace(row, true=1e-8).estimate_ratio is None
+
+
+def test_the_page_shows_every_realistic_problem() -> None:
+    text = engine_page.PAGE.read_text(encoding="utf-8")
+    written = text[text.index(engine_page.BEGIN) : text.rindex(engine_page.END)]
+    for each in examples():
+        listed = f"| [`{each.name}`]" in written
+        assert listed == (engine.group_of(each) in ("flagship", "further"))
