@@ -11,9 +11,9 @@ import pytest
 
 import gnc_opt as go
 from benchmarks.validation.verdict import __main__ as command
-from benchmarks.validation.verdict.cases import Case, Outcome, cases, judged
+from benchmarks.validation.verdict.answers import Pair
+from benchmarks.validation.verdict.cases import Case, Outcome, cases, closed_form_pairs, judged
 from benchmarks.validation.verdict.non_minimal_extremals import great_circle
-from benchmarks.validation.verdict.pairs import Pair, pairs
 from benchmarks.validation.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
 from benchmarks.validation.verdict.wrong_answers import changes, off_by
 
@@ -155,7 +155,7 @@ def test_the_page_shows_the_numbers_of_the_last_run_and_nothing_passed_wrongly()
 
 
 @pytest.mark.parametrize(
-    "pair", [p for p in pairs() if p.name in ("refraction", "loss of speed between phases")]
+    "pair", [p for p in closed_form_pairs() if p.name in ("refraction", "loss of speed between phases")]
 )
 def test_of_a_pair_one_is_right(pair: Pair) -> None:
     assert pair.make(1e3, 1e-3, False).judge().minimum

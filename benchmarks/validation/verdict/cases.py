@@ -9,18 +9,20 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import gnc_opt as go
-from benchmarks.validation.verdict.attacks import attacks
-from benchmarks.validation.verdict.closed_forms import closed_forms
+from benchmarks.validation.verdict import (
+    bounded_controls,
+    degenerate,
+    end_and_integral_constraints,
+    multi_phase,
+    parameters_and_control_sets,
+    state_constraints,
+    unconstrained,
+)
+from benchmarks.validation.verdict.answers import SCALES, Pair
 from benchmarks.validation.verdict.correct_answers import NotRight, right
-from benchmarks.validation.verdict.degenerate import degenerate
-from benchmarks.validation.verdict.limits import limits
 from benchmarks.validation.verdict.non_minimal_extremals import extremals
-from benchmarks.validation.verdict.pairs import SCALES, Pair, pairs
-from benchmarks.validation.verdict.several import several
 from benchmarks.validation.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
 from benchmarks.validation.verdict.thresholds import members
-from benchmarks.validation.verdict.uncommon import uncommon
-from benchmarks.validation.verdict.unusual import unusual
 from benchmarks.validation.verdict.wrong_answers import LEAST, Planted, changes, forged, off_by
 
 Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
@@ -90,6 +92,20 @@ class Outcome:
         return asdict(self) | {"word": self.word}
 
 
+def closed_form_pairs() -> Iterator[Pair]:
+    """Yield a right answer and a wrong one of every closed form."""
+    for module in (
+        unconstrained,
+        bounded_controls,
+        end_and_integral_constraints,
+        multi_phase,
+        state_constraints,
+        parameters_and_control_sets,
+        degenerate,
+    ):
+        yield from module.PAIRS
+
+
 def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
     """Yield every case."""
     for s in FAMILY:
@@ -102,16 +118,7 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in (
-        *pairs(),
-        *closed_forms(),
-        *limits(),
-        *degenerate(),
-        *several(),
-        *attacks(),
-        *unusual(),
-        *uncommon(),
-    ):
+    for pair in closed_form_pairs():
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
             yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))

@@ -1,44 +1,25 @@
-"""Closed forms where yardsticks, switches or multipliers vanish: costs at zero, idle ends, stiff terms, saddles."""
+"""Closed forms where something vanishes: costs, multipliers, second variations."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
 
-import gnc_opt as go
-from benchmarks.validation.verdict.limits import _moved
-from benchmarks.validation.verdict.pairs import Answer, Pair, _arcs, _phase
+from benchmarks.validation.verdict.answers import (
+    Answer,
+    Pairs,
+    arcs,
+    free_line,
+    one_phase,
+)
 
-_KIND = "where something vanishes"
-
-
-def degenerate() -> Iterator[Pair]:
-    """Yield all of them."""
-    for name, why, off, first_order, make in (
-        ("perfect tracking", "it drifts off what it follows", 0.001, True, _tracking),
-        ("stiff terms", "a soft term is left as it is", 1.0, True, _stiff),
-        ("bang to a free end", "it turns round before the end", 0.01, True, _last_bang),
-        ("price that touches zero", "it pushes the wrong way while the price is low", 0.001, True, _touching),
-        ("unstable and long", "it lets go too early", 0.01, True, _unstable),
-        ("nearest meridian", "over a quarter of the sphere the pole is nearer", 0.1, False, _meridian),
-        ("parameter and end", "together they are a saddle", 1.0, False, _parameter_and_end),
-        ("rest with a given mean", "swinging costs less than nothing", np.inf, False, _swing),
-        ("end that two states share", "the end bends more than the effort", np.inf, False, _shared_end),
-        ("least peak", "smooth pushes need a higher peak", 0.1, True, _peak),
-        ("budget of effort", "it pushes unevenly", 0.001, True, _effort),
-        ("followed wave", "it follows with another height", 0.01, True, _wave),
-        ("clock in the dynamics", "it pushes evenly though later pushes move more", 0.02, True, _clock),
-        ("singular arc that moves", "it stays beside the arc", 0.01, True, _moving_arc),
-        ("kink that is crossed", "it takes no notice of the kink", 0.01, True, _kink),
-    ):
-        yield Pair(name, why, off, first_order, make, _KIND)
+PAIRS = Pairs("where something vanishes")
 
 
+@PAIRS.add("perfect tracking", "it drifts off what it follows", 0.001)
 def _tracking(unit: float, cost: float, wrong: bool) -> Answer:
     """Follows sin t, which it can."""
-    problem, leg, (x, _) = _moved(unit, 3.0)
+    problem, leg, (x, _) = free_line(unit, 3.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-2.0 * unit, 2.0 * unit))
     problem.minimize(cost * (7.0 + leg.integral((x - ca.sin(leg.model.time)) ** 2)))
@@ -46,10 +27,10 @@ def _tracking(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * (np.sin(t) + drift * t)], unit * (np.cos(t) + drift))
 
 
+@PAIRS.add("stiff terms", "a soft term is left as it is", 1.0)
 def _stiff(unit: float, cost: float, wrong: bool) -> Answer:
     """Two pushes that a weight of a million holds against each other, and a difference of 1 that costs nothing."""
-    problem = go.Problem("stiff")
-    leg, _, (u, w) = _phase(problem, "leg", "x", "u w", lambda x, u, w: [u], (0.0, 1.0))
+    problem, leg, _, (u, w) = one_phase("stiff", "x", "u w", lambda x, u, w: [u], (0.0, 1.0))
     leg.initial(x=0.0)
     leg.bounds(u=(-5.0 * unit, 5.0 * unit), w=(-5.0 * unit, 5.0 * unit))
     u, w = u / unit, w / unit
@@ -58,35 +39,36 @@ def _stiff(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * push * t], [unit * push + 0 * t, -unit * push + 0 * t])
 
 
+@PAIRS.add("bang to a free end", "it turns round before the end", 0.01)
 def _last_bang(unit: float, cost: float, wrong: bool) -> Answer:
     """As far back as possible on average: full push to the end, where costates vanish."""
-    problem = go.Problem("back")
-    leg, (q, _), _ = _phase(problem, "leg", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
+    problem, leg, (q, _), _ = one_phase("back", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=(-unit, unit))
     problem.minimize(cost * leg.integral(q) / unit)
-    t, part = _arcs(0.7, 0.3)
+    t, part = arcs(0.7, 0.3)
     late = np.maximum(t - 0.7, 0.0) if wrong else 0 * t
     push = np.where((part == 1) & wrong, 1.0, -1.0)
     return Answer(problem, t, [unit * (late**2 - t**2 / 2.0), unit * (2.0 * late - t)], unit * push)
 
 
+@PAIRS.add("price that touches zero", "it pushes the wrong way while the price is low", 0.001)
 def _touching(unit: float, cost: float, wrong: bool) -> Answer:
     """Pushes earn (t - 1)^2: full push backwards, at 1 s for nothing."""
-    problem, leg, (_, u) = _moved(unit, 2.0)
+    problem, leg, (_, u) = free_line(unit, 2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * leg.integral((leg.model.time - 1.0) ** 2 * u))
-    t, part = _arcs(0.8, 0.4, 0.8)
+    t, part = arcs(0.8, 0.4, 0.8)
     push = np.where((part == 1) & wrong, 1.0, -1.0)
     way = np.choose(part, [-t, t - 1.6, -0.4 - (t - 1.2)]) if wrong else -t
     return Answer(problem, t, [unit * way], unit * push)
 
 
+@PAIRS.add("unstable and long", "it lets go too early", 0.01)
 def _unstable(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = x + u from 1 to 0 in 18 s with the least u^2: u falls as exp(-t)."""
-    problem = go.Problem("unstable")
-    leg, _, (u,) = _phase(problem, "leg", "x", "u", lambda x, u: [x + u], (0.0, 18.0))
+    problem, leg, _, (u,) = one_phase("unstable", "x", "u", lambda x, u: [x + u], (0.0, 18.0))
     leg.initial(x=unit)
     leg.final(x=0.0)
     problem.minimize(cost * leg.integral((u / unit) ** 2))
@@ -98,11 +80,11 @@ def _unstable(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * left], -unit * strength * np.exp(-rate * t))
 
 
+@PAIRS.add("nearest meridian", "over a quarter of the sphere the pole is nearer", 0.1, first_order=False)
 def _meridian(unit: float, cost: float, wrong: bool) -> Answer:
     """From the equator of a sphere to a meridian, 1 or 2 rad away."""
-    problem = go.Problem("meridian")
-    leg, (theta, _), (a, b) = _phase(
-        problem, "leg", "theta phi", "a b", lambda x, y, u, w: [u, w], (0.0, 1.0)
+    problem, leg, (theta, _), (a, b) = one_phase(
+        "meridian", "theta phi", "a b", lambda x, y, u, w: [u, w], (0.0, 1.0)
     )
     leg.initial(theta=unit * np.pi / 2.0, phi=0.0)
     arc = unit * (2.0 if wrong else 1.0)
@@ -112,9 +94,10 @@ def _meridian(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [0 * t + unit * np.pi / 2.0, arc * t], [0 * t, 0 * t + arc])
 
 
+@PAIRS.add("parameter and end", "together they are a saddle", 1.0, first_order=False)
 def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
     """Beside u = 1 and k = 0: s^2 + k^2 + c k s of an end off by s and a parameter k is definite for c < 2."""
-    problem, leg, (_, u) = _moved(unit, 1.0)
+    problem, leg, (_, u) = free_line(unit, 1.0)
     k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
     leg.initial(x=0.0)
     off, coupling = leg.final_state("x") / unit - 1.0, 2.5 if wrong else 1.5
@@ -123,9 +106,10 @@ def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * t], unit + 0 * t, {"k": 0.0})
 
 
+@PAIRS.add("rest with a given mean", "swinging costs less than nothing", np.inf, first_order=False)
 def _swing(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 - c x^2 in a period of 2 pi with a mean of zero: a minimum at rest for c < 1."""
-    problem, leg, (x, u) = _moved(unit, 2.0 * np.pi)
+    problem, leg, (x, u) = free_line(unit, 2.0 * np.pi)
     problem.link(leg, leg, time=False)
     problem.constrain("mean", leg.integral(x), equals=0.0)
     bend = 1.5 if wrong else 0.9
@@ -134,10 +118,10 @@ def _swing(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [0 * t], 0 * t)
 
 
+@PAIRS.add("end that two states share", "the end bends more than the effort", np.inf, first_order=False)
 def _shared_end(unit: float, cost: float, wrong: bool) -> Answer:
     """The effort to place and speed at 1 s is (12, -6; -6, 4): definite less 0.3 and 0.5, not less 2 and 0.8."""
-    problem = go.Problem("shared end")
-    leg, _, (a,) = _phase(problem, "leg", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
+    problem, leg, _, (a,) = one_phase("shared end", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     leg.initial(q=0.0, v=0.0)
     place, speed = (leg.final_state(name) / unit for name in ("q", "v"))
     less = (2.0, 0.8) if wrong else (0.3, 0.5)
@@ -146,17 +130,17 @@ def _shared_end(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [0 * t, 0 * t], 0 * t)
 
 
+@PAIRS.add("least peak", "smooth pushes need a higher peak", 0.1)
 def _peak(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s with the least peak of the push: 4, one way and the other."""
-    problem = go.Problem("peak")
-    leg, _, (a,) = _phase(problem, "leg", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
+    problem, leg, _, (a,) = one_phase("peak", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     k = problem.parameter("k", lower=0.0, upper=100.0, guess=5.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=unit, v=0.0)
     leg.path("forth", a / unit - k, upper=0.0)
     leg.path("back", a / unit + k, lower=0.0)
     problem.minimize(cost * k)
-    t, part = _arcs(0.5, 0.5)
+    t, part = arcs(0.5, 0.5)
     if wrong:
         states = [unit * (3.0 * t**2 - 2.0 * t**3), unit * 6.0 * (t - t**2)]
         return Answer(problem, t, states, unit * (6.0 - 12.0 * t), {"k": 6.0})
@@ -165,9 +149,10 @@ def _peak(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, states, unit * np.where(first, 4.0, -4.0), {"k": 4.0})
 
 
+@PAIRS.add("budget of effort", "it pushes unevenly", 0.001)
 def _effort(unit: float, cost: float, wrong: bool) -> Answer:
     """As far as possible in 2 s where u^2 adds up to 1: evenly."""
-    problem, leg, (_, u) = _moved(unit, 2.0)
+    problem, leg, (_, u) = free_line(unit, 2.0)
     leg.initial(x=0.0)
     problem.constrain("budget", leg.integral(u**2), upper=1.0)
     problem.maximize(cost * leg.final_state("x") / unit)
@@ -177,20 +162,21 @@ def _effort(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * way], unit * level * (1.0 + tilt * (t - 1.0)))
 
 
+@PAIRS.add("followed wave", "it follows with another height", 0.01)
 def _wave(unit: float, cost: float, wrong: bool) -> Answer:
     """(x - cos t)^2 + u^2 in a period: half of the wave."""
-    problem, leg, (x, u) = _moved(unit, 2.0 * np.pi)
+    problem, leg, (x, u) = free_line(unit, 2.0 * np.pi)
     problem.link(leg, leg, time=False)
     problem.minimize(cost * leg.integral((x - ca.cos(leg.model.time)) ** 2 + u**2))
     t, height = np.linspace(0.0, 2.0 * np.pi, 121), 0.45 if wrong else 0.5
     return Answer(problem, t, [unit * height * np.cos(t)], -unit * height * np.sin(t))
 
 
+@PAIRS.add("clock in the dynamics", "it pushes evenly though later pushes move more", 0.02)
 def _clock(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = u (1 + c), c' = 1, over 1: u grows as 1 + t."""
-    problem = go.Problem("clock")
-    leg, _, (u,) = _phase(
-        problem, "leg", "x c", "u", lambda x, c, u: [u * (1.0 + c), 1.0 + 0.0 * c], (0.0, 1.0)
+    problem, leg, _, (u,) = one_phase(
+        "clock", "x c", "u", lambda x, c, u: [u * (1.0 + c), 1.0 + 0.0 * c], (0.0, 1.0)
     )
     leg.initial(x=0.0, c=0.0)
     leg.final(x=unit)
@@ -202,25 +188,27 @@ def _clock(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, t, [unit * way, t], unit * push)
 
 
+@PAIRS.add("singular arc that moves", "it stays beside the arc", 0.01)
 def _moving_arc(unit: float, cost: float, wrong: bool) -> Answer:
     """(x - 0.3 t)^2 from 1 with |u| <= 1: down to 0.3 t at 1 / 1.3, then along it."""
-    problem, leg, (x, _) = _moved(unit, 3.0)
+    problem, leg, (x, _) = free_line(unit, 3.0)
     leg.initial(x=unit)
     leg.bounds(u=(-unit, unit))
     problem.minimize(cost * leg.integral((x - 0.3 * leg.model.time) ** 2))
     reached = 0.7 if wrong else 1.0 / 1.3
-    t, part = _arcs(reached, 3.0 - reached)
+    t, part = arcs(reached, 3.0 - reached)
     way = np.where(part == 0, 1.0 - t, 1.0 - reached + 0.3 * (t - reached))
     return Answer(problem, t, [unit * way], unit * np.where(part == 0, -1.0, 0.3))
 
 
+@PAIRS.add("kink that is crossed", "it takes no notice of the kink", 0.01)
 def _kink(unit: float, cost: float, wrong: bool) -> Answer:
     """u^2 + |x - 1/2| from 0 to 1: x'' = -1/2 below 1/2, then 1/2."""
-    problem, leg, (x, u) = _moved(unit, 1.0)
+    problem, leg, (x, u) = free_line(unit, 1.0)
     leg.initial(x=0.0)
     leg.final(x=unit)
     problem.minimize(cost * leg.integral(u**2 + ca.fabs(x - 0.5)))
-    t, part = _arcs(0.5, 0.5)
+    t, part = arcs(0.5, 0.5)
     left = np.where(part == 0, t, 1.0 - t)
     way = 1.125 * left - 0.25 * left**2
     if wrong:

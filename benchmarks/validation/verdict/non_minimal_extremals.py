@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import scipy
 
 import gnc_opt as go
+from benchmarks.validation.verdict.answers import one_phase
 from benchmarks.validation.verdict.statements import Array
 
 UNBOUNDED = float("inf")
@@ -55,15 +55,6 @@ def _default(problem: go.Problem, tol: float | None = None) -> go.Verdict:
     return go.verify(go.solve(problem, tol=tol))
 
 
-def _model(
-    states: str, controls: str, rates: Callable[..., list[Any]]
-) -> tuple[go.Model, list[Any], list[Any]]:
-    model = go.Model("system")
-    x, u = [model.state(n) for n in states.split()], [model.control(n) for n in controls.split()]
-    model.ode(dict(zip(x, rates(*x, *u), strict=True)))
-    return model, x, u
-
-
 # --- conjugate points --------------------------------------------------------------------------------------
 
 
@@ -97,10 +88,9 @@ def _conjugate_points() -> Iterator[Extremal]:
 
 def great_circle(arc: float) -> go.Problem:
     """The shortest path along the equator of a unit sphere, over an arc (rad)."""
-    model, (theta, _), (a, b) = _model("theta phi", "a b", lambda x, y, u, w: [u, w])
-    problem = go.Problem("great circle")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg, (theta, _), (a, b) = one_phase(
+        "great circle", "theta phi", "a b", lambda x, y, u, w: [u, w], (0.0, 1.0)
+    )
     leg.initial(theta=np.pi / 2, phi=0.0)
     leg.final(theta=np.pi / 2, phi=arc)
     problem.minimize(leg.integral(0.5 * (a**2 + ca.sin(theta) ** 2 * b**2)))
@@ -109,10 +99,7 @@ def great_circle(arc: float) -> go.Problem:
 
 def repelled(last: float, end: float) -> go.Problem:
     """min of the integral of (u^2 - x^2) / 2: a minimum up to pi."""
-    model, (x,), (u,) = _model("x", "u", lambda x, u: [u])
-    problem = go.Problem("repelled")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, last)
+    problem, leg, (x,), (u,) = one_phase("repelled", "x", "u", lambda x, u: [u], (0.0, last))
     leg.initial(x=0.2)
     leg.final(x=end)
     problem.minimize(leg.integral(0.5 * (u**2 - x**2)))
@@ -138,10 +125,9 @@ def _swing(t: Array, start: float, end: float) -> tuple[Array, Array]:
 
 
 def _two_oscillators(last: float) -> go.Verdict:
-    model, (x, y), (u, w) = _model("x y", "u w", lambda x, y, u, w: [u, w])
-    problem = go.Problem("two oscillators")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, last)
+    problem, leg, (x, y), (u, w) = one_phase(
+        "two oscillators", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, last)
+    )
     leg.initial(x=0.1, y=1.0)
     leg.final(x=0.1, y=0.5)
     problem.minimize(leg.integral(0.5 * (u**2 + w**2 - x**2 + y**2)))
@@ -200,10 +186,7 @@ def _double_wells() -> Iterator[Extremal]:
 
 def double_well(stiffness: float, last: float) -> go.Problem:
     """min of the integral of u^2 / 2 - (k x)^2 / 2 + x^4 / 4 from 0 to 0: x = 0 is no minimum beyond pi / k."""
-    model, (x,), (u,) = _model("x", "u", lambda x, u: [u])
-    problem = go.Problem("double well")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, last)
+    problem, leg, (x,), (u,) = one_phase("double well", "x", "u", lambda x, u: [u], (0.0, last))
     leg.initial(x=0.0)
     leg.final(x=0.0)
     problem.minimize(leg.integral(0.5 * u**2 - 0.5 * (stiffness * x) ** 2 + 0.25 * x**4))
@@ -245,10 +228,7 @@ def _area(c: float, width: float) -> float:
 
 
 def _catenary(width: float, c: float) -> go.Verdict:
-    model, (y,), (u,) = _model("y", "u", lambda y, u: [u])
-    problem = go.Problem("soap film")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, width)
+    problem, leg, (y,), (u,) = one_phase("soap film", "y", "u", lambda y, u: [u], (0.0, width))
     leg.initial(y=1.0)
     leg.final(y=1.0)
     problem.minimize(leg.integral(y * ca.sqrt(1 + u**2)))
@@ -284,11 +264,8 @@ def _switch_maxima() -> Iterator[Extremal]:
 
 def one_switch(bend: float, more: str | None = None, weight: float = 1.0) -> go.Problem:
     """Over 2 s, |u| <= 1, x = 0 at the start; u = 1 up to 1 s, then -1, is a minimum for bend < 1 only."""
-    model, (x,), _ = _model("x", "u", lambda x, u: [u])
-    problem = go.Problem("one switch")
+    problem, leg, (x,), _ = one_phase("one switch", "x", "u", lambda x, u: [u], (0.0, 2.0))
     parameter = problem.parameter("k", lower=-1.0, upper=1.0, guess=0.0) if more == "parameter" else 0.0
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     end = leg.final_state("x")
@@ -320,10 +297,7 @@ def _one_switch(bend: float, more: str | None, weight: float = 1.0) -> go.Verdic
 
 def pair(kappa: float) -> go.Problem:
     """Two integrators that gain by switching at 1 s, and by ending far from each other: a minimum for kappa < 1."""
-    model, (x, y), _ = _model("x y", "u w", lambda x, y, u, w: [u, w])
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg, (x, y), _ = one_phase("pair", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 2.0))
     leg.initial(x=0.0, y=0.0)
     leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
     ends = leg.final_state("x"), leg.final_state("y")
@@ -360,10 +334,7 @@ def _narrow_wells() -> Iterator[Extremal]:
         (0.05, 0.002),
         (0.21, 0.0005),
     ):
-        model, _, (u,) = _model("x", "u", lambda x, u: [u])
-        problem = go.Problem("narrow well")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 1.0)
+        problem, leg, _, (u,) = one_phase("narrow well", "x", "u", lambda x, u: [u], (0.0, 1.0))
         leg.initial(x=0.0)
         leg.bounds(u=(-1.0, 1.0))
         problem.minimize(leg.integral(1 + (u + 0.5) ** 2 - 3 * ca.exp(-(((u - center) / width) ** 2))))
@@ -372,10 +343,9 @@ def _narrow_wells() -> Iterator[Extremal]:
             3 - (center + 0.5) ** 2, lambda p=problem: go.verify_trajectory(p, t, -0.5 * t, 0 * t - 0.5), True,
         )  # fmt: skip
     for stiffness in (1e2, 1e4, 1e6):
-        model, _, (u, w) = _model("x y", "u w", lambda x, y, u, w: [u, w])
-        problem = go.Problem("coupled wells")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 1.0)
+        problem, leg, _, (u, w) = one_phase(
+            "coupled wells", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 1.0)
+        )
         leg.initial(x=0.0, y=0.0)
         leg.bounds(u=(-2.0, 2.0), w=(-2.0, 2.0))
         d = u - w
@@ -394,10 +364,7 @@ def _narrow_wells() -> Iterator[Extremal]:
 def _singular_maxima() -> Iterator[Extremal]:
     t = np.linspace(0.0, 2.0, 41)
     for weight in (0.1, 1.0, 10.0):
-        model, (x,), _ = _model("x", "u", lambda x, u: [u])
-        problem = go.Problem("singular maximum")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 2.0)
+        problem, leg, (x,), _ = one_phase("singular maximum", "x", "u", lambda x, u: [u], (0.0, 2.0))
         leg.initial(x=0.0)
         leg.final(x=0.0)
         leg.bounds(u=(-1.0, 1.0))
@@ -407,10 +374,9 @@ def _singular_maxima() -> Iterator[Extremal]:
             weight / 6, lambda p=problem: go.verify_trajectory(p, t, 0 * t, 0 * t),
         )  # fmt: skip
     for skew in (0.5, 2.0):
-        model, (x, y, _), _ = _model("x y z", "u w", lambda x, y, z, u, w: [u, w, x * w - y * u])
-        problem = go.Problem("Goh")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 2.0)
+        problem, leg, (x, y, _), _ = one_phase(
+            "Goh", "x y z", "u w", lambda x, y, z, u, w: [u, w, x * w - y * u], (0.0, 2.0)
+        )
         leg.initial(x=0.0, y=0.0, z=0.0)
         leg.final(x=0.0, y=0.0)
         leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
@@ -420,10 +386,7 @@ def _singular_maxima() -> Iterator[Extremal]:
             skew * 0.05, lambda p=problem: go.verify_trajectory(p, t, np.zeros((3, 41)), np.zeros((2, 41))),
         )  # fmt: skip
     for power in (1.0, 3.0):
-        model, _, (u,) = _model("x", "u", lambda x, u: [u**2])
-        problem = go.Problem("abnormal")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 1.0)
+        problem, leg, _, (u,) = one_phase("abnormal", "x", "u", lambda x, u: [u**2], (0.0, 1.0))
         leg.initial(x=0.0)
         leg.final(x=0.0)
         problem.minimize(leg.integral((u - power) ** 2))

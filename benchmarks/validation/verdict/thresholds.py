@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from benchmarks.validation.verdict.answers import one_phase
 from benchmarks.validation.verdict.statements import Array
 
 Wall = Callable[[Any], Any]
@@ -90,26 +91,12 @@ def _of(
         yield Member(f"{name} {value}", why, value in wrong, False, lambda v=value: judge(v))
 
 
-def _leg(
-    states: str, controls: str, rates: Callable[..., list[Any]], time: Any, **bounds: Any
-) -> tuple[go.Problem, go.Phase, list[Any], list[Any]]:
-    """A problem of one phase, that phase, its states and its controls."""
-    model = go.Model("system")
-    x, u = [model.state(n) for n in states.split()], [model.control(n) for n in controls.split()]
-    model.ode(dict(zip(x, rates(*x, *u), strict=True)))
-    problem = go.Problem("family")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, time)
-    leg.bounds(**bounds)
-    return problem, leg, x, u
-
-
 # --- smooth ------------------------------------------------------------------------------------------------
 
 
 def _area(k: float) -> go.Verdict:
     """u^2 - k^2 x^2 over 1 s from 0 to 0 with an area of 1: a minimum up to 2 pi, not pi (a wave keeps the area)."""
-    problem, leg, (x,), (u,) = _leg("x", "u", lambda x, u: [u], 1.0)
+    problem, leg, (x,), (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, 1.0))
     leg.initial(x=0.0)
     leg.final(x=0.0)
     problem.constrain("area", leg.integral(x), equals=1.0)
@@ -122,7 +109,9 @@ def _area(k: float) -> go.Verdict:
 
 def _torus(arc: float) -> go.Verdict:
     """Along the outer equator, radii 2 and 1: conjugate after pi / sqrt(3), the curvature being 1 / 3."""
-    problem, leg, (theta, _), (a, b) = _leg("theta phi", "a b", lambda x, y, a, b: [a, b], 1.0)
+    problem, leg, (theta, _), (a, b) = one_phase(
+        "family", "theta phi", "a b", lambda x, y, a, b: [a, b], (0.0, 1.0)
+    )
     leg.initial(theta=0.0, phi=0.0)
     leg.final(theta=0.0, phi=arc)
     problem.minimize(leg.integral(a**2 + (2 + ca.cos(theta)) ** 2 * b**2))
@@ -132,7 +121,7 @@ def _torus(arc: float) -> go.Verdict:
 
 def _charge(last: float) -> go.Verdict:
     """At rest in a magnetic field of strength 1: conjugate after one turn."""
-    problem, leg, (x, y), (u, w) = _leg("x y", "u w", lambda x, y, u, w: [u, w], last)
+    problem, leg, (x, y), (u, w) = one_phase("family", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, last))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=0.0, y=0.0)
     problem.minimize(leg.integral((u**2 + w**2 + x * w - y * u) / 2))
@@ -142,7 +131,7 @@ def _charge(last: float) -> go.Verdict:
 
 def _column(load: float) -> go.Verdict:
     """a^2 - load v^2 over 1, clamped at both ends, one of them displaced by 0.3: q is a sine, a line and a constant."""
-    problem, leg, (_, v), (a,) = _leg("q v", "a", lambda q, v, a: [v, a], 1.0)
+    problem, leg, (_, v), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=0.3, v=0.0)
     problem.minimize(leg.integral(a**2 - load * v**2))
@@ -157,7 +146,7 @@ def _column(load: float) -> go.Verdict:
 
 def _end(bend: float) -> go.Verdict:
     """u^2 / 2 over 1 s, and an end that is best at 1 but for its curvature."""
-    problem, leg, _, (u,) = _leg("x", "u", lambda x, u: [u], 1.0)
+    problem, leg, _, (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, 1.0))
     leg.initial(x=0.0)
     end = leg.final_state("x")
     problem.minimize(leg.integral(u**2 / 2) - end - bend / 2 * (end - 1) ** 2)
@@ -167,7 +156,7 @@ def _end(bend: float) -> go.Verdict:
 
 def _time(bend: float) -> go.Verdict:
     """1 / (2 T) + T / 2 - bend (T - 1)^2 is stationary at T = 1, where its curvature is 1 - 2 bend."""
-    problem, leg, _, (u,) = _leg("x", "u", lambda x, u: [u], (0.2, 5.0))
+    problem, leg, _, (u,) = one_phase("family", "x", "u", lambda x, u: [u], (0.0, (0.2, 5.0)))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     last = leg.final_time
@@ -178,7 +167,7 @@ def _time(bend: float) -> go.Verdict:
 
 def _ellipsoid(axis: int) -> go.Verdict:
     """From the middle of an ellipsoid of semi-axes 1, 1.5, 2 to its surface."""
-    problem, leg, _, u = _leg("x y z", "u v w", lambda x, y, z, u, v, w: [u, v, w], 1.0)
+    problem, leg, _, u = one_phase("family", "x y z", "u v w", lambda x, y, z, u, v, w: [u, v, w], (0.0, 1.0))
     leg.initial(x=0.0, y=0.0, z=0.0)
     lengths = np.array([1.0, 1.5, 2.0])
     ends = [leg.final_state(name) for name in "xyz"]
@@ -194,7 +183,8 @@ def _ellipsoid(axis: int) -> go.Verdict:
 def _switches(least: float) -> go.Verdict:
     """Three integrators that switch at 1 s: the Hessian is 2 + 4 M, M with this least eigenvalue, in skew axes."""
     limits = dict.fromkeys("uvw", (-1.0, 1.0))
-    problem, leg, x, _ = _leg("x y z", "u v w", lambda x, y, z, u, v, w: [u, v, w], 2.0, **limits)
+    problem, leg, x, _ = one_phase("family", "x y z", "u v w", lambda x, y, z, u, v, w: [u, v, w], (0.0, 2.0))
+    leg.bounds(**limits)
     leg.initial(x=0.0, y=0.0, z=0.0)
     ends = ca.vertcat(*(leg.final_state(name) for name in "xyz"))
     axes = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
@@ -206,7 +196,8 @@ def _switches(least: float) -> go.Verdict:
 
 def _singular(k: float) -> go.Verdict:
     """x^2 - k^2 y^2 over 2 s at rest, x the rate of y, u that of x: with x for a control, y is conjugate at pi / k."""
-    problem, leg, (y, x), _ = _leg("y x", "u", lambda y, x, u: [x, u], 2.0, u=(-1.0, 1.0))
+    problem, leg, (y, x), _ = one_phase("family", "y x", "u", lambda y, x, u: [x, u], (0.0, 2.0))
+    leg.bounds(u=(-1.0, 1.0))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=0.0, y=0.0)
     problem.minimize(leg.integral(1 + x**2 - (k * y) ** 2))
@@ -217,7 +208,8 @@ def _singular(k: float) -> go.Verdict:
 def _bounded_curvature(word: str, lengths: tuple[float, ...]) -> go.Verdict:
     """Shortest path of curvature 1 (Dubins, Amer. J. Math. 79, 1957): CSC, or CCC with more than half a turn."""
     rates = lambda x, y, h, u: [ca.cos(h), ca.sin(h), u]  # noqa: E731
-    problem, leg, _, _ = _leg("x y h", "u", rates, (0.1, 30.0), u=(-1.0, 1.0))
+    problem, leg, _, _ = one_phase("family", "x y h", "u", rates, (0.0, (0.1, 30.0)))
+    leg.bounds(u=(-1.0, 1.0))
     times: list[Array] = []
     states: list[Array] = []
     turns: list[Array] = []
@@ -244,7 +236,7 @@ def _bounded_curvature(word: str, lengths: tuple[float, ...]) -> go.Verdict:
 
 def _ceiling(limit: float, height: float) -> go.Verdict:
     """Thrown up and back in 1 s below a ceiling, as a path constraint: an arc up to 1/6, a touch up to 1/4."""
-    problem, leg, (q, _), (a,) = _leg("q v", "a", lambda q, v, a: [v, a], 1.0)
+    problem, leg, (q, _), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     leg.initial(q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
     leg.path("ceiling", q, upper=limit)
@@ -272,7 +264,7 @@ def _walls() -> dict[str, Wall]:
 
 def _narrow(wall: Wall, at: float) -> go.Verdict:
     """Rest to rest over 1 m in 1 s, and a wall somewhere."""
-    problem, leg, (q, _), (a,) = _leg("q v", "a", lambda q, v, a: [v, a], 1.0)
+    problem, leg, (q, _), (a,) = one_phase("family", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.path("wall", wall(q - at), lower=float(ca.DM(wall(ca.DM(1e-4)))))

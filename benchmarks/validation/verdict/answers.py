@@ -1,0 +1,136 @@
+"""Right answers in closed form and, beside each, one that only looks like it: in any units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+
+import gnc_opt as go
+from benchmarks.validation.verdict.statements import Array
+
+SCALES = ((1.0, 1.0), (1e4, 1e-6), (1e-4, 1e6))
+"""Unit of the states, and factor of the cost."""
+T = np.linspace(0.0, 1.0, 61)
+"""Samples of a second, or of a share of the way."""
+ONE = np.ones(T.size)
+
+Rates: TypeAlias = Callable[..., list[Any]]
+Make: TypeAlias = Callable[[float, float, bool], "Answer"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A trajectory as samples and the problem that it is an answer of; several phases as mappings."""
+
+    problem: go.Problem
+    t: Any
+    x: Any
+    u: Any
+    p: Any = None
+
+    def judge(self) -> go.Verdict:
+        """By `go.verify_trajectory`."""
+        return go.verify_trajectory(self.problem, self.t, self.x, self.u, self.p)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A right answer and a wrong one.
+
+    Attributes
+    ----------
+    name, why : str
+        Why the wrong one is wrong.
+    off : float
+        What it loses, relative to the cost, or a relative distance.
+    first_order : bool
+        Whether the first order tells.
+    make : callable
+        (unit of the states, factor of the cost, whether wrong) -> Answer.
+    kind : str
+        Of the wrong one.
+    """
+
+    name: str
+    why: str
+    off: float
+    first_order: bool
+    make: Make
+    kind: str
+
+
+class Pairs(list[Pair]):
+    """The pairs of a module: each is added by a decorator of the function that makes its answers."""
+
+    def __init__(self, kind: str = "beside a closed form") -> None:
+        super().__init__()
+        self.kind = kind
+
+    def add(
+        self, name: str, why: str, off: float, *, first_order: bool = True, kind: str = ""
+    ) -> Callable[[Make], Make]:
+        """Return the decorator; the arguments are those of `Pair`."""
+
+        def added(make: Make) -> Make:
+            self.append(Pair(name, why, off, first_order, make, kind or self.kind))
+            return make
+
+        return added
+
+
+# --- stating a problem ----------------------------------------------------------------------------------
+
+
+def phase_of(
+    problem: go.Problem, name: str, states: str, controls: str, rates: Rates, time: Any
+) -> tuple[go.Phase, list[Any], list[Any]]:
+    """Return a phase of a model of its own, its states and its controls."""
+    model = go.Model(name)
+    x, u = [model.state(n) for n in states.split()], [model.control(n) for n in controls.split()]
+    model.ode(dict(zip(x, rates(*x, *u), strict=True)))
+    leg = problem.phase(name, model)
+    leg.time(*time)
+    return leg, x, u
+
+
+def one_phase(
+    name: str, states: str, controls: str, rates: Rates, time: Any
+) -> tuple[go.Problem, go.Phase, list[Any], list[Any]]:
+    """Return a problem of one phase, that phase, its states and its controls."""
+    problem = go.Problem(name)
+    return problem, *phase_of(problem, "leg", states, controls, rates, time)
+
+
+def line(unit: float, time: Any = (0.0, 1.0)) -> tuple[go.Problem, go.Phase, Any, Any]:
+    """A point on a line that starts at 0, and its speed, both in units."""
+    problem = go.Problem("line")
+    leg, (x,), (u,) = phase_of(problem, "leg", "x", "u", lambda x, u: [u], time)
+    leg.initial(x=0.0)
+    return problem, leg, x / unit, u / unit
+
+
+def free_line(unit: float, time: float, *names: str) -> tuple[go.Problem, go.Phase, list[Any]]:
+    problem = go.Problem("moved")
+    leg, (x,), (u,) = phase_of(problem, "leg", "x", "u", lambda x, u: [u], (0.0, time))
+    return problem, leg, [x / unit, u / unit]
+
+
+def plane(
+    unit: float, time: Any = (0.0, 1.0), **start: float
+) -> tuple[go.Problem, go.Phase, tuple[Any, Any], tuple[Any, Any]]:
+    """A point in the plane, and its velocity, both in units."""
+    problem = go.Problem("plane")
+    leg, (x, y), (u, w) = phase_of(problem, "leg", "x y", "u w", lambda x, y, u, w: [u, w], time)
+    leg.initial(**{name: unit * start.get(name, 0.0) for name in "xy"})
+    return problem, leg, (x / unit, y / unit), (u / unit, w / unit)
+
+
+def arcs(*durations: float) -> tuple[Array, Array]:
+    """Times of arcs one after the other, both ends of each included, and which arc each is of."""
+    ends = np.cumsum([0.0, *durations])
+    times = np.concatenate([np.linspace(a, b, 21) for a, b in pairwise(ends)])
+    return times, np.repeat(np.arange(len(durations)), 21)
