@@ -104,6 +104,7 @@ class Model(Strict):
     """
 
     __slots__ = (
+        "_algebraic",
         "_composed_controls",
         "_differences",
         "_equations",
@@ -126,6 +127,7 @@ class Model(Strict):
         self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
         self._composed_controls: dict[str, ComposedControl] = {}
+        self._algebraic: dict[str, Any] = {}
         self._functions: dict[str, Any] = {}
 
     @classmethod
@@ -286,6 +288,50 @@ class Model(Strict):
         direction = self.control(f"{name}_direction", size, nominal=1.0)
         return self._compose(VectorControl, name, magnitude, direction, unit), magnitude
 
+    def algebraic(
+        self,
+        name: str,
+        residual: Callable[[Any], Any],
+        size: int = 1,
+        *,
+        unit: str = "",
+        nominal: ArrayLike | None = None,
+    ) -> Symbol:
+        """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 at all times.
+
+        A phase has z among its controls, with bounds and a guess, and the path constraint ``equation of z``. If g
+        contains no control, `solve` follows z as a state; see `gnc_opt.planning.problem.reformulation.algebraic`.
+        The guess selects the solution, if g = 0 has several.
+
+        Parameters
+        ----------
+        name, size, unit, nominal
+            As in `state`.
+        residual : callable
+            ``residual(z)`` returns g, with as many rows as z, in the symbols that are declared so far.
+
+        Raises
+        ------
+        ModelError
+            As in `state`, or g has another size, or its derivative by z is singular for all values (a higher index).
+
+        Examples
+        --------
+        >>> model = go.Model("pendulum in its plane")
+        >>> y = model.state("y", unit="m")
+        >>> x = model.algebraic("x", lambda x: x**2 + y**2 - 1.0, unit="m")
+        """
+        symbol = self.control(name, size, unit=unit, nominal=nominal)
+        what = f"the equation of algebraic variable '{name}' of model '{self.name}'"
+        value = self._own_expression(residual(symbol), what, symbol.variable.size)
+        if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
+            raise ModelError(
+                f"{what} does not determine it (its index is higher than 1): use '{name}' in every row, or "
+                "differentiate the equation."
+            )
+        self._algebraic[name] = value
+        return symbol
+
     def parameter(self, name: str, value: ArrayLike, *, unit: str = "") -> Symbol:
         """Declare a constant with its value (scalar or vector); change it with `with_parameters`.
 
@@ -441,6 +487,11 @@ class Model(Strict):
     def composed_controls(self) -> Mapping[str, ComposedControl]:
         """What `split_control` and `vector_control` declared, by name."""
         return self._composed_controls
+
+    @property
+    def equations(self) -> Mapping[str, Any]:
+        """Expressions that are zero along every trajectory, by the algebraic variable that they determine."""
+        return self._algebraic
 
     @property
     def parameter_values(self) -> Array:

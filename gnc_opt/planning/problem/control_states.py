@@ -109,6 +109,10 @@ def _control(leg: StatedPhase, name: str, what: str) -> Symbol:
             f"{what}() of {leg.where} got '{name}', but '{owner}' is made of several controls: "
             "declare it with control()."
         )
+    if name in leg.model.equations:
+        raise ProblemError(
+            f"{what}() of {leg.where} got '{name}', which its equation determines: limit other controls."
+        )
     if name not in layout:
         raise unknown_name("control", name, f"{what}() of {leg.where}", layout.names)
     return leg.model.symbol(name)

@@ -150,7 +150,12 @@ class Phase(Strict):
         n, positive = model.states.size, Interval(np.zeros(1), np.full(1, np.inf))
         controls = without_negative_parts(model)
         self.numbers = PhaseNumbers(None, None, positive, free(n), free(n), free(n), controls)
-        self.paths: dict[str, Constraint] = {}
+        self.paths: dict[str, Constraint] = {
+            f"equation of {z}": make_constraint(
+                f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
+            )
+            for z, g in model.equations.items()
+        }
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
         for vector in self.vectors:
@@ -362,13 +367,20 @@ class Phase(Strict):
         """The symbol of the share of the phase that has passed, from 0 to 1, for bounds and expressions along it."""
         return fraction_of(self)
 
-    def add_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> None:
+    def add_states(
+        self,
+        rates: Mapping[Symbol, Any],
+        controls: Sequence[Symbol] = (),
+        ends: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         """Add states, which may have been controls, with their time derivatives, and controls; bounds stay by name.
 
         Parameters
         ----------
         rates, controls
             As in `Model.with_states`.
+        ends : mapping of str to mapping of str to casadi.SX, optional
+            Symbols of the states at the "initial" and the "final" end by name; default: new ones.
         """
         old, box = self.model, self.numbers
         self._owner.refuse_if_frozen()
@@ -382,6 +394,7 @@ class Phase(Strict):
         )
         self.model = model
         for end, symbols in self._ends.items():
+            symbols.update({} if ends is None else ends[end])
             for v in model.states.variables:
                 symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
         self._owner.changed()

@@ -17,7 +17,9 @@ from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate
@@ -49,9 +51,10 @@ def restated_samples(
 
 
 def _of_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
+    stated = leg.model if leg.restatement is None else leg.restatement.model
+    own = _by_name(own, problem.phases[leg.name].model, stated)
     if leg.restatement is None:
         return own
-    stated = leg.restatement.model
     arguments = [*stated.arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.bind(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
@@ -60,10 +63,27 @@ def _of_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
         u = evaluate_columns(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
     for vector in leg.vectors:
-        size, direction = u[controls.slice(vector.magnitude)][0], controls.slice(vector.direction)
-        lost = size <= AT_LIMIT * np.max(size)
-        u[direction] = _held(np.where(lost, np.nan, u[direction]))
+        direction = controls.slice(vector.direction)
+        u[direction] = _directions(u[controls.slice(vector.magnitude)][0], u[direction])
     return replace(own, u=u)
+
+
+def _by_name(own: Samples, given: Model, model: Model) -> Samples:
+    """Samples of a model with the same variables, of which some are states instead of controls."""
+    if given.states.names == model.states.names:
+        return own
+    known = {name: own.x[given.states.slice(name)] for name in given.states.names}
+    known |= {name: own.u[given.controls.slice(name)] for name in given.controls.names}
+    x, u = (
+        np.vstack([np.zeros((0, own.t.size)), *(known[n] for n in k.names)])
+        for k in (model.states, model.controls)
+    )
+    return Samples(own.t, x, u)
+
+
+def _directions(size: Array, direction: Array) -> Array:
+    """Directions (n, n_times) of vectors of a size (n_times,), where it is zero those nearby."""
+    return _held(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
 
 
 def _held(directions: Array) -> Array:
@@ -107,7 +127,8 @@ def verify_trajectory(
         Not decreasing; where a control jumps, give the time twice, with the values before and after it. A jump
         between two samples is placed where the states tell. Several phases: a mapping from their names.
     x, u : array (n_states, n_times), (n_controls, n_times), or a mapping from names to (n_times,) or (size, n_times)
-        States and controls. Several phases: a mapping from their names to such.
+        States and controls; split and vector controls by their own name or by those of their parts. Several phases: a
+        mapping from their names to such.
     p : array (n_parameters,) or mapping from names, optional
         Of the problem's free parameters; needed if it has any.
     tol : float
@@ -329,8 +350,23 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
     return Samples(
         times,
         _rows(leg, leg.model.states, x, times.size, "state"),
-        _rows(leg, leg.model.controls, u, times.size, "control"),
+        _rows(leg, leg.model.controls, _in_parts(leg, u, times.size), times.size, "control"),
     )
+
+
+def _in_parts(leg: Phase, u: Values, n_times: int) -> Values:
+    """Controls by name, those that are made of others as these: parts, or a magnitude and a direction."""
+    if not isinstance(u, Mapping):
+        return u
+    found = dict(u)
+    for control in leg.model.composed_controls.values():
+        if control.name in found:
+            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.where}"
+            parts = control.decompose(_shaped(found.pop(control.name), shape, what))
+            if isinstance(control, VectorControl):
+                parts = parts[0], _directions(parts[0][0], parts[1])
+            found |= zip(control.parts, parts, strict=True)
+    return found
 
 
 def _rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:

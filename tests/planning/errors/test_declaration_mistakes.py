@@ -143,7 +143,7 @@ def test_initial_value_of_an_unknown_state() -> None:
     rest_to_rest()[1].initial(vv=0.0)  # wrong
 
 
-@mistake(go.UnknownNameError, "has no state 'a'", "known: q, v")
+@mistake(go.ProblemError, "final value of control 'a'", "limit its rate before")
 def test_final_value_of_a_control() -> None:
     rest_to_rest()[1].final(a=0.0)  # wrong
 

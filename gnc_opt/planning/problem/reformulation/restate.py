@@ -20,6 +20,7 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phas
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import Domain
 from gnc_opt.planning.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.planning.problem.reformulation.algebraic import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndForm,
@@ -146,7 +147,7 @@ def restated(problem: P) -> P:
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
     of one another. Angles whose bounds leave them a whole turn are free.
     """
-    return without_full_turns(_without_norms(problem))
+    return without_full_turns(_without_norms(with_algebraic_states(problem)))
 
 
 def _without_norms(problem: P) -> P:

@@ -1,0 +1,169 @@
+r"""Algebraic variables as states: index reduction of a semi-explicit system of index 1.
+
+A control z of which an equality :math:`g(t, x, z, p) = c` leaves nothing free is a function of time and states. Where
+:math:`\\partial g / \\partial z` is regular, it follows
+
+.. math::
+
+    \\dot z = -\\left(\\frac{\\partial g}{\\partial z}\\right)^{-1}
+              \\left(\\frac{\\partial g}{\\partial t} + \\frac{\\partial g}{\\partial x} \\dot x\\right)
+
+from a value with :math:`g = c` at the start of the phase, which keeps g = c: z is solved for as a state with that
+boundary constraint, without a path constraint. Costates are those of the states with z beside them. Equalities that
+were stated with `Phase.path` stay unless all other controls are bounded and enter affinely, where they would hide
+bang-bang arcs (U. M. Ascher and L. R. Petzold, Computer Methods for Ordinary
+Differential Equations and Differential-Algebraic Equations, 1998, section 9.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.variables import Symbol
+from gnc_opt.planning.problem.constraints import Constraint
+from gnc_opt.planning.problem.expressions import along
+from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
+from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval_arithmetic import is_affine, ranges_of
+from gnc_opt.planning.problem.magnitudes import SAMPLES
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.restatement import Restatement
+from gnc_opt.planning.problem.statement import Statement
+
+P = TypeVar("P", bound=Statement)
+
+
+@dataclass(frozen=True, eq=False)
+class AlgebraicForm:
+    """A control of a phase that is an algebraic variable.
+
+    Attributes
+    ----------
+    symbol : Symbol
+        Of the control.
+    constraint : str
+        Name of the equality.
+    residual : casadi.SX
+    rate : casadi.SX
+        Time derivative of the variable.
+    ends : dict of str to dict
+        Symbols at both ends.
+    """
+
+    symbol: Symbol
+    constraint: str
+    residual: Any
+    rate: Any
+    ends: dict[str, dict[str, Any]]
+
+    def is_wanted(self, leg: Phase) -> bool:
+        """Whether the variable was declared as algebraic, or would hide bang-bang arcs of the other controls."""
+        model, name = leg.model, self.symbol.variable.name
+        if name in model.equations:
+            return True
+        others = [model.controls.slice(other) for other in model.controls.names if other != name]
+        symbols, box = model.symbols("control"), leg.numbers.controls
+        bounded = all(np.all(np.isfinite([box.lower[rows], box.upper[rows]])) for rows in others)
+        return (
+            bool(others)
+            and bounded
+            and is_affine(along(leg), ca.vertcat(*(symbols[rows] for rows in others)))
+        )
+
+    def is_regular(self, leg: Phase) -> bool:
+        """Whether the rate of the variable is finite along a phase's guess."""
+        start, model = start_phase(leg, SAMPLES, perturbed=False), leg.model
+        first, last = guess_times(leg)
+        function = leg.once(
+            f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])
+        )
+        with np.errstate(all="ignore"):
+            values = evaluate(
+                function,
+                first + SAMPLES * (last - first),
+                start.states,
+                start.controls,
+                model.parameter_values,
+            )
+        return bool(np.all(np.isfinite(values)))
+
+    def apply(self, problem: Statement, leg: Phase) -> None:
+        """Let the variable be a state of a phase."""
+        t, x, _, _ = leg.model.arguments()
+        constraint = leg.paths[self.constraint]
+        leg.bounds(**{self.symbol.variable.name: self._needed_bounds(leg, constraint)})
+        leg.add_states({self.symbol: self.rate}, ends=self.ends)
+        leg.drop_path(self.constraint)
+        name = f"{self.constraint} at the start of {leg.name}"
+        own, start = ca.vertcat(t, x, self.symbol), self.ends["initial"][self.symbol.variable.name]
+        initial = [leg.initial_state(n) for n in leg.model.states.names if n != self.symbol.variable.name]
+        value = ca.substitute(self.residual, own, ca.vertcat(leg.initial_time, *initial, start))
+        text = f"{self.symbol.variable.name} is solved for as a state that follows from {self.constraint}"
+        leg.restatement = Restatement.of_limits(leg.model, (text,)).after(leg.restatement)
+        problem.constraints[name] = Constraint(name, value, constraint.interval)
+
+    def _needed_bounds(self, leg: Phase, constraint: Constraint) -> tuple[Array, Array]:
+        """Bounds of the variable, infinite where g = c has no solution beyond them.
+
+        A bound that the equality implies would be active with it at once, which leaves multipliers undetermined.
+        """
+        t, x, _, p = leg.model.arguments()
+        controls = leg.model.controls.slice(self.symbol.variable.name)
+        box = leg.numbers.controls
+        lower, upper = box.lower[controls].copy(), box.upper[controls].copy()
+        if lower.size > 1:
+            return lower, upper
+        known = ca.symvar(ca.vertcat(t, x, p, self.residual))
+        others = ca.vertcat(*(s for s in known if s.element_hash() != self.symbol.element_hash()))
+        function = ca.Function("residual", [self.symbol, others], [ca.densify(self.residual)])
+        value = constraint.interval.lower[0]
+        for beyond, end in (
+            (Interval(upper, upper + np.inf), upper),
+            (Interval(lower - np.inf, lower), lower),
+        ):
+            found = ranges_of(function, [beyond, free(others.numel())])
+            if np.isfinite(end[0]) and (found.lower[0] >= value or found.upper[0] <= value):
+                end[:] = np.sign(beyond.upper[0] + beyond.lower[0]) * np.inf
+        return lower, upper
+
+
+def with_algebraic_states(problem: P) -> P:
+    """Return a problem whose algebraic variables are states; itself if it has none."""
+    found = []
+    for name, leg in problem.phases.items():
+        forms = problem.once(("algebraic", name), lambda leg=leg: list(_forms(leg)))  # type: ignore[misc]
+        found += [(name, form) for form in forms if form.is_wanted(leg) and form.is_regular(leg)]
+    if not found:
+        return problem
+    twin = problem.clone()
+    for name, form in found:
+        form.apply(twin, twin.phases[name])
+    twin.builds = problem.builds.setdefault(
+        ("algebraic", *((name, form.constraint) for name, form in found)), {}
+    )
+    return twin
+
+
+def _forms(leg: Phase) -> Iterator[AlgebraicForm]:
+    model = leg.model
+    t, x, _, _ = model.arguments()
+    rate = model.derivative()
+    for name, constraint in leg.paths.items():
+        residual = constraint.expression
+        controls = [c for c in map(model.symbol, model.controls.names) if ca.depends_on(residual, c)]
+        if len(controls) != 1 or controls[0].shape != residual.shape or not all(constraint.interval.fixed):
+            continue
+        z, slope = controls[0], ca.jacobian(residual, controls[0])
+        if not ca.depends_on(residual, ca.vertcat(t, x)) or ca.sprank(slope) < slope.shape[0]:
+            continue
+        along = ca.jacobian(residual, t) + ca.jacobian(residual, x) @ rate
+        label, size = z.variable.name, z.variable.size
+        ends = {end: {label: ca.SX.sym(f"{leg.name}_{end}_{label}", size)} for end in ("initial", "final")}
+        yield AlgebraicForm(z, name, residual, -ca.solve(slope, along), ends)
