@@ -45,7 +45,7 @@ SEARCH_WEIGHTS = {
     "verdict.md": 7.0,
     "learn": 6.0,
     "reference": 4.0,
-    "theory": 3.0,
+    "theory": 5.0,
     "conventions.md": 8.0,
     "api": 0.5,
     "gallery": 0.1,

@@ -187,7 +187,7 @@ PHRASES = {
     "not optimal": "howto/when_it_does_not_solve",
     "infeasible": "reference/statuses",
     "linear solver": "reference/solver_options",
-    "lower bound": "verdict",
+    "lower bound": "theory/lower_bounds",
     "LQR": "control/linear",
     "MPC": "control/predictive",
     "sliding mode": "control/sliding_mode",
