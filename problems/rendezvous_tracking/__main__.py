@@ -163,7 +163,7 @@ def _run(options: argparse.Namespace) -> int:
 def _guided(name: str, case: int, conditions: Conditions) -> Guided:
     """Return one of `GUIDED`."""
     if name.startswith("planned"):
-        return Replanned(plan(case, PLANNED, False), conditions, case)
+        return Replanned(plan(case, PLANNED, refined=False), conditions, case)
     return (Measured if "filtered" in name else Guided)(plan(case, 1.0), conditions)
 
 

@@ -117,7 +117,7 @@ CONTROLLERS = ("open loop", "TVLQR", "integral sliding mode", "MPC")
 
 
 @cache
-def plan(case: int = 1, reserve: float = RESERVE, refined: bool = True) -> go.Solution:
+def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go.Solution:
     """Return the time-optimal rendezvous with a share of the torques and forces.
 
     Parameters
