@@ -213,10 +213,10 @@ class Problem(Statement):
         Raises
         ------
         ProblemError
-            The name is taken or not an identifier, or the model has missing dynamics.
+            The name is taken, empty or with brackets, or the model has missing dynamics.
         """
         self.refuse_if_frozen()
-        read_name(name, f"phase of problem '{self.name}'", ProblemError)
+        read_label(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
             raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
         expect(

@@ -22,7 +22,7 @@ def test_phase_without_a_model() -> None:
     problem.phase("leg", problem)  # type: ignore[arg-type]  # wrong
 
 
-@mistake(go.ProblemError, "Model('cart'", "cannot be the name of a phase", "letters")
+@mistake(go.ProblemError, "Model('cart'", "cannot be the name of a phase", "its name comes first")
 def test_phase_arguments_swapped() -> None:
     go.Problem("p").phase(cart(), "leg")  # type: ignore[arg-type]  # wrong
 
@@ -43,9 +43,9 @@ def test_a_path_in_the_symbols_of_another_model() -> None:
     go.Problem("p").phase("leg", here).path("wall", vectors[1][0], upper=1.0)  # wrong
 
 
-@mistake(go.ProblemError, "'first leg' cannot be the name of a phase of problem 'p'", "underscores")
-def test_phase_name_that_is_no_identifier() -> None:
-    go.Problem("p").phase("first leg", cart())  # wrong
+@mistake(go.ProblemError, "'leg[0]' cannot be the name of a phase of problem 'p'", "without brackets")
+def test_phase_name_with_brackets() -> None:
+    go.Problem("p").phase("leg[0]", cart())  # wrong
 
 
 def test_two_phases_may_share_a_model() -> None:

@@ -372,3 +372,29 @@ def test_a_free_constant_beside_a_switch(bend: float) -> None:
     states = [np.append(s**2 / 2, 1 - (1 - s) ** 2 / 2), np.append(s, 1 - s), 1 + 0 * t]
     verdict = go.verify_trajectory(problem, t, states, u_given)
     assert verdict.minimum if bend > 0 else [c.name for c in verdict.failed] == ["second order"]
+
+
+def test_vector_control_by_its_own_name() -> None:
+    """From rest at the origin to (3, 4) at rest with a force of at most 1: full force, turned round half-way."""
+    model = go.Model("body")
+    r, v = model.state("r", 2), model.state("v", 2)
+    force, _ = model.vector_control("F", 2)
+    model.ode({r: v, v: force})
+    problem = go.Problem("to a place and stop")
+    leg = problem.phase("there and stop", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
+    leg.final(r=[3.0, 4.0], v=[0.0, 0.0])
+    leg.bounds_norm(F=(0.0, 1.0))
+    problem.minimize(leg.final_time)
+    half = np.sqrt(5.0)
+    t = np.concatenate([np.linspace(0.0, half, 41), np.linspace(half, 2.0 * half, 41)])
+    sign = np.repeat([1.0, -1.0], 41)
+    speed = np.minimum(t, 2.0 * half - t)
+    way = np.where(sign > 0, t**2 / 2.0, 5.0 - (2.0 * half - t) ** 2 / 2.0)
+    along = np.array([[0.6], [0.8]])
+    states, wrong = {"r": along * way, "v": along * speed}, np.array([[0.8], [0.6]])
+    assert go.verify_trajectory(problem, t, states, {"F": along * sign}).ok
+    assert not go.verify_trajectory(problem, t, states, {"F": wrong * sign}).ok
+    with pytest.raises(go.ProblemError, match=r"control 'F' .* has shape"):
+        go.verify_trajectory(problem, t, states, {"F": sign})
