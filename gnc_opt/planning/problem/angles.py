@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -69,6 +71,47 @@ class Turns:
             beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
             above, below = (np.maximum(turns, 0.0) for turns in beyond)
             u[i] = np.clip(u[i] + period * (below - above), low, high)
+        return u
+
+
+@dataclass(frozen=True)
+class AngleProbe:
+    """Finds which controls are angles, from functions of the controls at several points.
+
+    Attributes
+    ----------
+    values : callable
+        Returns the functions (k, N) of controls (n_controls, N).
+    u : array (n_controls, N)
+        Where they are compared.
+    """
+
+    values: Callable[[Array], Array]
+    u: Array
+
+    @cached_property
+    def here(self) -> Array:
+        """The functions at `u`."""
+        return self.values(self.u)
+
+    def period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
+        """Return the first candidate that is a period of the functions in a control, 0 if none is."""
+        for period in candidates:
+            turned, elsewhere = (self.values(self._shifted(i, by)) for by in (period, ELSEWHERE * period))
+            if turned_back(self.here, turned, elsewhere):
+                return period
+        return 0.0
+
+    def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
+        """Whether half a turn of the azimuth cancels a reflection of the elevation at an end of its range."""
+        away = self._shifted(azimuth, half_turn)
+        reflected = away.copy()
+        reflected[elevation] = 2.0 * end - reflected[elevation]
+        return turned_back(self.here, self.values(reflected), self.values(away))
+
+    def _shifted(self, i: int, by: float) -> Array:
+        u = self.u.copy()
+        u[i] += by
         return u
 
 

@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.angles import ELSEWHERE, PERIODS, turned_back
+from gnc_opt.planning.problem.angles import PERIODS, AngleProbe
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 
@@ -36,9 +36,9 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
     if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
-    along = _Along(functions, t, x, u)
+    along = AngleProbe(lambda other: functions.effects(t, x, other), u)
     angles = {i: period for i in range(room.size) if 0 < (period := along.period(i)) < room[i]}
-    pairs = [pair for pair in itertools.permutations(angles, 2) if along.mirrors(pair, angles)]
+    pairs = [pair for pair in itertools.permutations(angles, 2) if _are_pair(along, pair, angles)]
     turned = u.copy()
     for i, j in pairs:
         turned[[i, j]] = _nearest_directions(u[[i, j]], angles[i], angles[j])
@@ -55,49 +55,20 @@ def periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask
     """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
     if not np.any(among):
         return np.zeros(u.shape[0])
-    along = _Along(functions, t, x, u)
+    along = AngleProbe(lambda other: functions.effects(t, x, other), u)
     return np.array([along.period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
+
+
+def _are_pair(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
+    """Whether two angles are azimuth and elevation, the latter within a quarter of a turn."""
+    azimuth, elevation = pair
+    return along.is_mirrored(azimuth, elevation, 0.5 * periods[azimuth], 0.25 * periods[elevation])
 
 
 def _turns_inside(angle: Array, lower: float, upper: float, period: float) -> float:
     """Whole turns, as few as can be, that take angles (N,) between their bounds, 0 if none do."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0
-
-
-class _Along:
-    """What the functions of a phase are along a trajectory, with other controls."""
-
-    def __init__(self, functions: PhaseFunctions, t: Array, x: Array, u: Array) -> None:
-        self.functions, self.t, self.x, self.u = functions, t, x, u
-        self.here = self._values(u)
-
-    def period(self, i: int) -> float:
-        """Return the period of a control, 0 if it has none of `PERIODS`."""
-        for period in PERIODS:
-            if self._same(self._shifted(i, period), self._shifted(i, ELSEWHERE * period)):
-                return period
-        return 0.0
-
-    def mirrors(self, pair: tuple[int, int], periods: dict[int, float]) -> bool:
-        """Whether half a turn of the first and the other side of a quarter turn of the second are the same."""
-        i, j = pair
-        other = self._shifted(i, 0.5 * periods[i])
-        away = other.copy()
-        other[j] = 0.5 * periods[j] - other[j]
-        return self._same(other, away)
-
-    def _same(self, other: Array, away: Array) -> bool:
-        """Whether other controls change nothing, compared with those that are known to be elsewhere."""
-        return turned_back(self.here, self._values(other), self._values(away))
-
-    def _shifted(self, i: int, by: float) -> Array:
-        u = self.u.copy()
-        u[i] += by
-        return u
-
-    def _values(self, u: Array) -> Array:
-        return self.functions.effects(self.t, self.x, u)
 
 
 def _nearest(angle: Array, period: float) -> Array:

@@ -5,7 +5,7 @@ Bounds of angles that leave out no direction: they limit nothing, but stop a sol
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.expressions import ROOTS, operations_in
-from gnc_opt.planning.problem.angles import ELSEWHERE, PERIODS, Turns, turned_back
+from gnc_opt.planning.problem.angles import PERIODS, AngleProbe, Turns
 from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
 from gnc_opt.planning.problem.interval import Interval, free
@@ -71,15 +71,17 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
         return turns
     if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(along(leg))):
         return turns
-    drawn = _Drawn.of(problem, leg)
+    probe = _probe(problem, leg)
+    if not np.all(np.any(np.isfinite(probe.here), axis=1)):
+        return turns
     for i in np.flatnonzero(bounded | np.isinf(room)):
-        turns.periods[i] = drawn.period(int(i), float(room[i]))
+        turns.periods[i] = probe.period(int(i), [*PERIODS, *room[[i]][np.isfinite(room[[i]])]])
     reach = 0.5 * turns.periods
     whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - SHORT) * reach)
     azimuths = np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))).tolist()
     pairs: list[tuple[int, int]] = []
     for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)).tolist():
-        mirrored = (i for i in azimuths if drawn.mirrored((i, j), turns.periods, box.upper[j]))
+        mirrored = (i for i in azimuths if probe.is_mirrored(i, j, 0.5 * turns.periods[i], box.upper[j]))
         azimuth = next(mirrored, None) if abs(room[j] - reach[j]) <= SHORT * reach[j] else None
         pairs += [] if azimuth is None else [(azimuth, j)]
     for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
@@ -89,53 +91,18 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
     return replace(turns, pairs=tuple(pairs))
 
 
-@dataclass(frozen=True)
-class _Drawn:
+def _probe(problem: Statement, leg: Phase) -> AngleProbe:
     """All that varies along a phase, at random times, states, controls and free parameters."""
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
 
-    function: Any
-    at: tuple[Array, ...]
+    def build() -> Any:
+        return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
 
-    @classmethod
-    def of(cls, problem: Statement, leg: Phase) -> _Drawn:
-        t, x, u, p = leg.model.arguments()
-        q = problem.parameter_symbols()
-
-        def build() -> Any:
-            return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
-
-        rng = np.random.default_rng(20)
-        at = [rng.uniform(-1.5, 1.5, (s.numel(), _DRAWS)) for s in (t, x, u, q)]
-        function = problem.once(("along", leg.name), build)
-        return cls(function, (at[0][0], at[1], at[2], leg.model.parameter_values, at[3]))
-
-    def values(self, u: Array) -> Array:
-        t, x, _, p, q = self.at
-        return evaluate(self.function, t, x, u, p, q)
-
-    def shifted(self, i: int, by: float) -> Array:
-        u = self.at[2].copy()
-        u[i] += by
-        return u
-
-    def period(self, i: int, room: float) -> float:
-        """Return the period in a control: the room of its bounds, or one of `PERIODS`; 0 without."""
-        here = self.values(self.at[2])
-        if not np.all(np.any(np.isfinite(here), axis=1)):
-            return 0.0
-        for period in (*PERIODS, *([room] if np.isfinite(room) else [])):
-            turned, elsewhere = (self.values(self.shifted(i, by)) for by in (period, ELSEWHERE * period))
-            if turned_back(here, turned, elsewhere):
-                return period
-        return 0.0
-
-    def mirrored(self, pair: tuple[int, int], periods: Array, upper: float) -> bool:
-        """Whether the second angle on the other side of an end, and half a turn of the first, are the same."""
-        i, j = pair
-        away = self.shifted(i, 0.5 * periods[i])
-        other = away.copy()
-        other[j] = 2.0 * upper - other[j]
-        return turned_back(self.values(self.at[2]), self.values(other), self.values(away))
+    rng = np.random.default_rng(20)
+    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), _DRAWS)) for s in (t, x, u, q))
+    function, values = problem.once(("along", leg.name), build), leg.model.parameter_values
+    return AngleProbe(lambda u: evaluate(function, times[0], states, u, values, free), controls)
 
 
 P = TypeVar("P", bound=Statement)
