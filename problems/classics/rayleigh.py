@@ -44,7 +44,7 @@ def build(limit: float = 0.0) -> go.Problem:
     return problem
 
 
-REFERENCE = Reference(44.8044433, "Betts 2010", 1e-6)
+REFERENCE = Reference(44.8044449, "independent Radau collocation, two meshes; Betts 2010: 44.8044433", 1e-6)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -56,7 +56,7 @@ def build() -> go.Problem:
     return problem
 
 
-REFERENCE = Reference(1.492142, "independent Radau collocation, 300 x 3 points", 4.5e-6, "s")
+REFERENCE = Reference(1.4921412, "independent Radau collocation, finest mesh 700 x 3", 1.5e-6, "s")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

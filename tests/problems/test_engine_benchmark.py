@@ -51,7 +51,7 @@ def test_every_file_has_a_group() -> None:
 
 
 def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: Path) -> None:
-    cases = [Case("further", "terrain_following"), Case("gallery", "zermelo")]
+    cases = [Case("further", "six_dof_landing"), Case("gallery", "zermelo")]
     late, right = (
         next(iter(engine.run([case], tmp_path, limit))) for case, limit in zip(cases, (1, 60), strict=True)
     )
