@@ -15,3 +15,6 @@ Indices: TypeAlias = NDArray[np.int64]
 
 Mask: TypeAlias = NDArray[np.bool_]
 """Which entries are meant."""
+
+GOLDEN_RATIO_FRACTION = 0.5 * (5.0**0.5 - 1.0)
+"""Its multiples, modulo 1, are spread evenly over [0, 1) however many there are: deterministic perturbations."""

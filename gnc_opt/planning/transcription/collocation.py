@@ -128,11 +128,6 @@ class PhaseCollocation:
 
     # --- rows -------------------------------------------------------------------------------------
 
-    @cached_property
-    def row_segments(self) -> Indices:
-        """Segment of each dynamics row, shape (n_dynamics_rows,)."""
-        return np.repeat(np.arange(self.mesh.segments), [self.n_states * c for c in self._row_counts])
-
     @property
     def _row_counts(self) -> list[int]:
         """Vector-valued dynamics rows of each segment."""

@@ -155,7 +155,6 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
         part.n_dynamics_rows == 2 * (11 + 4 * family_of(scheme).extra_rows)
         and part.n_rows == part.n_dynamics_rows + 33
     )
-    assert part.row_segments.tolist() == [k for k, r in enumerate(part.dynamics_rows) for _ in range(r.size)]
     labels = part.row_labels("leg", ("x", "y"), ("a", "b", "c"))
     assert len(labels) == part.n_rows and labels[part.dynamics_rows[2][1, 0] - 20].startswith(
         "y defect, phase leg, segment 3"

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
@@ -32,8 +32,6 @@ Newton's method cannot leave; the perturbation is smooth, deterministic and inde
 
 SUSTAINED = 0.2
 """Share of what a vector control can give from which on the straight line between the ends asks for it all along."""
-
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def perturbation(bounds: Interval, fractions: Array) -> Array:
     ranges = bounds.upper - bounds.lower
     amplitude = PERTURBATION * np.where(np.isfinite(ranges), ranges, 1.0)
     channel = 1.0 + np.arange(ranges.size)
-    phase = 2 * np.pi * (np.outer(1 + channel % 3, fractions) + (_GOLDEN * channel)[:, None])
+    phase = 2 * np.pi * (np.outer(1 + channel % 3, fractions) + (GOLDEN_RATIO_FRACTION * channel)[:, None])
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.check_functions import not_finite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import start_phase
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
@@ -18,8 +18,6 @@ BEND = 0.1
 """How far a line is bent in its middle, as a share of each state's magnitude."""
 
 FRACTIONS = np.linspace(0.0, 1.0, 33)
-
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 P = TypeVar("P", bound=Statement)
 
@@ -44,7 +42,7 @@ def _bends(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
     start, layout, box = start_phase(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.
-    share = BEND * np.cos(2 * np.pi * _GOLDEN * (1 + np.arange(layout.size)))
+    share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
     states = start.states + (phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
