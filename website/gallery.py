@@ -49,7 +49,7 @@ def pages(pictures: bool) -> dict[str, str]:
 def _overview(pictures: bool) -> Iterator[str]:
     """All exhibits at a glance: the controls, or the states of what has none."""
     yield "# Gallery\n"
-    yield "Every problem that comes along, solved and drawn. [A table](../problems.md) tells what each teaches.\n"
+    yield "All examples, solved and plotted. [The list](../problems.md) gives their subjects and known answers.\n"
     for trade, members in by_trade().items():
         yield f'## {trade}\n\n<div class="exhibits" markdown>\n'
         for example in members:
