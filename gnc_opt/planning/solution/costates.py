@@ -20,14 +20,13 @@ converge twice as fast as the values at the points (for LG all do).
 integrand at the points. It meets the segment's end. For LG it also meets the point values; for LGR and LGL
 it is better than those by an order.
 
-**Where a state is held** by its bound, or by a path constraint without controls, the multiplier of a point
-that is a segment boundary is the sum of a density and of an impulse, a jump of the costate. Beside a segment
-that is not held it is taken for an impulse. Along a held segment the one-sided costates come from the points
-instead, and what the bound's multiplier then has to supply in the stationarity of the boundary state is its
-density there. LG knows no such point, but there a bound that holds a state at all nodes of a segment makes
-the row of its end state redundant: any multiplier of that row solves the program, with bound multipliers
-that oscillate from point to point by :math:`e_j` (the coefficients of the row). The costate without that
-oscillation continues the points.
+**Active state constraints.** If a bound, or a path constraint without controls, is active at a collocation
+point on a segment boundary, its multiplier is the sum of a density and an impulse (a jump of the costate).
+Next to a segment without an active constraint it counts as an impulse. Along an active segment the one-sided
+costates come from the points, and the remainder in the stationarity of the boundary state is the density of
+the bound. LG has no such point. There a bound active at all nodes of a segment makes the row of the end state
+redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point to
+point by :math:`e_j` (the coefficients of the row). The costate without that oscillation continues the points.
 
 Costates along arcs on which a path constraint without controls is held.
 
@@ -264,15 +263,15 @@ class _CostatePieces:
     Attributes
     ----------
     pull : array (n_states, N)
-        -d(lambda)/dt at the points, without what is taken for an impulse.
+        -d(lambda)/dt at the points, without impulses.
     held : bool array (n_states, K)
-        Segments along which a bound or path constraint pushes the costate.
+        Segments along which an active bound or path constraint contributes to the costate rate.
     still : bool array (n_states, K)
-        Segments at all nodes of which the state has the same value.
+        Segments on which the state has the same value at all nodes.
     pushed : bool array (n_states, N)
-        Points at which a bound or path constraint pushes, boundaries between segments included.
+        Points at which a bound or path constraint has a nonzero multiplier, segment boundaries included.
     bounded : bool array (n_states, N)
-        Points at which a bound does.
+        Points at which a bound has a nonzero multiplier.
     """
 
     collocation: PhaseCollocation
@@ -302,7 +301,7 @@ class _CostatePieces:
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
         densities = np.where(shared, 0.0, multipliers)
-        # At a phase's end a path constraint pushes with its density; within, see the module's text.
+        # At a phase's end a path constraint contributes its density; inside, see the module docstring.
         at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
         pull = gradient - np.where(at_break, path_push, 0.0) + densities
         start, end = _boundary_costates(collocation, lam_g, weights * pull)
@@ -328,7 +327,8 @@ class _CostatePieces:
     def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
-            # A given end value pushes too; the bound does if it holds the state all along to the phase's end.
+            # A fixed end value has a multiplier too; it belongs to the bound if that is active up to the
+            # phase's end.
             bounded = self.still[:, k] & np.any(self.bounded[:, _points(self.collocation, k)], axis=1)
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
@@ -338,14 +338,15 @@ class _CostatePieces:
         self.impulses[rows, boundary] -= gap[rows]
 
     def settle_redundant_rows(self) -> None:
-        """LG: where a bound holds a state at all nodes of a segment, continue the costate of the points."""
+        """LG: if a bound is active at all nodes of a segment, extrapolate the costate of the points."""
         for k, rule in enumerate(self.collocation.rules):
             here = _points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
             densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
-            # A segment that a bound only touches is nearly still too; there the change would turn pushes around.
+            # The state is nearly constant on a segment with a touch point too; there the change would reverse
+            # multiplier signs.
             pushes = densities * self.weights[here]
             turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > _TURNED * np.abs(change)
             change = np.where(turned, 0.0, change)
@@ -386,7 +387,9 @@ def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
 
 
 def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
-    """Segments pushed at a point within, or (the trapezoidal rule has none) at all points; (n_states, K)."""
+    """Segments with a multiplier at an interior point, or (trapezoidal rule, no interior points) at all
+    points; (n_states, K).
+    """
     columns = []
     for k in range(collocation.mesh.segments):
         inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]
@@ -395,7 +398,7 @@ def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) ->
 
 
 def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
-    """Segments at all nodes of which a state has the same value, (n_states, K)."""
+    """Segments on which a state has the same value at all nodes, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
     return np.asarray(np.stack(spreads, axis=1) <= _HELD * size[:, None])

@@ -18,7 +18,7 @@ PER_SEGMENT = 10
 
 
 def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
-    """Return states, flown controls and costates by time.
+    """Return states, applied controls and costates by time.
 
     Parameters
     ----------

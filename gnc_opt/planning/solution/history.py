@@ -192,7 +192,7 @@ class Pass:
     seconds : float
         Solving and estimating.
     actions : Actions or str
-        What was done to the mesh before; for a structure loop, what its solution asked for.
+        Changes to the mesh before this solve; for a structure loop, the changes its solution requires.
     """
 
     meshes: dict[str, Mesh]
@@ -229,15 +229,15 @@ class History:
     ----------
     status : RefinementStatus
     tolerance : float
-        What was asked for.
+        Requested tolerance.
     passes : tuple of Pass
-        The first of an hp refinement is the solution that was given. Attempts that were given up are among them.
+        Refinement iterations, abandoned ones included. The first of an hp refinement is the given solution.
     chosen : int
         Index of the pass whose solution was returned.
     message : str
         How it ended, in one or two sentences.
     seconds : float
-        Wall time of all of it: passes, structures sought, verdicts.
+        Total wall time: refinement iterations, structure search, verdicts.
 
     Examples
     --------

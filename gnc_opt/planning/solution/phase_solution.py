@@ -118,7 +118,7 @@ class PhaseSolution:
     composed_controls : tuple of ComposedControl
         Controls as they were declared that are made of two of ``controls``.
     turns : Turns or None
-        Where controls that are angles are told by name; ``u`` runs on.
+        Range in which angular controls are returned by name; ``u`` is continuous across turns.
 
     Examples
     --------

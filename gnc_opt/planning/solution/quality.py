@@ -1,12 +1,12 @@
-r"""How good a trajectory is between its nodes: three numbers that do not come from the solver.
+r"""Accuracy of a trajectory between its nodes: three figures independent of the solver.
 
 How far a trajectory is beyond what a constraint allows: a distance, not a value.
 
-The value of a constraint says nothing by itself: :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1` are one
-limit. What counts is the set of states and controls that it allows. So the depth of a point beyond it is the
-distance to that set along the constraint's own gradient, states and controls scaled by their sizes. It is judged in
-shares of the flight's size, or of the width of what is allowed or forbidden there where that is far less: a sphere of
-10 m on a flight of 10 km.
+The value of a constraint says nothing by itself: :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1`
+are one limit. The measure is therefore the distance of a point to the feasible set, along the constraint's
+gradient, with states and controls scaled by their sizes. It is expressed as a share of the trajectory's size,
+or of the local width of the feasible or excluded set if that is far less: a sphere of 10 m on a flight of 10
+km.
 
 Where a trajectory is beyond its limits: at the samples and between them.
 
@@ -62,11 +62,11 @@ def shares(depth: Array, bounds: Interval, scale: Array) -> Array:
 
 
 def path_offences(found: Violations, samples: PhaseSamples) -> Array:
-    """Return how far points are beyond what their path constraints allow, as shares (m,).
+    """Return the distance of points from the feasible set of their path constraints, as shares (m,).
 
-    Where there is no gradient (the centre of a sphere), or no allowed point along it, the line leads to the nearest
-    sample that the constraint allows. Where there is none either, as states and controls cannot restore the
-    constraint, its excess counts in shares of its values. What is not finite is infinitely far off.
+    If the gradient vanishes (the centre of a sphere) or no feasible point lies along it, the distance is that
+    to the nearest feasible sample. If there is none, the excess counts as a share of the constraint's values.
+    Values that are not finite have infinite distance.
     """
     start = np.zeros(found.times.size)
     line = _Line(found, samples, _gradient(found, samples))
@@ -260,10 +260,11 @@ class Violations:
 
 
 def violations(samples: PhaseSamples, limits: Limits) -> Violations:
-    """Return where the polynomials of a phase leave limits.
+    """Return the times and amounts by which the polynomials of a phase exceed limits.
 
-    A sample that no neighbour surpasses has a peak beside it. Unless that would have to rise far more above the sample
-    than the samples change, it is found by narrowing the bracket between the neighbours.
+    A sample not exceeded by its neighbours brackets a local maximum, which is located by narrowing the
+    bracket between the neighbours, unless it cannot rise above the sample by much more than the samples
+    change.
     """
     if not limits.rows.size:
         leg, nothing = samples.leg, np.zeros(0)
@@ -295,14 +296,14 @@ def _highest(groups: Indices, values: Array) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class _Tops:
-    """Samples whose excess no neighbour in the segment surpasses.
+    """Samples whose excess is a local maximum within the segment.
 
     Attributes
     ----------
     limits, samples : int array (m,)
         Which.
     excess, swing : array (m,)
-        Excess there, and by how much more it is than at the lower neighbour.
+        Excess there, and its difference to the lower neighbour.
     left, right : array (m,)
         Times of the neighbours.
     room : array (m,)
@@ -370,14 +371,14 @@ class Quality:
     Attributes
     ----------
     max_defect : float
-        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, in shares of what
-        the state moves.
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, as a share
+        of the state's span.
     max_bound_violation : float
-        Farthest that states and controls are beyond a bound or path constraint, at nodes and between, as a share of
-        the flight's size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
+        Largest violation of a bound or path constraint, at nodes and between, as a share of the trajectory's
+        size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
     terminal_error : float
-        Largest miss at the end of a phase when the flown control is integrated from its initial state, in shares of
-        what the controls move the state.
+        Largest propagation error at the end of a phase, with the applied control integrated from the initial
+        state, as a share of the change of state that the controls cause.
     defect_where, bound_where, terminal_where : str
         Places of the three.
 
@@ -470,7 +471,7 @@ def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) 
 
 
 def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:
-    """Return the worst final miss of the flown control, or of the parts between times at which it starts anew."""
+    """Return the largest propagation error of the applied control, or of the parts between restart times."""
     leg = samples.leg
     run = propagate(leg, samples.functions, anew=anew)
     misses = np.abs(run.error) / samples.end_scale

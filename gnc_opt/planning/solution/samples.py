@@ -49,14 +49,15 @@ _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
 
 @dataclass(frozen=True)
 class EdgeSegment:
-    """A segment where a state constraint is reached or left, its costate integrated anew (module `pushes`).
+    """A segment where a state constraint becomes active or inactive, its costate integrated again (module
+    `pushes`).
 
     Attributes
     ----------
     segment : int
     costates : array (n_states, n_samples of the segment)
     offence : array (n_states,)
-        What no legitimate push explains, in shares of the cost.
+        Residual that no multiplier of admissible sign explains, as a share of the cost.
     """
 
     segment: int
@@ -209,17 +210,17 @@ class PhaseSamples:
 
     @cached_property
     def hamiltonian(self) -> Array:
-        """H along the flown control (n_samples,)."""
+        """H along the applied control (n_samples,)."""
         return self.functions.hamiltonian(self.times, self.x, self.u, self.lam)
 
     @cached_property
     def control_gradient(self) -> Array:
-        """d(H + mu.c)/du along the flown control (m, n_samples)."""
+        """d(H + mu.c)/du along the applied control (m, n_samples)."""
         return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
 
     @cached_property
     def control_hessian(self) -> Array:
-        """d2(H + mu.c)/du2 along the flown control (m, m, n_samples)."""
+        """d2(H + mu.c)/du2 along the applied control (m, m, n_samples)."""
         return self.functions.control_hessian(self.times, self.x, self.u, self.lam, self.mu)
 
     @cached_property
@@ -263,7 +264,7 @@ class PhaseSamples:
 
     @cached_property
     def switching(self) -> Array:
-        """dH/du without path multipliers along the flown control (m, n_samples)."""
+        """dH/du without path multipliers along the applied control (m, n_samples)."""
         return self.functions.switching(self.times, self.x, self.u, self.lam)
 
     @cached_property
@@ -285,9 +286,10 @@ class PhaseSamples:
 
     @cached_property
     def _balanced_slopes(self) -> Array:
-        """Slopes of H in the controls (m,) by costates that vanish all along because the terms of their rates cancel.
+        """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel.
 
-        Along a totally singular phase that is what there is to compare with: the costates themselves are rounding.
+        They are the reference along a totally singular phase, where the costates themselves are rounding
+        errors.
         """
         leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
         at = middles, leg.x(middles), leg.flown(middles)
@@ -310,7 +312,7 @@ class PhaseSamples:
 
     @property
     def joint_worth(self) -> float:
-        """What half the spans of all controls are worth in H at most along the phase, cost per second.
+        """Largest change of H along the phase for half the spans of all controls, cost per second.
 
         By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature; where
         costates vanish, by the terms that cancel in their rates. What is constant, or drifts without the controls, does
@@ -338,7 +340,7 @@ class PhaseSamples:
 
     @cached_property
     def cost_scale(self) -> float:
-        """Largest |lambda_i| x_i along the phase: what the states are worth in units of the cost."""
+        """Largest |lambda_i| x_i along the phase: the states' sizes in units of the cost."""
         worth = float(np.max(np.abs(self.lam_polynomial) * self.state_scale[:, None], initial=0.0))
         worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
         return worth if worth > 0 else 1.0
@@ -465,7 +467,7 @@ class PhaseSamples:
 @cache
 def sampled_places(degree: int) -> tuple[Array, Array]:
     """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
-    n = min(degree + EXTRA, MAX_POINTS)  # a rule's other tables take as long, and nobody needs them here
+    n = min(degree + EXTRA, MAX_POINTS)  # the rule's other tables take as long and are not used here
     return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
 
 

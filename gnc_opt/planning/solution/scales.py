@@ -1,16 +1,18 @@
-r"""How far states and controls move on a flight: what their deviations are measured against.
+r"""Scales of states and controls: reference magnitudes for their deviations.
 
-A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
-not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
-the components of a vector. A state that hardly moves has what the controls could move it,
-:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k` with the mean deviation :math:`\Delta u_k` of each control
-from its mean (a constant one: its span), or the same through another state. What nothing can move has the width of its
-limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
+Sizes depend on units and origin (a position of 7000 km on a trajectory of 1 m); spans do not depend on the
+origin. The scale of a state is its span, the largest distance from its initial value, shared by the
+components of a vector. The scale of a nearly constant state is the change that the controls could cause,
+:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k` with the mean deviation :math:`\Delta u_k` of each
+control from its mean (a constant one: its span), or the same through another state. A state that no control
+affects has the width of its limits, or its size. Scales are at least `RESOLUTION` of the size, to exclude
+rounding.
 
 How much of its curvature in a control H keeps over a span: rounded kinks do not keep it, and rounding is none.
 
-A kink that is rounded, as :math:`\sqrt{u^2 + e^2}` for :math:`|u|`, curves as :math:`1 / e` and is worth no more than
-the kink. Where costates are rounding, H does not change over a span as its curvature foretells.
+A smoothed kink, such as :math:`\sqrt{u^2 + e^2}` for :math:`|u|`, has curvature :math:`1 / e` but changes H
+by no more than the kink. If the costates are rounding errors, the curvature does not predict the change of H
+over a span.
 
 Controls that do nothing: the steering angle of an engine that is off.
 """
@@ -202,20 +204,21 @@ def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used:
 def control_spans(
     leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
 ) -> Array:
-    """Return how far each control moves along a phase (n_controls,), at most its range; positive.
+    """Return the span of each control along a phase (n_controls,), positive and at most its range.
 
     Parameters
     ----------
     flown, pull, curvature : array (n_controls, n_samples)
-        The control; what the costates' terms contribute to dH/du; d2H/du2. A constant control is moved by
-        pull / curvature from where the integrands alone would have it. One that is idle and has no range has the span
-        that is worth in H what the others are.
+        The control; the costates' part of dH/du; d2H/du2. The span of a constant control is pull / curvature,
+        its distance from the minimum of the integrands alone. An inactive control without a range has the
+        span that changes H as much as the others do.
     terms : float
-        What the products of costates and rates in H amount to, which counts where all controls are idle, as the heading
-        along a straight line; if all that is rounding, a control has its size, or 1.
+        Size of the products of costates and rates in H, used if all controls are inactive, such as the
+        heading along a straight line; if that is rounding too, the span is the control's size, or 1.
     asked : array (n_controls,)
-        What the controls would have to be to do what the flight does (`steering`). A control without a range that
-        nothing moves spans that, or its own size if that is less; one that is rounding beside it has no size.
+        Controls needed for the trajectory's motion (`steering`). The span of a constant control without a
+        range is this value, or its own size if less; a control that is rounding compared with it has size
+        zero.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size

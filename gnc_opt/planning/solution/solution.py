@@ -1,4 +1,4 @@
-"""Solution: what `solve` returns; numbers that can be evaluated, judged, saved and used as a guess."""
+"""Solution: the result of `solve`, to be evaluated, verified, saved and used as a guess."""
 
 from __future__ import annotations
 
@@ -67,15 +67,16 @@ class Solution:
         Worst first; empty when solved.
     statistics : Statistics
     structure : tuple of Arc
-        Which control sits on which bound when, from a refinement that optimised switch times; else empty.
+        Arcs of the controls on and between their bounds, from a refinement that optimised switch times; else
+        empty.
     history : History or None
-        What a refinement did.
+        Record of the refinement.
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
-        What was solved, a copy that cannot be changed; None after loading without it.
+        Immutable copy of the solved problem; None after loading without it.
     bound : LowerBound or None
-        What no trajectory of the problem can pass, from `bound_below`; files do not keep it.
+        Lower bound of the cost of all trajectories, from `bound_below`; not saved to files.
     verdict : Verdict or None
         Result of `verify` at its default tolerance, once computed. A copy made by `dataclasses.replace` has none.
 
@@ -119,7 +120,8 @@ class Solution:
     def gap(self) -> float | None:
         """Distance of the objective from its bound, relative to the objective; None where no bound is known.
 
-        Up to the tolerances of both solves, which may make it negative; see ``bound.certified`` for what it is worth.
+        Accurate to the tolerances of both solves, which may make it negative; see ``bound.certified`` for its
+        validity.
         """
         if self.bound is None:
             return None
@@ -218,7 +220,7 @@ class Solution:
 
     @cached_property
     def _samples(self) -> dict[str, PhaseSamples]:
-        """Kept, for what is derived from them is asked for again and again while a solution is refined."""
+        """Cached: refinement evaluates derived quantities repeatedly."""
         return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
 
     # --- quality ----------------------------------------------------------------------------------
@@ -286,7 +288,7 @@ class Solution:
     # --- files and tables -------------------------------------------------------------------------
 
     def to_pandas(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
-        """Return states, flown controls and costates as a table, one column per component, by time (s).
+        """Return states, applied controls and costates as a table, one column per component, by time (s).
 
         Parameters
         ----------
@@ -308,7 +310,7 @@ class Solution:
         return records(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
-        """Return states, flown controls and costates as variables over time (s), each with its unit.
+        """Return states, applied controls and costates as variables over time (s), each with its unit.
 
         Parameters
         ----------
@@ -331,7 +333,7 @@ class Solution:
         return records(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
 
     def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
-        """Write states, flown controls and costates to a file for other programs, and return its path.
+        """Write states, applied controls and costates to a file for other programs, and return its path.
 
         Parameters
         ----------
@@ -361,7 +363,7 @@ class Solution:
         Returns
         -------
         Path
-            The file written. It holds the quality figures too: measured now, or carried over if this solution was
+            The file written. It holds the quality figures too: computed now, or copied if this solution was
             itself loaded without its problem.
 
         Raises

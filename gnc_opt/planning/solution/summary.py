@@ -70,11 +70,11 @@ def summary(solution: SummarisedSolution) -> str:
     """Return about six lines on a solution.
 
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
-    between nodes; terminal miss when the flown control is integrated, each with its place. A refined solution tells
-    its verdict and the error asked for and reached; a verdict that is ok speaks for defect and bounds. Further lines
-    tell a lower bound of the cost, if one is known, say which norms were restated, name controls whose polynomial
-    overshoots and tables that the trajectory leaves, say what to do after a failed solve, and warn when the figures
-    were not measured just now but when the solution was saved.
+    between nodes; propagation error of the applied control, each with its place. A refined solution shows its
+    verdict and the requested and reached error; a verdict that is ok replaces defect and bounds. Further
+    lines give a known lower bound of the cost, the reformulated norms, controls whose polynomial overshoots,
+    tables whose range is left, the remedy after a failed solve, and a warning if the figures date from when
+    the solution was saved.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _failure(solution: SummarisedSolution) -> Iterator[str]:
 
 
 def _refinement(solution: SummarisedSolution) -> Iterator[str]:
-    """What a refinement was asked for and reached, and which conditions of its verdict are open."""
+    """Return the requested and reached error of a refinement and the open conditions of its verdict."""
     history = solution.history
     if history is None:
         return

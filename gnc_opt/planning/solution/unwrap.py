@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.interval import Interval
 def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
     """Return controls (m, N) with angles moved by whole periods to be nearest to those before them.
 
-    Those that bounds leave no room for stay where they are, and all if they do not jump.
+    Angles that would leave their bounds are unchanged, and so are all angles without jumps.
 
     Parameters
     ----------

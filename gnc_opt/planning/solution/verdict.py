@@ -58,27 +58,27 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition of optimality and how well it holds.
+    """One condition of optimality and its residual.
 
     Attributes
     ----------
     name : str
     result : Result
     value : float
-        The worst offence, dimensionless (see ``meaning``).
+        The worst violation, dimensionless (see ``meaning``).
     tolerance : float
         Largest value that passes.
     where : str
-        Phase, time and quantity of the worst offence.
+        Phase, time and quantity of the worst violation.
     meaning : str
         What the condition says and what its failure means, in one or two sentences.
     sufficient : bool
-        False: necessary for a minimum, and ``Verdict.ok`` needs it told. True: part of what suffices for a strict
-        local minimum, so that only ``Verdict.minimum`` needs it told; FAIL says then that its necessary form is
-        violated too, CANNOT TELL that the margin is missing or that there is no test.
+        False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient
+        conditions of a strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means
+        that its necessary form is violated too, CANNOT TELL that the margin is missing or that no test
+        applies.
     loss : float or None
-        What the offences along the whole trajectory cost, to first order, in units of the cost; None where that is not
-        told.
+        First-order cost of the violations along the whole trajectory, in units of the cost; None if unknown.
     unit : str
         Of the loss; empty where it is not known.
 
@@ -101,7 +101,9 @@ class Condition:
 
     @property
     def offence_text(self) -> str:
-        """The place of the worst offence and, if it is told, the loss of cost: "phase leg, t = 1 s; costs 0.02 s"."""
+        """The place of the worst violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02
+        s".
+        """
         return (
             self.where if self.loss is None else f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip()
         )
@@ -116,11 +118,11 @@ class Verdict:
     problem_name : str
     conditions : tuple of Condition
     not_judged : str
-        Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
+        Why the minimum principle could not be checked: "no costates"; empty if it was.
     estimated : bool
         Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
     bound : LowerBound or None
-        What no trajectory of the problem can pass, if the solution knows it (`bound_below`).
+        Lower bound of the cost of all trajectories, if known (`bound_below`).
     gap : float or None
         Distance of the objective from the bound, relative to the objective.
 
@@ -140,7 +142,7 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Whether the necessary conditions of a minimum hold: none fails, and none of them is untold."""
+        """Whether the necessary conditions of a minimum hold: none fails and none is inconclusive."""
         return not self.failed and not self.not_judged and all(c.sufficient for c in self.untold)
 
     @property
@@ -156,17 +158,19 @@ class Verdict:
 
     @property
     def untold(self) -> tuple[Condition, ...]:
-        """The conditions that cannot be told."""
+        """The inconclusive conditions."""
         return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
 
     @property
     def open(self) -> tuple[Condition, ...]:
-        """The conditions that keep it from being ok: those that fail, then necessary ones that cannot be told."""
+        """The conditions that prevent ``ok``: those that fail, then inconclusive necessary ones."""
         return (*self.failed, *(c for c in self.untold if not c.sufficient))
 
     @property
     def word(self) -> str:
-        """The verdict in a word or two: "ok", "NOT ok", or what was not judged: "not judged: no costates"."""
+        """The verdict in short: "ok", "NOT ok", or the reason why it was not judged: "not judged: no
+        costates".
+        """
         if self.failed:
             return "NOT ok"
         missing = self.not_judged or ", ".join(c.name for c in self.untold if not c.sufficient)

@@ -220,9 +220,9 @@ def _stretch(old: PhaseSolution, fractions: Array) -> Array:
 def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     """Return the problem with the trajectory of another one's solution as its guess, as far as both agree.
 
-    For the solution of a simpler problem: with fewer states, another model or other phases. (A solution of a problem
-    with the same phases, states and controls is worth more as ``solve(problem, guess=solution)``: that takes its
-    multipliers, too.)
+    For the solution of a simpler problem: with fewer states, another model or other phases. (A solution of a
+    problem with the same phases, states and controls is better used as ``solve(problem, guess=solution)``,
+    which takes its multipliers too.)
 
     Parameters
     ----------
@@ -284,6 +284,6 @@ def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
 
 
 def _function(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
-    """Return a signal as a guess, which may be asked for times just outside the phase."""
+    """Return a signal as a guess that can be evaluated just outside the phase."""
     first, last = float(leg.breaks[0]), float(leg.breaks[-1])
     return lambda t: np.asarray(signal(min(max(float(t), first), last)))
