@@ -1,4 +1,4 @@
-"""Angles: what is the same after a turn, and where angles are told."""
+"""Angles: periods of angular controls and the range in which their values are returned."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ ELSEWHERE = 0.37
 
 @dataclass(frozen=True)
 class Turns:
-    """Which controls are angles without limits, and where they are told: within a range that limits nothing.
+    """Angular controls without effective limits, and the range in which their values are returned.
 
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        One turn, or more if the bounds leave room for more: then angles run on within them. Half a turn of the second
-        angle of a pair; infinite for what is no such angle.
+        Range of one turn, or the bounds if they are wider; half a turn for the second angle of a pair;
+        infinite for other controls.
     periods : array (n_controls,)
-        0 for what is no angle.
+        Period of each control; 0 for controls that are not angles.
     pairs : tuple of (int, int)
         Azimuths and elevations: half a turn of the first and the other side of the end of the second one's range are
         the same direction.
@@ -46,10 +46,10 @@ class Turns:
         return np.isfinite(self.lower)
 
     def around(self, bounds: Interval) -> Interval:
-        """Return bounds of controls for a solver: of angles a turn beyond where they are told, to both sides.
+        """Return control bounds for a solver: angles get their range extended by one turn on both sides.
 
-        That is room to cross over. Without any bounds steps of a long flight lead many turns away and back: a spiral of
-        a hundred revolutions took fifteen times the iterations.
+        The extension lets an angle cross the ends of its range. Without bounds, iterates of a long trajectory
+        move many turns away: a spiral of 100 revolutions needs 15 times the iterations.
         """
         return Interval(
             np.where(self.free, self.lower - self.periods, bounds.lower),
@@ -57,7 +57,9 @@ class Turns:
         )
 
     def within(self, u: Array) -> Array:
-        """Return controls (n_controls, ...) with the angles where they are told; what is there by rounding stays."""
+        """Return controls (n_controls, ...) with angles moved into their range; values within rounding of it
+        are unchanged.
+        """
         u = u.copy()
         for azimuth, elevation in self.pairs:
             period, upper = self.periods[elevation], self.upper[elevation]

@@ -1,6 +1,6 @@
 """Controls, path constraints and states that are held at their limits segment by segment.
 
-Arcs: which control sits on which bound when.
+Arcs: intervals on which a control is on its lower bound, on its upper bound or between them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from gnc_opt.planning.problem.interval import Interval
 class ArcKind(Enum):
     """Where a control, path constraint or state is during an arc.
 
-    A constrained control is between its bounds, where a state on its bound or an active path constraint determines it;
-    the arcs of the latter are LOWER or UPPER under their own names. A released one may leave its limits, which tells
-    the structure loop where its arc has to end, and an eased one by a tenth of its range only; no arc of a finished
-    solution is released or eased.
+    A constrained control is between its bounds, where a state on its bound or an active path constraint
+    determines it; the arcs of the latter are LOWER or UPPER under their own names. A released control may
+    leave its limits, which shows the structure loop where its arc has to end; an eased control may do so by a
+    tenth of its range. No arc of a finished solution is released or eased.
     """
 
     LOWER = "lower"
@@ -40,7 +40,7 @@ class ArcKind(Enum):
 
     @property
     def at_limit(self) -> bool:
-        """Whether it sits on a limit."""
+        """Whether the arc is at a limit."""
         return self in _SIGNS
 
     @classmethod

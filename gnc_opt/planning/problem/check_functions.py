@@ -260,7 +260,7 @@ class Tried:
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
 
     def first_bad(self) -> tuple[str, int] | None:
-        """What is not finite, and which of the times is the first one."""
+        """Return the quantity that is not finite and the index of the first time at which it is not."""
         bad = np.argwhere(~np.isfinite(self.values))
         if bad.size:
             row, time = bad[np.argmin(bad[:, 1])]
@@ -340,7 +340,7 @@ class _Guessed:
 
     @classmethod
     def of(cls, leg: Phase) -> _Guessed:
-        # With the ends, where users' functions are told of.
+        # The end points are included: messages there name the user's functions.
         start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = phase_magnitudes(leg)
         states = _inside(start.states[:, 1:-1], leg.numbers.states, scales)
@@ -378,7 +378,7 @@ def _check_ends(problem: Statement, ends: list[Any]) -> None:
 
 
 def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
-    """Move values (n, N) into the bounds (n,) and, where those leave room, a little off them."""
+    """Move values (n, N) into the bounds (n,), slightly inside them if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
     push = _PUSH * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])

@@ -22,7 +22,7 @@ class Constraint:
     name : str
     expression : casadi.SX (size, 1)
     interval : Interval
-        Limits that are asked for.
+        Required limits.
 
     Examples
     --------

@@ -147,7 +147,7 @@ def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 
 
 def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
-    """Raise `ProblemError` if a cost or boundary constraint uses what is not a value at an end of a phase."""
+    """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
     phases = list(phases)
     foreign = foreign_symbols(expression, end_symbols(phases, free_parameters))
     if not foreign:

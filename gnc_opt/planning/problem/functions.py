@@ -5,9 +5,9 @@ This module owns the sign of the Hamiltonian. For the minimised functional J,
 .. math:: H = \sum_i w_i L_i + \lambda^T f, \qquad H_a = H + \mu^T c,
 
 with integrands L_i and their weights w_i = dJ/dI_i (1 for a plain Lagrange cost), path constraints c and
-multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H, and
-:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so they can judge
-it.
+multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H,
+and :math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so
+they check it independently.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ class PhaseFunctions:
     def separable_controls(self) -> Mask:
         """Controls of which H is the sum of affine functions and a function of the others (n_controls,).
 
-        None of them enters a path constraint. Told by which expressions depend on which controls, hence some that
-        cancel out may be missing; and a step of H in a control, whose derivative vanishes, is overlooked.
+        None of them enters a path constraint. The test uses the sparsity of the expressions: controls whose
+        terms cancel may be missing, and a step of H in a control (zero derivative) is not detected.
         """
         coupled = np.zeros(self.functions["switching"].size1_out(0), dtype=bool)
         for name in ("switching", "paths"):

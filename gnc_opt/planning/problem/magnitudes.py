@@ -24,10 +24,10 @@ SIZES = np.logspace(-8, 12, 161)
 
 
 def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Array:
-    """Return the typical magnitude that path constraints leave to each control, (m,); 0 where they say nothing.
+    """Return the typical control magnitude (m,) that path constraints allow; 0 for unconstrained controls.
 
-    It is the least size, of either sign, beyond which a constraint that holds without controls is broken, at the
-    guessed state at which that is largest; a constraint that has no room there says nothing.
+    It is the smallest size, of either sign, beyond which a constraint satisfied at zero control is violated,
+    at the guessed state where that size is largest. A constraint active at zero control is ignored.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
     start : PhaseStart
         The guess there.
     wanted : bool array (m,)
-        Which controls are asked for; the others are 0.
+        Controls to evaluate; the others are 0.
     """
     reach, box = np.zeros(wanted.size), leg.path_interval()
     if not leg.paths or not np.any(wanted):
@@ -48,7 +48,7 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
         trials = np.concatenate([[0.0], SIZES, -SIZES])
         controls = np.zeros(
             (wanted.size, trials.size, n)
-        )  # not as guessed: on a sphere each of them has no room
+        )  # not as guessed: on a sphere no component moves alone
         controls[i] = trials[:, None]
         values = evaluate(
             function,

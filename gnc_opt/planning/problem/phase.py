@@ -425,9 +425,9 @@ class Phase(Strict):
         Parameters
         ----------
         arcs : array (n_controls, K) of ArcKind or int, or None
-            LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its bounds,
-            RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With movable mesh boundaries the
-            switch times are then what is left to optimise. ``None`` lets everything go.
+            LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its
+            bounds, RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With free
+            breakpoints only the switch times remain to optimise. ``None`` releases all controls.
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional
@@ -528,13 +528,14 @@ class Phase(Strict):
         return bool(least[0] > 0) or vector.name in self._curved
 
     def replace_controls(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
-        """Take note that the model, the constraints and the integrands are those of a vector control now.
+        """Record that the model, the constraints and the integrands use a vector control.
 
         Parameters
         ----------
         vector : VectorControl
         on_sphere : bool, optional
-            Whether its direction has the length 1; default: as `on_sphere` tells of others.
+            Whether its direction has length 1; default: the value of `on_sphere` for the other vector
+            controls.
         """
         lengths = {v.length for v in self.vectors}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
@@ -578,7 +579,9 @@ class Phase(Strict):
         return tuple(self._owner.phases.values())
 
     def note_told(self, end: str, state: str, component: int, value: float) -> None:
-        """Note what a boundary constraint tells of a state at the "initial" or "final" end, for the guess."""
+        """Record, for the guess, the state value that a boundary constraint implies at the "initial" or
+        "final" end.
+        """
         told = self.told.get((end, state), np.full(self.model.states[state].size, np.nan)).copy()
         told[component] = value
         self.told[end, state] = told

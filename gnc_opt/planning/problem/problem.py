@@ -360,7 +360,7 @@ class Problem(Statement):
         start : float, tuple or None
             Initial time of the first phase, s, as in ``Phase.time``.
         drops : mapping of str to mapping, optional
-            What is left behind at the end of a phase, by state, > 0: ``{"boost": {"m": 1200.0}}``.
+            Amount > 0 dropped at the end of a phase, by state: ``{"boost": {"m": 1200.0}}``.
 
         Raises
         ------

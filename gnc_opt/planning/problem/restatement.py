@@ -12,7 +12,7 @@ from gnc_opt.model.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Restatement:
-    """Norms of controls, written by hand, as magnitudes of vector controls.
+    """Explicit control norms reformulated as magnitudes of vector controls.
 
     Attributes
     ----------

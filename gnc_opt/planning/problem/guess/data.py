@@ -28,9 +28,9 @@ def guess_from_data(
     ----------
     problem : Problem
     data : mapping of str to array (n_times,), pandas.DataFrame, str or Path
-        A column per component of a state or control, named as in reports: ``q``, ``r[0]``, ``r[1]``. Names that the
-        phase does not have are passed over; what is left out is guessed. A path is that of a CSV file with the
-        names in its first row.
+        A column per component of a state or control, named as in reports: ``q``, ``r[0]``, ``r[1]``. Unknown
+        names are ignored; missing components are guessed. A path refers to a CSV file with the names in its
+        first row.
     phase : str, optional
         May be left out when there is one.
     time : str

@@ -72,10 +72,11 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
 
 
 def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
-    """Let a vector control, at all times, be what half way between the ends the rate from one to the other asks for.
+    """Set a vector control, at all times, to the value that gives the mean rate between the ends at their
+    midpoint.
 
-    Where that is sustained thrust. If it is more than the vector can give, no flight is near to the straight line; if
-    it is little, pulses will do, and nothing is told of when.
+    Applies to sustained thrust. If the required value exceeds the vector's limit, no trajectory is near the
+    straight line; if it is small, short pulses suffice and their times are unknown.
     """
     layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
     if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
@@ -147,7 +148,8 @@ def note_told_ends(
 def balanced(
     leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
-    r"""Return magnitude and direction of the vector by which a state best follows a rate; None if none can be told.
+    r"""Return magnitude and direction of the vector by which a state best follows a rate; None if
+    undetermined.
 
     The least squares of :math:`f(x, 0) + B T - \dot x` over the rates that the vector moves, each in units of what it
     does to them, so that units of states do not matter.
@@ -187,8 +189,8 @@ def balanced(
 def guess_times(leg: Phase) -> Array:
     """Return guessed initial and final time, shape (2,).
 
-    A phase whose start is linked to the end of another one begins there. An end of which nothing is told shares the
-    time up to the next one of which something is, evenly with the phases in between.
+    A phase linked to the end of another phase begins there. Phases with unspecified ends share the time up to
+    the next specified end evenly.
     """
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
@@ -213,7 +215,9 @@ def _is_told(time: Interval) -> bool:
 
 
 def _share(leg: Phase | None, start: float) -> float:
-    """Return what each phase takes of the time from a start, in the phase before a given one, to the next end told."""
+    """Return the equal share per phase, s, of the time from the start before a given phase to the next
+    specified end.
+    """
     phases = 1
     while leg is not None:
         phases += 1

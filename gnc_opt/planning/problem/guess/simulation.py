@@ -1,6 +1,6 @@
 """Guesses by flying: the dynamics integrated under a control law.
 
-Guesses by flying with the guessed controls: what is left where straight lines lead nowhere.
+A simulation with the guessed controls is the guess if straight lines do not converge.
 """
 
 from __future__ import annotations
@@ -72,14 +72,14 @@ def simulate_guess(
     ----------
     problem : Problem
     controls : mapping of str to SX, number or array, or function of time
-        The law by name of control; expressions in time, states and parameters of the model, such as thrust along
-        the velocity. What leaves the bounds is clipped; controls left out are in the middle of theirs.
+        The law by name of control; expressions in time, states and parameters of the model, such as thrust
+        along the velocity. Values are clipped to the bounds; omitted controls are in the middle of theirs.
     phase : str, optional
         May be left out when there is one.
     initial : mapping of str to number or array, optional
         States to begin with, where the initial values of the phase leave them open.
     duration : float, optional
-        s; default: that of the guess there is.
+        s; default: that of the present guess.
     until : SX, optional
         The flight ends where this expression in time, states and parameters becomes zero; then ``duration`` is the
         longest it may take.

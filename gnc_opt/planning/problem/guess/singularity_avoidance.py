@@ -1,4 +1,4 @@
-"""Straight lines that run through a point where a function or its derivatives are no numbers, bent around it."""
+"""Curved guesses that avoid points where a function or its derivatives are not finite."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ P = TypeVar("P", bound=Statement)
 
 
 def bent(problem: P) -> P:
-    """Return the problem with states bent off their straight lines in phases where a function is not finite on them.
+    """Return the problem with curved state guesses in phases where a function is not finite on the straight
+    lines.
 
     ``norm_2(r) >= c`` on a straight line through the centre, for one, has no derivative there. What the user guesses
     stays, and so does all of a phase where the bend does not help.

@@ -1,4 +1,4 @@
-r"""Norms and kinks written by hand, restated without them.
+r"""Reformulation of explicit norms and kinks as smooth terms.
 
 ``T.T @ T <= d**2``, ``norm_2(T) <= 5`` and ``sqrt(T_x**2 + T_y**2 + T_z**2)`` in a cost or a mass flow have no slope,
 or no derivative, where a control is zero, which is where optima coast. With :math:`T = s n`, the magnitude s >= 0 and a

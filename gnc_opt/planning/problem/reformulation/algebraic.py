@@ -8,10 +8,10 @@ A control z of which an equality :math:`g(t, x, z, p) = c` leaves nothing free i
     \\dot z = -\\left(\\frac{\\partial g}{\\partial z}\\right)^{-1}
               \\left(\\frac{\\partial g}{\\partial t} + \\frac{\\partial g}{\\partial x} \\dot x\\right)
 
-from a value with :math:`g = c` at the start of the phase, which keeps g = c: z is solved for as a state with that
-boundary constraint, without a path constraint. Costates are those of the states with z beside them. Equalities that
-were stated with `Phase.path` stay unless all other controls are bounded and enter affinely, where they would hide
-bang-bang arcs (U. M. Ascher and L. R. Petzold, Computer Methods for Ordinary
+from a value with :math:`g = c` at the start of the phase, which keeps g = c: z is solved for as a state with
+that boundary constraint, without a path constraint. The costates are those of the states, with z appended.
+Equalities that were stated with `Phase.path` stay unless all other controls are bounded and enter affinely,
+where they would hide bang-bang arcs (U. M. Ascher and L. R. Petzold, Computer Methods for Ordinary
 Differential Equations and Differential-Algebraic Equations, 1998, section 9.1).
 """
 

@@ -40,7 +40,7 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class Extremum:
-    """A kink that an optimum pushes against, as the largest or least of its pieces.
+    """A kink that can be active at an optimum, as the maximum or minimum of its pieces.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def _state_senses(problem: Statement, leg: Phase) -> dict[str, int]:
         end = intersect(numbers.final, numbers.states)
         fills = end.upper[i] > numbers.initial.upper[i]
         limits = int(np.isfinite(end.upper[i]) and fills) - int(np.isfinite(end.lower[i]))
-        told = limits * int(end.lower[i] < end.upper[i])  # a given end tells nothing
+        told = limits * int(end.lower[i] < end.upper[i])  # a fixed end is known
         senses[name] = told if slope.is_zero() else domain.sign(slope)
     return senses
 

@@ -1,4 +1,4 @@
-"""From a problem with norms by hand to one with vector controls.
+"""Reformulation of a problem with explicit control norms as one with vector controls.
 
 Bounds of angles that leave out no direction: they limit nothing, but stop a solver on its way across them.
 """
@@ -109,7 +109,7 @@ P = TypeVar("P", bound=Statement)
 
 
 def restated(problem: P) -> P:
-    """Return a problem without norms of controls that are written by hand; itself if it has none.
+    """Return the problem with its explicit control norms replaced; the same object if it has none.
 
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
     of one another. Angles whose bounds leave them a whole turn are free.
@@ -142,7 +142,7 @@ def _without_norms(problem: P) -> P:
 
 
 def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
-    """Restate the kinks of cost and boundary constraints; return what tells the form from others."""
+    """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
     domain = Domain.at_ends(problem)
     form = problem.once(("ends", domain.key), lambda: EndForm.of(problem, domain))
     if form.texts:
@@ -168,7 +168,7 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
 
 
 def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Restate the kinks of a phase that cost, or limit; return what tells the form from others."""
+    """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
     told = key
     if not _has_kinks(problem, leg, told):
         return ()

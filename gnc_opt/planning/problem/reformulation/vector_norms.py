@@ -1,6 +1,6 @@
 r"""The form of a phase whose norm is that of a vector control: all of it but the numbers.
 
-Which norms of controls a phase has by hand.
+Detection of the explicit control norms of a phase.
 
 What constraints say of a norm: a range of numbers, or another control as its largest value.
 
@@ -99,7 +99,7 @@ def _hash(symbol: Any) -> int:
 
 
 def _squared(leg: Phase) -> Iterator[Places]:
-    """Yield vectors whose squared norm is limited where its slope vanishes, or from below and nobody guessed them.
+    """Yield vectors whose squared norm is limited at zero slope, or from below without a user's guess.
 
     A guess beyond a limit from below is out of its hole, where derivatives lead on.
     """
@@ -298,14 +298,14 @@ class Form(PhaseForm):
     vector : Vector
     control : VectorControl
     rest : Symbol or None
-        What is left of controls that were taken apart.
+        Remainder of controls that were split.
     product : casadi.SX
         The vector as magnitude times direction.
     limits : tuple of float
-        Of the norm, by constraints that are no more.
+        Limits of the norm, from the constraints that were removed.
     on_sphere : bool or None
-        True if a shorter vector could break a limit, False if the norm may be less than the magnitude, which is then
-        what was stated, None where `Phase.on_sphere` tells.
+        True if a shorter vector could violate a limit; False if the norm may be less than the magnitude (the
+        stated quantity); None if `Phase.on_sphere` decides.
     """
 
     vector: Vector
