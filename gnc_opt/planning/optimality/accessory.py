@@ -1,4 +1,4 @@
-r"""Accessory equations: how states and costates beside a smooth extremal vary, to first order.
+r"""Accessory equations: first-order variations of states and costates about a smooth extremal.
 
 Variations of an extremal whose H is strictly convex in the controls that are off their limits satisfy the linear
 Hamiltonian system
@@ -7,8 +7,8 @@ Hamiltonian system
    \dot X &= A X - B \Lambda, \qquad A = f_x - f_u H_{uu}^{-1} H_{ux}, \quad B = f_u H_{uu}^{-1} f_u^T, \\
    \dot \Lambda &= -C X - A^T \Lambda, \qquad C = H_{xx} - H_{xu} H_{uu}^{-1} H_{ux}
 
-(Bryson and Ho, Applied Optimal Control, 1975, section 6.3). States and controls are in shares of their sizes,
-:math:`\Lambda` in shares of what costates are worth: coordinates in which both are of one size, no yardsticks.
+(Bryson and Ho, Applied Optimal Control, 1975, section 6.3). States and controls are scaled by their sizes and
+:math:`\Lambda` by the cost, so that all have similar magnitude.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class AccessoryEquations:
         ----------
         times : array (n_times,)
         worth : float
-            What costates are measured in.
+            Unit of the costates.
         free : function, optional
             Returns which of the controls (n_controls, n_times) are off their limits, (n_times, n_controls); the others
             do not vary. Default: all are.

@@ -1,10 +1,10 @@
-r"""Touches of state constraints as conditions of a solution's program.
+r"""Touch points of state constraints as conditions of a solution's program.
 
-At an isolated time at which a constraint :math:`S(t, x) \le 0` of order two or more pushes, all neighbouring
-trajectories have to keep their *largest* value of S on the limit. With a mesh boundary at that time which is a
-variable, that is :math:`S = \dot S = 0` there; S alone would let the boundary go to where less is held, and S leave
-its limit beside it. At an optimum :math:`\dot S = 0` has no multiplier, and that of S = 0 is by how much the costate
-jumps along :math:`\partial S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
+If a constraint :math:`S(t, x) \le 0` of order two or more is active at an isolated time, the *largest* value
+of S is zero on all neighbouring trajectories. With a free breakpoint at that time the condition is :math:`S =
+\dot S = 0`. S = 0 alone would let the breakpoint move, and S exceed its limit next to it. At an optimum the
+multiplier of :math:`\dot S = 0` is zero, and that of S = 0 is the jump of the costate along :math:`\partial
+S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
 
 Along an arc on the limit all neighbouring trajectories stay on it, whether its multiplier is there or in the atoms at
 its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
@@ -159,10 +159,11 @@ PUSHES = 1e-5
 
 
 def with_touches(solution: Solution) -> Problem:
-    """Return the problem of a solution with its state constraints held at movable boundaries at which they push.
+    """Return the problem of a solution with its state constraints active at free breakpoints with
+    multipliers.
 
-    Beside a touch they are released: what the barrier of an interior-point method leaves at points that come close to
-    the limit is no push. Phases in which arcs are held by hand are left as they are.
+    Next to a touch point they are released: the multipliers that an interior-point barrier leaves at points
+    close to the limit are spurious. Phases with user-defined arcs are unchanged.
     """
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
@@ -222,7 +223,7 @@ def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs
                 kinds[junction.constraint, k] = ArcKind.RELEASED
     for arc in arcs:
         kinds[arc.row, arc.first : arc.last] = arc.kind
-        for k in (arc.first - 1, arc.last):  # the ends of the arc say all that is held beside it
+        for k in (arc.first - 1, arc.last):  # its ends contain all active rows next to it
             if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
                 kinds[arc.row, k] = ArcKind.RELEASED
     entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
@@ -259,7 +260,7 @@ class _Rows:
         return np.asarray(np.stack(self.box.near(values, AT_LIMIT * self.scales)) & ~self.box.fixed[:, None])
 
     def pushes(self, times: Array, x: Array, u: Array) -> Array:
-        """Jumps of costates along the gradient of each row, worth of the cost (n_rows, n_times)."""
+        """Jumps of costates along the gradient of each row, in units of the cost (n_rows, n_times)."""
         s = self.samples
         units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
         by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])

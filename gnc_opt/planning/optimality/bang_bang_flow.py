@@ -15,7 +15,8 @@ discretised flow. Its gradient alone is a sweep backwards, and costs as much as 
 Steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer. Anal.
 9(3), 1972).
 
-A piece may have no length: it then tells what a control between two switches at one time would do if they came apart.
+A piece may have zero length: it gives the effect of a control between two coinciding switches if they
+separate.
 """
 
 from __future__ import annotations
@@ -113,7 +114,9 @@ class BangBangFlow:
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _worths(self, adjoint: Array) -> Array:
-        """What the states before every step are worth and, last row, the widths of the steps; (n + 1, n_steps + 1)."""
+        """Cost gradients with respect to the states before every step and, last row, the step widths; (n + 1,
+        n_steps + 1).
+        """
         key = adjoint.tobytes()
         if key not in self._swept:
             places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
@@ -197,7 +200,8 @@ class _Rates:
     step : Function
         Of z and inputs: z after one step.
     back : Function
-        Of (worth of z after a step, anything) and (z, inputs): what z before it and its width are worth.
+        Of (cost gradient in z after a step, unused) and (z, inputs): cost gradients in z before it and in its
+        width.
     stages : Function
         Of z and inputs: where the stages evaluate dz/dt, one after the other, and then what they find.
     jacobian, hessian : _Matrices
@@ -352,7 +356,8 @@ class _Steps:
         """Hessians of ``adjoints @ step`` of every step, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
         h = self._inputs[0]
-        # What a slope times the width is worth: by the step itself, and by the places of the stages after it.
+        # Cost gradient of a slope times the width: through the step itself, and through the later stages'
+        # states.
         worth = np.multiply.outer(np.array(_SHARES), adjoints.T)
         for i in reversed(range(n_stages)):
             by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]

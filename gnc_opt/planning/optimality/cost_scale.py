@@ -1,12 +1,12 @@
-"""What the cost and the boundary constraints amount to: by how much the flight can change them.
+"""Scales of the cost and the boundary constraints: the changes that the trajectory can cause.
 
-The value of a cost says nothing, as constants may be added to it; a change by the flight's own spans does. Where
-costates vanish, as in a problem whose optimal cost is zero or that is not unique, this is the yardstick: offences in
-shares of rounding would compare noise with noise.
+The value of a cost is no scale, since constants may be added to it; its change over the trajectory's spans
+is. It is the reference if the costates vanish (optimal cost zero, or a nonunique optimum), where relative
+violations would compare rounding errors.
 
 What is too brief to matter.
 
-The unit of a cost, where it can be told from what it is made of.
+The unit of a cost, if its terms determine it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ SMEARED = 1e-4
 
 
 def lasting(times: Array, offence: Array) -> Array:
-    """Offences (m, n_times) averaged over `BRIEF` of the phase: a kink between two nodes costs next to nothing."""
+    """Violations (m, n_times) averaged over `BRIEF` of the phase, since a kink between two nodes hardly
+    affects the cost.
+    """
     half = 0.5 * BRIEF * (times[-1] - times[0])
     areas = 0.5 * (offence[:, 1:] + offence[:, :-1]) * np.diff(times)
     total = np.concatenate([np.zeros((offence.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
@@ -75,8 +77,8 @@ def least_for_long(times: Array, values: Array) -> int:
 def cost_unit(problem: Problem) -> str:
     """Return the unit of a cost that is a sum or difference of times, end states or parameters of one unit, else "".
 
-    A duration is in s, a final mass in the unit of the state. Integrals and products are not told: a factor may have
-    any unit.
+    A duration is in s, a final mass in the unit of the state. Integrals and products give "": a factor may
+    have any unit.
     """
     symbols, units = [problem.parameter_symbols()], list(problem.parameters.units)
     for leg in problem.phases.values():

@@ -1,4 +1,4 @@
-r"""State constraints push costates: which jumps, and which measures within a segment, are legitimate.
+r"""Costate jumps of active state constraints, and admissible multiplier measures within a segment.
 
 A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters the adjoint equation through a measure
 (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, theorem 4.1),
@@ -10,12 +10,13 @@ hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
 :math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` where it has an atom, as at the ends of an arc
 along the limit or where the limit is touched. Two things follow for the verifier.
 
-* At a segment boundary, a jump is right if the constraints that are active there explain it with the right signs.
-* In a segment where the limit is reached or left, polynomials can follow neither a jump nor a kink. There the
-  costate is integrated anew from the segment's start, with the measure that best meets the costate at the
-  segment's end and the stationarity of H in between. What remains at the end is the offence against the adjoint
-  equation, and the integrated costate takes the polynomial's place in all other conditions. If no measure of
-  the right sign on the active part explains the costates, nothing is excused.
+* At a segment boundary, a jump is admissible if the active constraints explain it with multipliers of the
+right sign.
+* In a segment where the constraint becomes active or inactive, polynomials represent neither a jump nor a
+kink. There the costate is integrated again from the segment's start, with the measure that best fits the
+costate at the segment's end and the stationarity of H in between. The residual at the end is the violation of
+the adjoint equation, and the integrated costate replaces the polynomial in all other conditions. If no
+measure of the right sign on the active part explains the costates, the full violation counts.
 """
 
 from __future__ import annotations
@@ -103,16 +104,17 @@ def path_gradients(
 
 
 def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
-    """What active constraints make of jumps at the inner segment boundaries.
+    """Return the jumps at inner segment boundaries with the parts that active constraints explain.
 
-    A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
+    A jump of the wrong sign is explained as far as the adjacent multiplier density compensates it, see
+    `pushed_beside`.
 
     Returns
     -------
     unexplained : array (n_states, K - 1)
-        What is left of the jumps of costates.
+        Unexplained part of the costate jumps.
     hamiltonian : array (K - 1,)
-        By how much H rises with those that are explained.
+        Increase of H by the explained jumps.
     atoms : array (n_paths, K - 1)
         Multipliers of the path constraints that explain them, >= 0 at upper limits.
     """
@@ -138,18 +140,19 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class EndPush:
-    """What transversality leaves at an end of a phase, and what path constraints without controls make of it there.
+    """Transversality residual at an end of a phase, and the part that path constraints without controls
+    explain.
 
     Attributes
     ----------
     gap : array (n_states,)
-        What is left: of the costate, less the gradients of cost and boundary constraints.
+        Costate less the gradients of cost and boundary constraints.
     multipliers : array (n_paths,)
         Atoms of the path constraints that are active there, >= 0 at upper limits; zero for all others.
     explained : array (n_states,)
         The part of the gap that they explain.
     drift : float
-        What they do to the gap of H.
+        Their contribution to the gap of H.
     limits : Interval
         Of the states there.
     """
@@ -188,10 +191,11 @@ def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
-    """Return what multipliers (n, N) push within half of `BRIEF` beside inner segment boundaries (n, K - 1).
+    """Return the integral of multipliers (n, N) within half of `BRIEF` of inner segment boundaries (n, K -
+    1).
 
-    How a measure is shared out between an atom and the density right beside it is not for the multipliers of a mesh to
-    say: less density there and more of an atom is the same costate everywhere else.
+    A mesh does not resolve how a measure divides between an atom and the adjacent density: both give the same
+    costate elsewhere.
     """
     offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * BRIEF * s.span
     widths = np.minimum(np.diff(s.leg.breaks), near)
@@ -219,7 +223,7 @@ def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
 
 
 def _reached_or_left(s: PhaseSamples) -> Mask:
-    """Segments (K,) at some but not all points of which a pure state constraint pushes."""
+    """Segments (K,) in which a pure state constraint has a multiplier at some but not all points."""
     rows = np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
     found = np.zeros(s.leg.mesh.segments, dtype=bool)
     for k in range(s.leg.mesh.segments):
@@ -261,7 +265,9 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
 
 
 def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
-    """Costates (n, m) from the segment's start without pushes, and the fundamental matrices (n, n, m) of their ODE."""
+    """Costates (n, m) from the segment's start without multipliers, and the fundamental matrices (n, n, m) of
+    their ODE.
+    """
     leg, n = s.leg, s.leg.states.size
     rule = sampling_rule(leg.mesh.degrees[k])
     half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])

@@ -379,7 +379,7 @@ def variation_weights(transcription: Transcription) -> Array:
     weights, _ = quadrature_weights(transcription)
     for part in transcription.parts.values():
         collocation = part.collocation
-        # States at inner boundaries follow from the points: they count by what lies beside them.
+        # States at inner boundaries follow from the points: their rows count by the adjacent segments.
         widths = collocation.mesh.widths
         weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
     return weights

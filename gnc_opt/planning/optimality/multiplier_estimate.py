@@ -1,14 +1,14 @@
-r"""Costates and multipliers of a trajectory that comes without: least squares of the first-order conditions.
+r"""Estimated costates and multipliers of a given trajectory: least squares of the first-order conditions.
 
-Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free times,
-parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`: the adjoint equation,
-:math:`\partial H/\partial u = 0`, transversality, and a Hamiltonian that is continuous where a control jumps. It is
-linear in the multipliers. Those of limits that are not active vanish; a variable on its limit frees its row, unless
-the multiplier that is left there would have the wrong sign. Path constraints without controls push at segment
-boundaries too (module `atoms`). The least-squares solution is mapped to costates as a
-solver's multipliers are (module `covector`), and judged like those.
+Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free
+times, parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`: the
+adjoint equation, :math:`\partial H/\partial u = 0`, transversality, and a Hamiltonian that is continuous
+where a control jumps. It is linear in the multipliers. Multipliers of inactive limits vanish. A variable on
+its limit removes its row, unless its multiplier would have the wrong sign. Path constraints without controls
+also have atoms at segment boundaries (module `atoms`). The least-squares solution is mapped to costates like
+a solver's multipliers (module `covector`) and checked in the same way.
 
-Atoms of a trajectory's path constraints: pushes of no duration, which a program's rows do not have.
+Atoms (impulsive multipliers) of a trajectory's path constraints, which a program's rows do not contain.
 
 Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier is a measure with
 an atom :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM
@@ -306,7 +306,8 @@ def _right_signs(
     # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
     one_sided = scipy.sparse.vstack([columns[only_upper], -columns[only_lower]])
-    # They push by as much as they can everywhere, lest one vanishes at a point and pulls beside it.
+    # The smallest multiplier is maximised, so that none vanishes at a point and has the wrong sign next to
+    # it.
     margin = np.ones((one_sided.shape[0], 1))
     found = scipy.optimize.linprog(
         np.append(np.zeros(columns.shape[1]), -1.0),

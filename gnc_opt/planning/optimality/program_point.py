@@ -1,7 +1,7 @@
 r"""A solution as a point of its program: scaled variables and multipliers, active limits, second derivatives.
 
-What sensitivities and the second-order conditions share. With the variables on their limits pinned (set P, the rest
-is F) and the rows on theirs held (set C), the first-order conditions at the point are
+Used by sensitivities and second-order conditions. With the variables on their limits fixed (set P, the others
+F) and the rows on theirs active (set C), the first-order conditions at the point are
 
 .. math:: \nabla_F \mathcal L(z, \lambda) = 0, \qquad g_C(z) = b, \qquad \mathcal L = f + \lambda^T g.
 """
@@ -60,13 +60,13 @@ class ProgramLimits:
         return cls(box, active, np.where(active, limit, 0.0), labels)
 
     def push(self, multipliers: Array) -> Array:
-        """How much each active limit is needed: its multiplier, > 0 if it pushes inwards; NaN elsewhere."""
+        """Multiplier of each active limit, > 0 if it points inwards (admissible sign); NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
         push = np.where(upper, multipliers, -multipliers)
         return np.where(self.active & ~self.box.fixed, push, np.nan)
 
     def room(self, values: Array) -> Array:
-        """Distance of what is not active to its nearer limit, negative beyond; NaN elsewhere."""
+        """Distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
 

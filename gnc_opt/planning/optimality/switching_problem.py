@@ -41,16 +41,16 @@ NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to s
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What may be varied.
+    """Variables of the switching-time problem.
 
     Attributes
     ----------
     labels : tuple of str
     scale : array (n,)
-        By which each is measured.
+        Scale of each variable.
     worth : array (n,)
-        What a change by the scale is worth, in units of the cost: the largest switching function, H or costate times
-        it.
+        Change of the cost for a change by the scale: the largest switching function, H or costate times the
+        scale.
     places : mapping from phase to int array
         Where the unknowns of its flow are: start, switches, end, free start values, free parameters.
     free_start : mapping from phase to int array
@@ -108,7 +108,7 @@ class Unknowns:
 
 
 def _of_starts(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
-    """By what free start values are measured, and what that is worth."""
+    """Scales of free start values, and the changes of the cost for them."""
     scale = state_variations(s)[rows]
     still = scale > s.state_scale[rows]
     return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))

@@ -1,11 +1,11 @@
 r"""A trajectory known at samples, as piecewise polynomials: states by Hermite, controls by spline interpolation.
 
-Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there, fourth order
-in the sampling interval. Controls are interpolated between their jumps: by a cubic spline where they are smooth, beside
-kinks by a modified Akima spline, which has no ripples; from sample to sample by that of the two with which the
-dynamics carry the states closer to the next sample. A jump is a time given twice, with other values, or a change from
-one sample to the next that is ten times those before and after it; where in between it happens is told by the states
-in the same way. A kink is the same of slopes, and lies where the interpolants from both sides meet.
+Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there,
+fourth order in the sampling interval. Controls are interpolated between their jumps by a cubic spline or,
+next to kinks, by a modified Akima spline, which does not overshoot. Each interval uses the one for which the
+integrated dynamics are closer to the next sample. A jump is a repeated time with different values, or a
+change between samples ten times those before and after it; its time follows from the states in the same way.
+A kink is the same of slopes, and lies where the interpolants from both sides meet.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def _kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
 
 
 def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
-    """Kinks of one control between two jumps: intervals across which its slope changes, and not beside them."""
+    """Kinks of one control between two jumps: isolated intervals across which its slope changes."""
     if t.size < _KNOWN_BESIDE:
         return []
     slopes = np.diff(u) / np.diff(t)
