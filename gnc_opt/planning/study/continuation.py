@@ -84,7 +84,7 @@ class Continuation:
 
     @property
     def complete(self) -> bool:
-        """Whether the last value asked for was reached."""
+        """Whether the last requested value was reached."""
         return self.status is ContinuationStatus.COMPLETE
 
     @property
@@ -135,7 +135,7 @@ def continue_in(
     scheme: Scheme = GAUSS,
     options: SolverOptions | None = None,
 ) -> Continuation:
-    """Follow a solution along a parameter, in steps that adapt themselves.
+    """Follow a solution along a parameter with adaptive steps.
 
     Each step is predicted by the sensitivities of the last solution (if the problems are variations of one another,
     such as ``lambda k: problem.with_parameters(k=k)``) or along the last two solutions, and corrected by a warm
@@ -155,7 +155,7 @@ def continue_in(
     first : Solution, optional
         At the first value; default: solved from its problem's guess.
     tol : float, optional
-        Refine every solution to this; a structure that was found is carried along while the verdict accepts it.
+        Refine every solution to this; a detected structure is reused while the verdict accepts it.
     mesh, scheme, options
         As in `solve`.
 

@@ -1,10 +1,10 @@
 r"""The first-order conditions of the transcribed program as a linear system, for derivatives of its solution.
 
-With the variables on their limits pinned and the rows on theirs (set C), a minimum solves
+With the variables on their limits fixed and the rows on theirs active (set C), a minimum solves
 
 .. math:: \nabla_F \mathcal L(z, \lambda; p) = 0, \qquad g_C(z; p) = b, \qquad z_P = \beta,
 
-:math:`\mathcal L = f + \lambda^T g`, F the free and P the pinned variables. A change of the data p, b and
+:math:`\mathcal L = f + \lambda^T g`, F the free and P the fixed variables. A change of the data p, b and
 :math:`\beta` moves the minimum by the implicit function theorem (Fiacco 1976),
 
 .. math::
@@ -155,9 +155,9 @@ class Change:
     numbers : array (n_numbers,)
         Of model parameters and fixed times, in the order of ``Transcription.numbers``.
     limits : array (n_variables,)
-        Of the limits on which variables are pinned.
+        Of the active limits of variables.
     row_limits : array (n_constraints,)
-        Of the limits on which rows sit.
+        Of the active limits of rows.
     """
 
     numbers: Array
@@ -233,7 +233,9 @@ class KktPoint:
         self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
 
     def _wrong_limit(self) -> str:
-        """What is wrong if a limit pushes the wrong way or is broken, now that the conditions hold; else nothing."""
+        """Return a description if a multiplier has the wrong sign or a limit is violated at the new point;
+        else "".
+        """
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._sides()

@@ -14,7 +14,7 @@ the costate of the extremal and :math:`d = x' - x`,
 for u minimises H and what limits of the states push, :math:`d\mu`, points out of a convex set. So u' minimises H as
 well, and while x' rests, :math:`\min_u \lambda^T (A x_f + b(u)) = 0`, although it tends to -1 at T, where H = 0.
 
-bound_below: how far a solution is from the best there is, as far as a relaxation tells.
+bound_below: distance of a solution from the global optimum, bounded by a relaxation.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ _TIMES = 201
 def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 
-    A problem that is convex, or linear and time-optimal with a target at which it can rest, bounds itself: what meets
-    the first-order conditions is a global minimum. Else states are dropped that others do not need (the position of a
-    spacecraft whose attitude does not depend on it), with all that limits them; what remains is solved from the flight
-    as a guess, refined and judged, once for every such part that has all states of the cost. The highest bound counts,
-    of those that a theorem certifies if there are any. A part to which none applies gives the value of a local minimum,
-    which is a bound only if no other is lower: ``bound.certified`` says which.
+    If the problem is convex, or linear and time-optimal with an equilibrium as target, the first-order
+    conditions are sufficient for a global minimum: its own cost is the bound. Otherwise states on which the
+    others do not depend are dropped with their limits (the position of a spacecraft whose attitude does not
+    depend on it). Each remaining part with all states of the cost is solved from the trajectory as a guess,
+    refined and verified. The highest bound counts, certified ones first. An uncertified part gives the value
+    of a local minimum, which is a bound only if no other is lower; see ``bound.certified``.
 
     Parameters
     ----------

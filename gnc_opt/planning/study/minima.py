@@ -181,7 +181,7 @@ class Minimum:
     refined : bool
         Whether the solution has been refined, or comes from the coarse mesh.
     verdict_ok : bool
-        Whether it passed the verdict; False if it was not judged.
+        Whether it passed the verdict; False if it was not verified.
 
     Examples
     --------
@@ -201,7 +201,9 @@ class Minimum:
 
     @property
     def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
-        """What the objective is worth: refined and accepted by the verdict, rejected by it, or of the coarse mesh."""
+        """Status of the objective: refined and accepted by the verdict, rejected by it, or of the coarse
+        mesh.
+        """
         if self.verdict_ok:
             return "ok"
         return "NOT ok" if self.refined else "coarse"

@@ -1,10 +1,11 @@
-"""multistart: many starting trajectories, to tell a local minimum from the best known one.
+"""multistart: solves from many initial guesses to find the best of several local minima.
 
-Every start is solved on a coarse mesh. Answers that their own dynamics do not confirm are thrown out and equal ones
-merged; what is left is reflected, part by part, for other starts. The distinct minima that all these lead to are
-refined, judged and merged once more: several discretisations may be one minimum, and some are none.
+Every start is solved on a coarse mesh. Solutions that their integrated dynamics do not confirm are discarded
+and equal ones merged. The others are reflected, component by component, for further starts. The distinct
+minima are refined, verified and merged again: several discretisations may approximate one minimum, and some
+are spurious.
 
-What becomes of a coarse minimum: refined to exact switch times or on finer meshes, and judged.
+Refinement of a coarse minimum to exact switch times or on finer meshes, and its verification.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ rendezvous, 10 x 4 points, spurious solutions have 0.3 and 0.8 at least, others 
 
 @dataclass(frozen=True)
 class Refining:
-    """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious.
+    """Refine and verify a minimum; return it unchanged if that fails or gives a spurious solution.
 
     Exact switch times are tried first; where controls do not switch or the verdict rejects the outcome, the mesh is
     refined ("auto").
@@ -90,9 +91,9 @@ class Refining:
     def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
         """Refine to exact switch times, from up to three places.
 
-        A coarse mesh cannot tell short arcs: its solution on a mesh of halved segments shows more of the structure.
-        And it has minima of its own, from which refinement leads to trajectories that are better and not optimal:
-        solved once more from there, the coarse mesh leads downhill to a true minimum.
+        A coarse mesh does not resolve short arcs; a solution on halved segments shows more of the structure.
+        Refinement of a spurious coarse minimum gives a better trajectory that is not optimal; a second coarse
+        solve from there descends to a true minimum.
         """
         first = self._refined(minimum, coarse, "bang-bang")
         problem = coarse.problem
@@ -200,12 +201,12 @@ class Multistart:
         How many starts gave no minimum, by the solver's status, "spurious" (not confirmed by the dynamics) or "bad
         guess" (functions that are not finite along it).
     starts : int
-        Starts asked for.
+        Requested starts.
     finished : int
         Starts solved, with or without success; fewer than ``starts`` after an interrupt.
     seed : int
     interrupted : bool
-        Whether Ctrl-C ended the search before its time.
+        Whether Ctrl-C ended the search early.
 
     Examples
     --------
@@ -300,7 +301,7 @@ def multistart(
     structure, tol
         For `refine`.
     refine : bool
-        Whether to refine and judge the minima, or leave them on the coarse mesh.
+        Whether to refine and verify the minima, or leave them on the coarse mesh.
     max_refined : int
         Refine the best minima until so many distinct ones are known, and at most twice as many: some are minima of
         the coarse mesh alone, which refining leads to others.

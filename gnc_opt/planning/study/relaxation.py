@@ -1,8 +1,9 @@
-"""Relaxations: what is left of a problem when states are dropped that others do not need.
+"""Relaxations: parts of a problem without the states on which the others do not depend.
 
-A set of states is closed if no derivative in it depends on a state outside, as attitude and rate of a spacecraft are
-whose thrust moves its position: told from the sparsity of Jacobians. Whatever flies the whole problem flies the closed
-set too. So its least cost without the others, and without all that limits them, bounds that of the whole from below.
+A set of states is closed if no derivative in it depends on a state outside, such as a spacecraft's attitude
+and rate without its position; the Jacobian sparsity shows this. Every feasible trajectory of the problem is
+feasible for the closed set. The minimum cost of the set, without the other states and their limits, is
+therefore a lower bound.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Relaxation:
 
 
 def relaxations(problem: Problem) -> list[Relaxation]:
-    """Return what is left of a problem for each closed set of states that its cost needs no others than.
+    """Return the relaxed problem for each closed set of states that contains all states of the cost.
 
     Left out is a set that another one contains, whose bound is as high at least, and that of all states.
     """
@@ -116,7 +117,7 @@ def _at_ends(problem: Problem, expression: Any) -> Mask:
 
 
 class _Part:
-    """What is left of a phase.
+    """A phase restricted to a closed set of states.
 
     Parameters
     ----------
@@ -154,7 +155,7 @@ class _Part:
         return ca.vertcat(self.rates, self.paths, *self.integrands.values())
 
     def model(self, used: set[int]) -> tuple[Model, Any, Any]:
-        """Return the model of what is left, and old symbols with the new ones in their place."""
+        """Return the reduced model, and the old symbols with their replacements."""
         old, model = self.leg.model, Model(self.leg.model.name)
         t, x, u, p = old.arguments()
         for layout, kept, declare in (
@@ -256,7 +257,7 @@ def _parameters(
 
 
 def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
-    """State limits, path constraints and integrals of what is left of a phase."""
+    """State the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     leg.numbers = replace(
         leg.numbers,

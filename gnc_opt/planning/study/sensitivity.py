@@ -91,8 +91,8 @@ class Sensitivity:
 
     Examples
     --------
-    >>> told = go.sensitivity(solution, initial="q")
-    >>> print(told.quantity, f"{told.final_time:.6f}")
+    >>> change = go.sensitivity(solution, initial="q")
+    >>> print(change.quantity, f"{change.final_time:.6f}")
     initial value of 'q' in phase 'leg' 1.000000
     """
 
