@@ -21,7 +21,7 @@ from gnc_opt.errors import ArgumentError
 
 @dataclass(frozen=True)
 class IterationInfo:
-    """What the progress callback is told.
+    """Data passed to the progress callback.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class SolveWatch:
 
 
 class Monitor(ca.Callback):  # type: ignore[misc]
-    """The `iteration_callback` of `nlpsol`: shows each iterate to the run and tells the solver to stop.
+    """The `iteration_callback` of `nlpsol`: passes each iterate to the run and stops the solver on request.
 
     It reads the solver's memory through buffers, which is several times cheaper than CasADi matrices. The
     iterate itself is not kept, since `nlpsol` returns the last one when it is stopped.

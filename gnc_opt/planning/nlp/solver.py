@@ -265,7 +265,7 @@ class NlpSolver:
         return self._result(raw, solver.stats(), run, arguments, wall_time)
 
     def _instance(self, start: Start) -> Any:
-        """The `nlpsol` Function for one way to start, created when first asked for."""
+        """The `nlpsol` Function for one kind of start, created at first use."""
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
             nlp = {name: getattr(self.problem, name) for name in ("x", "p", "f", "g")}
@@ -328,7 +328,7 @@ def _swallow_stderr(active: bool) -> Iterator[None]:
 
 
 def _stopped_status(status: Status, run: SolveWatch) -> Status:
-    """INTERRUPTED if the run asked for a stop, whatever the plugin calls that, unless it had finished."""
+    """INTERRUPTED if the run requested a stop before the solver had finished, for any plugin's name of it."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 

@@ -143,7 +143,7 @@ def status_from_stats(stats: Mapping[str, object]) -> Status:
     ----------
     stats
         Of any plugin. IPOPT's `return_status` names are looked up first (other plugins borrow many of them),
-        then telling words in that name (SLEQP calls "unbounded" a success), then `success`, then
+        then keywords in that name (SLEQP calls "unbounded" a success), then `success`, then
         `unified_return_status`.
 
     Returns
