@@ -5,8 +5,9 @@ alone can read a file. Opening a file from a stranger runs none of the stranger'
 
 Packing: frozen dataclasses as a tree of JSON values and named arrays, and back; floats keep every bit.
 
-The tree is tagged with the types of its members. Arrays are named by their place in it (``phases.leg.lam_start``).
-Only the classes that are listed are written, and no others are ever made: unpacking runs nobody else's code.
+The tree is tagged with the types of its members. Arrays are named by their place in it
+(``phases.leg.lam_start``). Only the listed classes are written and created, so unpacking runs no foreign
+code.
 """
 
 from __future__ import annotations
@@ -284,7 +285,7 @@ def _damaged(path: str | Path, noun: str) -> GncOptError:
 
 
 class _NoArchive(Exception):
-    """Not a zip file at all."""
+    """The file is not a zip archive."""
 
 
 def _entries(stream: BinaryIO) -> dict[str, Array]:

@@ -32,7 +32,7 @@ REFINE_TOLERANCE = 1e-8
 
 
 class ExitCode(IntEnum):
-    """What the shell is told."""
+    """Exit codes of the commands."""
 
     OK = 0
     VERDICT_FAILS = 1

@@ -26,7 +26,7 @@ class ArgumentError(GncOptError, ValueError):
 
 
 class UnknownNameError(ModelError, ProblemError, KeyError):
-    """A name that nobody declared; the message offers the nearest declared one."""
+    """An undeclared name; the message suggests the nearest declared one."""
 
     def __str__(self) -> str:
         return str(self.args[0])

@@ -81,7 +81,7 @@ class Example:
         return self.statement.partition("\n")[0].rstrip(".")
 
     def run(self, arguments: Sequence[str] = ()) -> int:
-        """Solve, judge, compare with what is known and print; return the exit code.
+        """Solve, verify, compare with the known result and print; return the exit code.
 
         Parameters
         ----------
@@ -224,10 +224,10 @@ class ProblemFile:
 def load_problem_file(path: str | Path) -> ProblemFile:
     """Run a problem file, or import a problem that is a package: a folder with ``__init__.py``.
 
-    What lies beside a file can be imported from it: its folder, the folder above and, if it belongs to a
-    package, the folder that holds the package are searched, so ``problems/b.py`` may say ``import a`` or
-    ``from problems import a``. A package is imported under its own name, whatever the current folder is.
-    ``NAME.py`` that does not exist stands for the package ``NAME`` beside it.
+    A file can import its neighbours: its folder, the folder above and, if it belongs to a package, the folder
+    that contains the package are searched, so ``problems/b.py`` may say ``import a`` or ``from problems
+    import a``. A package is imported under its own name, whatever the current folder is. A missing
+    ``NAME.py`` stands for the package ``NAME`` in the same folder.
 
     Raises
     ------

@@ -71,7 +71,7 @@ def magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
 
 
 def alike(found: Array, expected: Array) -> bool:
-    """Whether two matrices of a linearization are the same but for `CONSTANT`; false for what is not a number."""
+    """Whether two matrices of a linearization are equal within `CONSTANT`; false for NaN."""
     change = np.max(np.abs(found - expected), initial=0.0)
     return bool(change <= CONSTANT * np.max(np.abs(expected), initial=0.0))
 
