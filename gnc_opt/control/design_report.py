@@ -55,8 +55,8 @@ class Explanation(Strict):
 
     Examples
     --------
-    >>> told = regulator.explain()
-    >>> print(told.title, np.round(told["gain"], 3), sep=": ")
+    >>> facts = regulator.explain()
+    >>> print(facts.title, np.round(facts["gain"], 3), sep=": ")
     LQR of 'double integrator': [[0.918 1.636]]
     """
 
