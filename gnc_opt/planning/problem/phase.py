@@ -112,6 +112,14 @@ class Owner(Protocol):
     def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
 
 
+def read_duration(duration: Any, where: str) -> Interval:
+    """Return the range of a phase's duration (s), which is positive; ``None`` is any."""
+    given = read_interval(duration, 1, f"the duration of {where}")
+    if given.upper[0] <= 0:
+        raise ProblemError(f"the duration of {where} is at most {given.upper[0]:g} s: give a positive one.")
+    return Interval(np.maximum(given.lower, 0.0), given.upper)
+
+
 class Phase(Strict):
     """One span of time of a problem; made by ``Problem.phase``.
 
@@ -215,7 +223,7 @@ class Phase(Strict):
         self._set(
             initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
             final_time=read_interval(final, 1, f"the final time of {self.where}"),
-            duration=self.numbers.duration if duration is None else self.read_duration(duration),
+            duration=self.numbers.duration if duration is None else read_duration(duration, self.where),
         )
         self._owner.changed()
 
@@ -461,15 +469,6 @@ class Phase(Strict):
         """ "phase 'leg' of problem '...'", for messages."""
         return f"phase '{self.name}' of problem '{self._owner.name}'"
 
-    def read_duration(self, duration: Any) -> Interval:
-        """Return the range of the phase's duration (s), which is positive; ``None`` is any."""
-        given = read_interval(duration, 1, f"the duration of {self.where}")
-        if given.upper[0] <= 0:
-            raise ProblemError(
-                f"the duration of {self.where} is at most {given.upper[0]:g} s: give a positive one."
-            )
-        return Interval(np.maximum(given.lower, 0.0), given.upper)
-
     def times(self) -> tuple[Interval, Interval]:
         """Return the ranges of initial and final time.
 
@@ -578,14 +577,6 @@ class Phase(Strict):
         """All phases of the problem, this one among them."""
         return tuple(self._owner.phases.values())
 
-    def note_told(self, end: str, state: str, component: int, value: float) -> None:
-        """Record, for the guess, the state value that a boundary constraint implies at the "initial" or
-        "final" end.
-        """
-        told = self.told.get((end, state), np.full(self.model.states[state].size, np.nan)).copy()
-        told[component] = value
-        self.told[end, state] = told
-
     def handed_over(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:
@@ -593,17 +584,6 @@ class Phase(Strict):
         first, jump = self.handed[state]
         order = list(self._owner.phases)
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
-
-    @property
-    def in_time(self) -> tuple[Phase | None, Phase | None]:
-        """The phases in whose end this one begins, and that begin in its end, by links of times."""
-        order = list(self._owner.phases)
-        before = None if self.follows is None else self._owner.phases[self.follows]
-        if before is not None and order.index(before.name) >= order.index(self.name):
-            before = None
-        own = order.index(self.name)
-        later = (leg for leg in self.siblings[own + 1 :] if leg.follows == self.name)
-        return before, next(later, None)
 
     def clone(self, owner: Owner | None = None) -> Phase:
         """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""

@@ -36,7 +36,7 @@ from gnc_opt.planning.problem.expressions import (
 from gnc_opt.planning.problem.guess.initial_guess import note_told_ends
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
-from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase import Phase, read_duration
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.text import heading, table
 
@@ -379,7 +379,7 @@ class Problem(Statement):
             for name in given:
                 if name not in known:
                     raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
-        spans = [leg.read_duration(durations.get(leg.name)) for leg in chain]
+        spans = [read_duration(durations.get(leg.name), leg.where) for leg in chain]
         begin = read_interval(start, 1, f"the start of sequence() of problem '{self.name}'")
         for leg, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)

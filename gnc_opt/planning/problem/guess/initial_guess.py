@@ -142,7 +142,9 @@ def note_told_ends(
         value = (wanted - at_zero) / rate if rate else np.nan
         if np.isfinite(value):
             leg, end, name, i = owners[symbols[0].element_hash()]
-            leg.note_told(end, name, i, value)
+            known_end = leg.told.get((end, name), np.full(leg.model.states[name].size, np.nan)).copy()
+            known_end[i] = value
+            leg.told[end, name] = known_end
 
 
 def balanced(
@@ -195,7 +197,7 @@ def guess_times(leg: Phase) -> Array:
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.times()
-    before, after = leg.in_time
+    before, after = _linked_in_time(leg)
     if before is not None and np.isnan(wanted[0]):
         wanted[0] = guess_times(before)[1]
     t0 = _time_in(initial, wanted[0], default=0.0)
@@ -208,6 +210,14 @@ def guess_times(leg: Phase) -> Array:
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
+
+
+def _linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
+    """Return the phases in whose end this one begins, and that begin in its end, by links of times."""
+    place = next(k for k, phase in enumerate(leg.siblings) if phase.name == leg.name)
+    before = (phase for phase in leg.siblings[:place] if phase.name == leg.follows)
+    after = (phase for phase in leg.siblings[place + 1 :] if phase.follows == leg.name)
+    return next(before, None), next(after, None)
 
 
 def _is_told(time: Interval) -> bool:
@@ -225,7 +235,7 @@ def _share(leg: Phase | None, start: float) -> float:
         if own is not None or _is_told(final):
             end = float(own[-1]) if own is not None else float(final.middle[0])
             return max(end - start, 0.0) / phases
-        leg = leg.in_time[1]
+        leg = _linked_in_time(leg)[1]
     return 0.0
 
 
