@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -49,6 +49,9 @@ SMALL = 2e-2
 
 LAST_DIGITS = 1e-14
 """Relative accuracy of a time at which a function crosses zero."""
+
+MOST_HALVINGS = 100
+"""Steps that find it in any case; a smooth function needs six or so."""
 
 PROBE = 1e-3
 """Share of a control's range by which it is moved to see whether a rate depends on it."""
@@ -390,38 +393,48 @@ def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[flo
     at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
     if polished:
         channels, places = np.array(polished).T
+        asked = np.arange(channels.size)
 
-        def own(t: Array, channel: Indices) -> Array:
-            return np.asarray(switching(samples, t)[channel, np.arange(t.size)])
+        def own(t: Array) -> Array:
+            return np.asarray(switching(samples, t)[channels, asked])
 
-        at |= zip(polished, roots(own, times[places], times[places + 1], channels), strict=True)
+        at |= zip(polished, roots(own, times[places], times[places + 1]), strict=True)
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
-def roots(function: Callable[..., Array], left: Array, right: Array, *parameters: Array) -> Array:
-    """Return zeros between left and right (n,), or the middle where the signs do not differ.
+def roots(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between left and right (n,), or the middle where the signs do not differ."""
+    differ, middle = function(left) * function(right) < 0, 0.5 * (left + right)
+    return crossings(function, np.where(differ, left, middle), np.where(differ, right, middle))
 
-    Parameters
-    ----------
-    function : callable
-        Of times (k,) and of the parameters (k,) that belong to them, k <= n.
-    left, right : array (n,)
-    *parameters : array (n,)
+
+def crossings(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between times (s) (n,) at which the signs differ, to the last digits of a time.
+
+    Chandrupatla's method, all intervals at once: inverse quadratic interpolation where it is safe, else bisection
+    (Advances in Engineering Software 28, 1997).
     """
-    differ = function(left, *parameters) * function(right, *parameters) < 0
-    return np.where(differ, crossings(function, left, right, *parameters), 0.5 * (left + right))
-
-
-def crossings(function: Callable[..., Array], left: Array, right: Array, *parameters: Array) -> Array:
-    """Return zeros between times (s) (n,) at which the signs differ, to the last digits of a time; else NaN.
-
-    By Chandrupatla's method (Advances in Engineering Software 28, 1997).
-    """
-    from scipy.optimize.elementwise import find_root  # not loaded with the package
-
-    accuracy = {"xatol": LAST_DIGITS, "xrtol": LAST_DIGITS, "fatol": 0.0, "frtol": 0.0}
-    found = find_root(function, (left, right), args=parameters, tolerances=accuracy)
-    return np.asarray(found.x)
+    a, b = np.array(right, dtype=float), np.array(left, dtype=float)
+    at_a, at_b = function(a), function(b)
+    share, slack = np.full(a.size, 0.5), LAST_DIGITS * np.maximum(1.0, np.abs(a))
+    for _ in range(MOST_HALVINGS):
+        here = a + share * (b - a)
+        value = function(here)
+        beyond = np.sign(value) == np.sign(at_a)
+        c, at_c = np.where(beyond, a, b), np.where(beyond, at_a, at_b)
+        b, at_b = np.where(beyond, b, a), np.where(beyond, at_b, at_a)
+        a, at_a, b = here, value, np.where(value == 0, here, b)
+        width = np.abs(b - a)
+        if np.all(width <= 2 * slack):
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along, up = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+            step = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            step += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+            least = np.minimum(slack / width, 0.5)
+            safe = (up**2 < along) & ((1 - up) ** 2 < 1 - along) & np.isfinite(step)
+        share = np.clip(np.where(safe, step, 0.5), least, 1 - least)
+    return np.where(np.abs(at_a) < np.abs(at_b), a, b)
 
 
 def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:
