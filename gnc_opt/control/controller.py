@@ -77,10 +77,10 @@ class Controller:
     states, commands, signals, memory : Layout
         Names, sizes and units of x, u, r and z.
     estimated : Layout, optional
-        The states that the law feeds back, where an estimator makes them of what is measured, see `output_feedback`;
-        ``states`` then are measurements.
+        The states that the law feeds back if an estimator computes them from measurements, see
+        `output_feedback`; ``states`` then are measurements.
     flight : FlightLaw, optional
-        The form of the law in flight code, where its own solves a problem at every step.
+        The form of the law in flight code, for a law that solves a problem at every step.
     easy : casadi.Function, optional
         ``(t, x, r, z) -> (u, z_next, enough)`` of elementary operations: the bits of ``step`` wherever enough is 1,
         for a law that solves a problem at some steps only.
@@ -89,12 +89,11 @@ class Controller:
     dt : float or None
         Length of a control step that the law was designed for, s; ``None``: any.
     alarms : tuple of str
-        Entries of the memory that are 0 as long as all is well, and something else from the first step on at which
-        the law had to give up what it promises (a singular decoupling matrix, a failed QP, a measurement that is
-        not a number).
+        Entries of the memory that are 0 in normal operation and nonzero from the first step at which the law
+        cannot meet its guarantees (a singular decoupling matrix, a failed QP, a NaN measurement).
     explanation : Explanation
     span : tuple of two floats, optional
-        Times (s) between which the schedule changes; after the second it stays as it is. Without it, nobody knows.
+        Times (s) between which the schedule changes; it is constant after the second. None: unknown.
     unbridged : Controller, optional
         The same law without its provision for lost samples, see `bridge_dropouts`.
 

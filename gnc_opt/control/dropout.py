@@ -144,5 +144,5 @@ def _feedforward(inner: Controller, r: Any) -> Any:
 
 
 def _finite(column: Any) -> Any:
-    """Return 1 if all entries are finite and not beyond `LARGEST`; no comparison holds for what is not a number."""
+    """Return 1 if all entries are finite and at most `LARGEST` in magnitude; comparisons with NaN are false."""
     return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

@@ -1,7 +1,8 @@
 """A controller as a functional mock-up unit (FMU), FMI 2.0 for co-simulation, around its flight code.
 
-The archive holds the C of `export_c`, ``fmi2_cosimulation.c`` beside it, and, where a C compiler is found, the shared
-library of this platform. Other platforms' libraries are built by the importing tool from the same sources.
+The archive contains the C code of `export_c`, ``fmi2_cosimulation.c`` and, if a C compiler is found, the
+shared library of this platform. Other platforms' libraries are built by the importing tool from the same
+sources.
 """
 
 from __future__ import annotations

@@ -57,20 +57,20 @@ def design_gain_schedule(
     R: Weight,
     dt: float,
 ) -> Controller:
-    """Design a regulator whose gains are interpolated between operating points by what is measured.
+    """Design a regulator with gains interpolated between operating points by measured scheduling variables.
 
     Parameters
     ----------
     model : Model
     reference : Reference or array (n_states,)
-        What is followed: states and feedforward; a state is kept, with the control that does so.
+        States and feedforward to follow; for a state, the equilibrium there with its control.
     over : mapping
-        Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output of the model that
-        depends on no control; increasing, two points or more. States behind them that no control moves are taken as
-        given: they have no gain, and their weights count for nothing.
+        Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output of the
+        model that depends on no control; increasing, two points or more. States behind them that no control
+        affects are exogenous: they have no gain, and their weights are ignored.
     at : callable
-        State and control about which the plant is linearised, from one value of each scheduling variable; it is asked
-        between the points of the grid, too.
+        Returns the state and control of the linearisation for one value of each scheduling variable; it is
+        also evaluated between the grid points.
     Q, R : weight
         As in `design_lqr`, the same at all points.
     dt : float
@@ -79,8 +79,8 @@ def design_gain_schedule(
     Returns
     -------
     Controller
-        Signals ``<state>_ref``, ``<control>_ff``. `explain` tells the slowest frozen pole, at the points and half way
-        between them.
+        Signals ``<state>_ref``, ``<control>_ff``. `explain` shows the slowest frozen pole, at the points and
+        half way between them.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The quadratic programme of a horizon: prediction and limits as sparse rows, and the judgement of its solution.
+"""The quadratic programme of a horizon: prediction and limits as sparse rows, and the check of its solution.
 
-Its unknowns are omega (m per step), the errors at the ends of the steps, scaled by the cost to go, and one slack for
-each softly limited state and step; its cost is half the square of omega and slacks and a linear price of the slacks.
-`gnc_opt.control.mpc` tells why.
+Its unknowns are omega (m per step), the errors at the ends of the steps, scaled by the cost to go, and one
+slack for each softly limited state and step; its cost is half the square of omega and slacks and a linear
+price of the slacks. `gnc_opt.control.mpc` gives the derivation.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Programme:
             slacks, multipliers = y[self.free :], lam_x[self.free :]
             found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
             found.append(ca.norm_inf(multipliers * slacks) / size)
-        return sum(found)  # not the maximum: fmax would hide what is not a number
+        return sum(found)  # not the maximum: fmax would hide NaN
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ class Horizon:
         return unknowns, ca.mmin(ca.vertcat(*room)) >= 0
 
     def first_command(self, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
-        """Return the first command as rows of the unknowns and what there is beside them."""
+        """Return the first command as rows of the unknowns and a constant term."""
         return self._command(0, (ca.DM(self.sizes[0], self.unknowns), e_0), u_ff)
 
     # --- internals ----------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ class Horizon:
         return found
 
     def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
-        """Return the j-th command as rows of the unknowns and what there is beside them, from the errors before it."""
+        """Return the j-th command as rows of the unknowns and a constant term, from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
         return self._row({self._omega(j): g}) - k @ rows, u_ff - k @ rest
 

@@ -133,7 +133,7 @@ def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> fl
 
 
 def _loop(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
-    """Return L (n_frequencies, m, m): many frequencies at once, but not more than memory has room for."""
+    """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(a.shape[0]), b[None].astype(complex)
     points = np.array([_point(w, dt) for w in omega])[:, None, None]
     some = max(1, _ENTRIES // max(a.size, 1))

@@ -181,7 +181,7 @@ class _Integrals:
 
 @dataclass(frozen=True, eq=False)
 class _WithStep:
-    """A schedule that also tells the law the length of its step."""
+    """A schedule that also contains the length of the law's step."""
 
     schedule: ReferenceSchedule
 
@@ -256,7 +256,7 @@ def _solve(
         one, per_step = np.zeros((k, k)), 1.0
     else:
         per_step = read_positive(dt, "the control step dt")
-        # before sampling: the mode's own eigenvalue is told
+        # before sampling: the message names the mode's own eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
         held = sample(a, b, q, r, n, per_step)
         a, b, q, r, n = held.a, held.b, held.q, held.r, held.n

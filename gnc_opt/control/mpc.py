@@ -11,8 +11,8 @@ with the errors as further unknowns, so that it is sparse. As long as no limit i
 the sampled regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact
 penalty), so that the programme has a solution, unless they are named hard.
 
-The point that the solver returns is judged anew at every step by its optimality conditions; if it fails, the clipped
-regulator's command is given and an alarm is raised.
+The solver's point is checked at every step by its optimality conditions. If it fails, the law gives the
+clipped regulator's command and raises an alarm.
 
 References
 ----------
@@ -138,8 +138,8 @@ def design_mpc(
     Raises
     ------
     DesignError
-        As in `design_tvlqr`; limits without room, or that exclude the feedforward; limits of a state whose error is not
-        a difference.
+        As in `design_tvlqr`; limits with an empty interior, or that exclude the feedforward; limits of a
+        state whose error is not a difference.
 
     Warns
     -----
@@ -295,7 +295,9 @@ def _law(
     *,
     easy: bool = False,
 ) -> tuple[Any, Any, Layout]:
-    """Return the law, the first memory and its layout; ``easy``: without the solver, told where that is enough."""
+    """Return the law, the first memory and its layout; ``easy``: without the solver, with a flag that is 1 if
+    that suffices.
+    """
     states, m = deviation.model.states.size, rows.lower.size
     count, limited = schedule.windows.count, len(schedule.limited)
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
@@ -341,10 +343,10 @@ def _law(
 
 
 def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: str) -> list[Any]:
-    """Return the regulator's unknowns and whether they meet no limit.
+    """Return the regulator's unknowns and whether they satisfy all limits.
 
-    ``given`` are the errors, the feedforward and the reference of the limited states over the horizon, the matrices and
-    the command before. Elementary operations, as they are carried out at every step.
+    ``given`` are the errors, the feedforward and the reference of the limited states over the horizon, the
+    matrices and the command before. Uses elementary operations, since it runs at every step.
     """
     symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
     e, u_ff, x_limited, matrices, previous = symbols
@@ -382,7 +384,7 @@ def _solution(
 
 
 def _horizon(schedule: _Schedule, rows: Rows, matrices: Any, solver: str) -> Horizon:
-    """Return the horizon that suits a solver, with its matrices as the schedule's row tells them."""
+    """Return the horizon in the form for a solver, with its matrices from the schedule's row."""
     scale = _error_scale(schedule.windows)
     return Horizon(rows, _matrices(schedule, matrices), scale, condensed=solver == "daqp")
 
@@ -443,7 +445,7 @@ def _rates(value: ArrayLike, model: Model, dt: float) -> Array:
 
 
 def _subtracts(deviation: Deviation, name: str) -> bool:
-    """Whether the error of a state is x - x_ref, judged at a point without symmetries."""
+    """Whether the error of a state is x - x_ref, tested at a point without symmetries."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
     e = deviation(x, x_ref)[deviation.errors.slice(name)]

@@ -146,7 +146,7 @@ def _smallest_eigenvalue(weight: Array, labels: tuple[str, ...], what: str, *, s
             f"{what} of '{labels[bad[0]]}' is {diagonal[bad[0]]:g}: give a number {'>' if strict else '>='} 0."
         )
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    # a zero on the diagonal allows nothing beside it: those rows are scaled by their largest entry
+    # a zero on the diagonal requires a zero row: such rows are scaled by their largest entry
     empty = diagonal == 0
     if np.any(empty):
         largest = np.max(

@@ -193,10 +193,10 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
 
 
 def _balanced(a: Array) -> tuple[Array, Array]:
-    """Return a balanced by a diagonal similarity, and its scales (n,), powers of two.
+    """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two.
 
-    A matrix that is nilpotent but for rounding gets scales beyond the integers; SciPy warns when it casts them, for
-    a permutation that is not asked for here.
+    A matrix that is nilpotent but for rounding gets scales beyond the integers; SciPy warns when it casts
+    them, for a permutation that is not used here.
     """
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)

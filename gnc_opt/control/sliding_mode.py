@@ -10,7 +10,7 @@ the surface whatever d is, as long as it stays below the gain of the reaching la
 
 Surfaces of output errors and the law that drives them to zero, whoever chose their coefficients.
 
-What all sliding modes are told and do alike: the switching part of a law, checked, with its memory and its facts.
+Common part of all sliding modes: the validated switching part of a law with its memory and its facts.
 
 Overpowered: the alarm of a sliding mode whose gain a disturbance exceeds, from what s does.
 
@@ -159,10 +159,11 @@ def _stretch(drift: Any, errors: OutputErrors, reference: Reference, dt: float |
 
 
 def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
-    """Refuse steps over which the errors, sampled, grow from afar.
+    """Raise `DesignError` for steps over which large sampled errors grow.
 
-    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step. From afar only what is linear in rho counts, k s: the
-    rest is bounded or grows like |s|^alpha. Without k, s itself neither decays nor grows: the rates alone are judged.
+    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step. For large errors only the linear term of rho, k
+    s, counts: the others are bounded or grow like |s|^alpha. Without k, s neither decays nor grows, and only
+    the rates are checked.
     """
     if switching.dt is None:
         return
@@ -223,7 +224,7 @@ _FULL = 0.99
 
 @dataclass(frozen=True, eq=False)
 class SlidingOptions:
-    """What the designs of sliding modes are told alike; `design_sliding_mode` explains each."""
+    """Common options of the sliding-mode designs; see `design_sliding_mode`."""
 
     reaching: Law
     boundary: Boundary
@@ -240,7 +241,7 @@ class SlidingOptions:
         Raises
         ------
         DesignError
-            Disturbances above the gain, steps too long for the boundary layer, limits without room.
+            Disturbances above the gain, steps too long for the boundary layer, limits with an empty interior.
         """
         bounds = read_bounds(self.reaching, self.bound, labels)
         dt = _read_step(self.reaching, self.boundary, self.dt, needed=self.observer is not None)
@@ -455,7 +456,8 @@ def design_sliding_mode(
     bound : float or array (n_outputs,)
         Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
     observer : SuperTwistingObserver, optional
-        Estimates the disturbance, which the law then cancels; the reaching law has to cover only what is left.
+        Estimates the disturbance, which the law then cancels; the reaching law has to cover only the
+        estimation error.
     limits : (lower, upper), optional
         Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
         limited command for the one in force. The law itself does not limit its command.
@@ -480,9 +482,9 @@ def design_sliding_mode(
 
     Notes
     -----
-    ``reaching.reaching_time(s, bound)`` is the time from s at the start to the surface with ideal switching. How long
-    it takes within the limits of the actuators, and whether the loop comes back at all, is answered by a run of
-    ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)])``.
+    ``reaching.reaching_time(s, bound)`` is the time from s at the start to the surface with ideal switching.
+    For the time within the actuator limits, and for convergence of the loop, simulate ``ClosedLoop(model,
+    controller, [Saturation("limit", lower, upper)])``.
 
     Examples
     --------

@@ -145,11 +145,11 @@ _FORMS: dict[str, str] = {
     "COPYSIGN": "copysign({0}, {1})",
     "FMIN": "fmin({0}, {1})",
     "FMAX": "fmax({0}, {1})",
-    # the sign of 0 is 0, that of what is not a number is itself
+    # the sign of 0 is 0, that of NaN is NaN
     "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
     "LT": "{0} < {1} ? 1.0 : 0.0",
     "LE": "{0} <= {1} ? 1.0 : 0.0",
-    # not by == and !=, which compilers can warn of; what is not a number equals nothing, and is not zero
+    # not by == and !=, for which compilers can warn; NaN equals nothing and is not zero
     "EQ": "{0} >= {1} && {0} <= {1} ? 1.0 : 0.0",
     "NE": "{0} >= {1} && {0} <= {1} ? 0.0 : 1.0",
     "NOT": "{0} >= 0 && {0} <= 0 ? 1.0 : 0.0",

@@ -77,15 +77,15 @@ class FlightCode:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CodeOptions:
-    """How flight code is made smaller, and what it is then compared on.
+    """Options for smaller flight code, and samples for its comparison with the law.
 
     Attributes
     ----------
     precision : {"float64", "float32"}
         Of all numbers but times, which stay double: a clock in single precision would lose the row of the schedule.
     samples : (times (n,), measured (n_states, n)), optional
-        A flight, of one control step after the other: ``(run.times[:-1], run.measured)``. The code is compiled
-        (``cc``) and run over it, and what its commands miss the law's by is told.
+        Consecutive control steps of a flight: ``(run.times[:-1], run.measured)``. The code is compiled
+        (``cc``) and run on them, and the largest difference of its commands from the law's is reported.
 
     Examples
     --------
@@ -137,10 +137,10 @@ def export_c(
     Raises
     ------
     ArgumentError
-        The law holds operations that have no C, the schedule still changes after the span, nobody knows dt or
-        the span, or the files would be called like a header of C; options that do not fit.
+        The law contains operations without a C equivalent, the schedule changes after the span, dt or the
+        span is unknown, the file name is that of a C header, or options are incompatible.
     GncOptError
-        Samples, and no C compiler, or it failed.
+        Samples are given and the C compiler is missing or fails.
 
     Examples
     --------

@@ -63,7 +63,7 @@ def flight_table(controller: Controller, dt: float, span: tuple[float, float] | 
     Raises
     ------
     ArgumentError
-        Nobody knows its span, or it still changes after it.
+        Its span is unknown, or it changes after the span.
     """
     if controller.signals.size == 0:
         return FlightTable(0.0, np.zeros((1, 0)), controller.signals)
