@@ -1,4 +1,4 @@
-"""The arguments of a filter's design, read, and what can be told of it beforehand.
+"""Validated arguments of a filter's design, and its properties before any run.
 
 Kalman filters of a model: extended and unscented, on the right manifold, with biases, delays and gates.
 """
@@ -254,7 +254,9 @@ class FilterDesign:
         return [*facts, Fact("hold", str(self.hold), remark=what)]
 
     def _steady_facts(self, labels: tuple[str, ...]) -> list[Fact]:
-        """Return what is not seen and the steady accuracy, of the linear model at the first state without command."""
+        """Return the unobservable states and the steady accuracy of the linear model at the first state
+        without command.
+        """
         F, Q, H, R = self._linear()
         where = "by the linear model at the first state, no command"
         unseen = sorted(
@@ -267,7 +269,7 @@ class FilterDesign:
             regulator = steady(F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True)
         except (
             DesignError
-        ):  # what is not seen, or what no noise moves: its variance has no steady value above zero
+        ):  # unobservable states, or states without noise: their variance has no positive steady value
             return facts
         P = regulator.cost - regulator.cost @ H.T @ np.linalg.solve(
             H @ regulator.cost @ H.T + R, H @ regulator.cost

@@ -1,4 +1,4 @@
-"""Estimator: a discrete-time filter as symbolic functions with a memory, and a law that feeds back what it tells."""
+"""Estimator: a discrete-time filter as symbolic functions with a memory, and output feedback of its estimate."""
 
 from __future__ import annotations
 

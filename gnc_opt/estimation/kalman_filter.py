@@ -1,8 +1,8 @@
 r"""Filter: one control step of an estimator as symbolic functions.
 
-**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of `linearization`
-at the prediction and R the covariance of the noise, the measurements are taken one after the other. What is not
-finite, not due or refused by the gate,
+**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of
+`linearization` at the prediction and R the covariance of the noise, the measurements are taken one after the
+other. Samples that are not finite, not due or refused by the gate,
 
 .. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
 
@@ -76,7 +76,7 @@ class Tally:
     Attributes
     ----------
     entries : dict of str to SX
-        Of the memory, by name; `take` and `told` move the counters on.
+        Of the memory, by name; `take` and `told` advance the counters.
     """
 
     def __init__(self, memory: Layout, z: Any) -> None:
@@ -298,10 +298,10 @@ class _View:
 
 
 def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
-    """Return the error with what whitened components with the slopes H (m, n) and innovations nu tell, P, and the NIS.
-
-    ``error`` is what the measurements before have told, P the covariance of what is left. Neither changes if the
-    components are not taken. The NIS is the sum of those of the components one after the other, which are independent.
+    """Return the error and P updated by whitened components with slopes H (m, n) and innovations nu, and the
+    NIS. ``error`` is the correction by the previous measurements, P the covariance of the remaining error.
+    Neither changes if the components are not taken. The NIS is the sum of the sequential, independent
+    components' NIS.
     """
     nis = ca.SX(0)
     for i in range(H.shape[0]):

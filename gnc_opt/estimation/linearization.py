@@ -56,7 +56,7 @@ class Approximation(Protocol):
         """Return the mean of f(x) and the covariance of its error; ``value`` and ``slope`` are those of the tangent."""
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
-        """Return the mean of f(x), the slope F of its error and the covariance of what is left."""
+        """Return the mean of f(x), the slope F of its error and the covariance of the residual."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Tangent:
         return True
 
     def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
-        """Return the tangent's value, and P carried by its slope."""
+        """Return the tangent's value, and P propagated with its slope."""
         return value, slope @ P @ slope.T
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
@@ -103,7 +103,7 @@ class Regression:
         return mean, spread @ spread.T + remainder
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
-        """Return the mean of f(x), the slope of its error and the covariance of what is left."""
+        """Return the mean of f(x), the slope of its error and the covariance of the residual."""
         value, spread, remainder, root = self._images(f, source, target, x, P)
         return value, solved_right(spread, root), remainder
 

@@ -1,6 +1,6 @@
-"""Measurement: what one sensor tells, how well, how often and how late.
+"""Measurement: function, noise, rate and delay of one sensor.
 
-What filters can be told beside the model and the numbers of its noise.
+Options of filters besides the model and its noise.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gnc_opt.model.variables import as_vector
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FilterOptions:
-    """What filters can be told beside the model and the numbers of its noise.
+    """Options of filters besides the model and its noise.
 
     Attributes
     ----------
@@ -33,8 +33,8 @@ class FilterOptions:
     substeps : int
         Runge-Kutta steps of the prediction per control step.
     hold : int
-        Control steps in a row that should have brought a sample and brought none for which the prediction is told;
-        then what is no number, until the next sample is taken.
+        Consecutive control steps with a missing sample for which the prediction is returned; after them NaN,
+        until the next sample is taken.
     name : str, optional
         For messages and reports; default "EKF" or "UKF".
 
@@ -57,7 +57,7 @@ class FilterOptions:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UnscentedOptions(FilterOptions):
-    """What an unscented filter can be told.
+    """Options of an unscented filter.
 
     Attributes
     ----------
