@@ -1,4 +1,4 @@
-r"""Accessory problem: the neighbours of a smooth extremal, and the feedback on which they lie.
+r"""Accessory problem: neighbouring extremals of a smooth extremal, and the feedback that generates them.
 
 Variations of an extremal whose controls are off their limits and whose H is strictly convex in them satisfy the
 accessory equations (`gnc_opt.planning.optimality.accessory`), a linear Hamiltonian system in (X, :math:`\Lambda`).
@@ -13,7 +13,7 @@ beside the integral,
    & H_x \delta x + f^T \delta\lambda + H_t \, dt_f + \Phi_{tx} (\delta x + f dt_f) + \Phi_{tt} \, dt_f = 0 &&
      \text{where the end is free.}
 
-Carried backward by the flow, it tells at each time
+Propagated backward by the flow, it gives at each time
 
 .. math:: \delta\lambda = S \delta x, \quad dt_f = g \, \delta x, \quad \delta u = -K \delta x, \qquad
    S = \Lambda X^{-1}, \quad g = T X^{-1}, \quad K = H_{uu}^{-1} (H_{ux} + f_u^T S) .

@@ -31,7 +31,7 @@ from gnc_opt.planning.solution.solution import Solution
 
 @dataclass(frozen=True)
 class RegulatedEnd:
-    """The last part of a flight, in which a regulator follows what is left of the plan.
+    """The last part of a flight, in which a regulator follows the remainder of the plan.
 
     Attributes
     ----------

@@ -10,8 +10,8 @@ among the ways to do so takes the fastest (Bryson and Ho, Applied Optimal Contro
 there are fewer switches left than conditions, the weights W decide what is missed. :math:`\lambda` keeps noise from
 moving switches that have little effect.
 
-In the last part of the flight a regulator follows what is left of the plan, with the reserve that the plan leaves it;
-the reference is flown backward from the end, so that what the switches could not correct is an error to it.
+In the last part of the flight a regulator follows the remainder of the plan with the plan's control authority
+margin. Its reference is integrated backward from the end, so it corrects the errors that the switches left.
 
 Optimum: the switch times of least time for a plan as it is flown, with its second-order condition.
 
@@ -188,7 +188,7 @@ _SHIFT = 0.04
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceOptions:
-    """What `design_neighbouring_optimal` can be told beside the plan and what is accepted at its end.
+    """Options of `design_neighbouring_optimal` besides the plan and the accepted final errors.
 
     Attributes
     ----------

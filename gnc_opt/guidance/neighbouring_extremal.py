@@ -4,9 +4,9 @@ With K and g of `accessory` along the plan,
 
 .. math:: u = u_{ff} - K(t) (x - x_{ref}(t)), \qquad \hat t_f = t_f + g(t) (x - x_{ref}(t))
 
-are the controls and the end of the problem solved again from x, to first order: what is left is of second order in the
-deviation (Bryson and Ho, Applied Optimal Control, 1975, chapter 6). Towards an end at which states are given K grows
-without bound; in the last part of the flight it stays as it is, and so it does after the end.
+are the controls and the end of the problem solved again from x, with an error of second order in the
+deviation (Bryson and Ho, Applied Optimal Control, 1975, chapter 6). Towards an end with fixed states K grows
+without bound; K is constant in the last part of the flight and after the end.
 """
 
 from __future__ import annotations

@@ -10,11 +10,11 @@ so that the vehicle, which flies the old plan meanwhile, meets the new one where
 F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC Proc. 37 (1), 2004). A solve that fails
 leaves the old plan in force.
 
-What is left of an optimal control problem once a part of its flight has been flown.
+The remaining optimal control problem at a time during the flight.
 
-By Bellman's principle the rest of a plan is the plan for the rest, provided that what is asked tells what was flown
-from what is to come: time limits move with the clock, but a budget that integrates over the whole phase, or a condition
-on where it began, would be granted anew.
+By Bellman's principle the rest of a plan is the plan for the rest, provided that its conditions can be
+shifted in time. Time limits move with the clock, but an integral budget of the whole phase, or a condition on
+its start, would apply again in full.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _SAME_DIRECTION = 1e-9
 
 
 def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
-    """Return what is left of a problem of one phase.
+    """Return the remaining problem of one phase.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _additive(problem: Problem, leg: Phase) -> bool:
 def _parallel(first: Any, second: Any) -> bool:
     a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
     sizes = np.linalg.norm(a), np.linalg.norm(b)
-    if not np.isfinite(sizes).all() or min(sizes) == 0:  # cannot tell at these numbers
+    if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive at these numbers
         return True
     return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= _SAME_DIRECTION)
 
