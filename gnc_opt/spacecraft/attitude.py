@@ -165,7 +165,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
 
 
 def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
-    """Return the MRP, of length <= 1, that `mrp_difference` tells to be ``error`` away from the reference.
+    """Return the MRP, of length <= 1, whose `mrp_difference` from the reference is ``error``.
 
     The turn follows that of the reference. For `Model.difference` and `Noise`.
 
