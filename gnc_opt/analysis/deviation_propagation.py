@@ -1,4 +1,4 @@
-"""Scatter: how a column of the closed loop deviates from its nominal value, carried along step by step."""
+"""Deviations: propagation of a closed-loop column's deviation from its nominal value, step by step."""
 
 from __future__ import annotations
 

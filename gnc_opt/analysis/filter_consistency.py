@@ -39,10 +39,10 @@ class InnovationTest(Strict):
     Attributes
     ----------
     average : float
-        Mean NIS of the samples taken, over all runs; not-a-number if none was.
+        Mean NIS of the samples taken, over all runs; NaN if none was.
     band : tuple of two floats
-        Between which that mean is with the confidence asked for, if the filter is right; behind a gate, that of what
-        passes it.
+        Interval of that mean at the requested confidence if the filter is consistent; with a gate, of the
+        accepted samples.
     taken, refused : int
         Samples used, and refused by the gate.
 
@@ -52,8 +52,8 @@ class InnovationTest(Strict):
     >>> from gnc_opt.analysis import consistency
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-4)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
-    >>> told = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf).innovations["q"]
-    >>> print(told.taken, told.ok)  # the gauge is ten times worse than the filter was told
+    >>> gauge = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf).innovations["q"]
+    >>> print(gauge.taken, gauge.ok)  # the gauge is ten times less accurate than the filter assumes
     80 False
     """
 
@@ -75,13 +75,13 @@ class Consistency(Strict):
     Attributes
     ----------
     nees : array (n_times,) or (m,)
-        Of the predictions at the control steps and the end of a run, or at the ends of the m runs of a campaign;
-        not-a-number where a run has no such end.
+        Of the predictions at the control steps and the end of a run, or at the ends of the m runs of a
+        campaign; NaN if a run has no such end.
     average : float
         Mean of ``nees``.
     band : tuple of two floats
-        Of a campaign: between which that mean is with the confidence asked for, if the filter is right. Of a run: that
-        of each single value, whose successive ones depend on each other.
+        Campaign: interval of that mean at the requested confidence if the filter is consistent. Run: interval
+        of each single value; successive values are dependent.
     components : int
         Of the error, the mean to be expected.
     independent : bool
@@ -96,8 +96,8 @@ class Consistency(Strict):
     >>> from gnc_opt.analysis import consistency
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
-    >>> judged = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
-    >>> print(judged.nees.shape, f"{judged.within:.0%} within {np.round(judged.band, 2)}")
+    >>> result = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
+    >>> print(result.nees.shape, f"{result.within:.0%} within {np.round(result.band, 2)}")
     (81,) 91% within [0.05 7.38]
     """
 
@@ -141,7 +141,7 @@ class Consistency(Strict):
 
 
 def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: float = 0.95) -> Consistency:
-    """Return how the errors and innovations of an estimator compare with what it says of them.
+    """Return the consistency of an estimator's errors and innovations with its covariances.
 
     Parameters
     ----------
@@ -167,8 +167,8 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> flown = filtered.simulate([1.05, 0.01], tf=8.0)
-    >>> judged = consistency(flown, ekf)
-    >>> print(judged.components, judged.innovations["q"].ok)
+    >>> result = consistency(flown, ekf)
+    >>> print(result.components, result.innovations["q"].ok)
     2 True
     """
     expect(estimator, Estimator, "what consistency() got", "give the estimator of the loop")

@@ -73,8 +73,8 @@ class Agreement:
     Examples
     --------
     >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> told = go.linear_covariance(experiment, checks=0)
-    >>> agreement = told.compare(campaign)
+    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> agreement = result.compare(campaign)
     >>> print(agreement.labels, agreement.runs, agreement.ok)
     ('q', 'v') 20 True
     """
@@ -238,8 +238,8 @@ class LinearCovariance(Strict):
     Examples
     --------
     >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> told = go.linear_covariance(experiment, checks=0)
-    >>> print({source: f"{share:.0%}" for source, share in told.budget("q").items()})
+    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> print({source: f"{share:.0%}" for source, share in result.budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
     """
 
@@ -400,10 +400,10 @@ def linear_covariance(
     Examples
     --------
     >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> told = go.linear_covariance(experiment, checks=0)
-    >>> print(told.sources)
+    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> print(result.sources)
     ('initial.q', 'initial.v', 'gauge')
-    >>> print(f"{1e3 * told.std('q')[0, -1]:.2f} mm at the end")
+    >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
     expect(experiment, Experiment, "what linear_covariance() got", "give an Experiment")
@@ -418,7 +418,7 @@ def linear_covariance(
 
 
 class _Pass:
-    """One pass along the nominal run, with everything that is carried along."""
+    """One sweep along the nominal run, with the propagated quantities."""
 
     def __init__(
         self, linearization: Linearization, dispersions: Dispersions, every: int, checks: int, seed: int

@@ -214,7 +214,7 @@ class Linearization:
     def _function(self) -> Any:
         """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``.
 
-        The derivatives are those of the carried part of X_next and below it of y.
+        The derivatives are those of the propagated part of X_next and, below it, of y.
         """
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX

@@ -157,7 +157,7 @@ class LoopResponse(Strict):
 
     @property
     def frequencies(self) -> Array:
-        """Frequencies worth looking at, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
+        """Relevant frequencies, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
         poles = np.concatenate([self.poles(k) for k in range(self.times.size)])
         sizes = np.abs(continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
         top = np.pi / self.dt

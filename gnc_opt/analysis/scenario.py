@@ -35,7 +35,7 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A closed loop on one flight, how its runs differ, and what is measured of them.
+    """A closed loop on one flight, with the dispersions of its runs and the measures evaluated on them.
 
     The words are those of `monte_carlo`, the random numbers those of ``seed``.
 
@@ -51,7 +51,7 @@ class Experiment:
     parameters : mapping, optional
         Nominal changes of parameters by dotted name.
     target : mapping, optional
-        What states are compared with at the end, by name; default the reference at the end.
+        Final states for comparison, by name; default: the reference at the end.
     judge : mapping, optional
         Measures of one's own: functions of the campaign that return a number per run, by name.
     seed : int
