@@ -162,8 +162,8 @@ def evaluate(
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 
-    One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis. ``programme`` tells
-    the function as one of NumPy, if it is one, for times that are many.
+    One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis.
+    ``programme`` is the function as NumPy code, if available, for many times.
     """
     times, *columns = checked(function, t, x, *others)
     if programme is not None and times.size >= FEWEST and (known := programme()) and known.pays(times.size):

@@ -1,4 +1,4 @@
-"""Norms in expressions: which nodes depend on some symbols by their Euclidean norm alone, told by numbers.
+"""Norms in expressions: numerical detection of nodes that depend on symbols by their Euclidean norm alone.
 
 A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``); what they
 share is that turning the vector changes nothing, and that a vector twice as long doubles them, or multiplies them by 4.

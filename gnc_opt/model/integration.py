@@ -207,7 +207,7 @@ class Budget:
 
     def _note(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
-        # A step that is no number leads to states that are none: that is not where it began.
+        # A NaN step gives NaN states: the failure began before them.
         if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))
             self.earliest = t
@@ -237,7 +237,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Integration:
-    """What `integrate` found.
+    """Result of `integrate`.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ class Integration:
         Of the integrator's steps; the last one is that of the stop, if there was one.
     states : array (n_states, n_times)
     dense : callable
-        States at any time between, where asked for.
+        States at any time between, if requested.
     """
 
     times: Array

@@ -223,12 +223,12 @@ class Model(Strict):
     def split_control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
     ) -> tuple[Any, Any]:
-        """Declare a control whose absolute value costs, without a kink: as a difference of two that push one way.
+        """Declare a control with a cost of its absolute value as the difference of two nonnegative controls.
 
-        The controls are ``name_plus`` and ``name_minus``, both >= 0. An optimum that pays for their sum never
-        pushes both ways at once, hence the sum is the absolute value, and a cost of it is linear (the way to state
-        an L1 norm, such as the fuel of opposed thrusters). ``Phase.bounds`` and ``Phase.guess`` take ``name``, which
-        solutions know, too, and which is also an output.
+        The controls are ``name_plus`` and ``name_minus``, both >= 0. At an optimum with a cost of their sum
+        at most one of them is nonzero. The sum is therefore the absolute value, and its cost is linear (an L1
+        norm, such as the fuel of opposed thrusters). ``Phase.bounds``, ``Phase.guess`` and solutions accept
+        ``name``, which is also an output.
 
         Parameters
         ----------

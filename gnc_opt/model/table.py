@@ -106,8 +106,8 @@ class Table(Strict):
         Returns
         -------
         casadi.SX or array
-            Expressions have continuous derivatives (none for "linear"), outside of the table, too; what is not a
-            number stays so.
+            Expressions have continuous derivatives (none for "linear"), also outside the table; NaN gives
+            NaN.
 
         Raises
         ------
@@ -232,7 +232,7 @@ class _Found:
         steps = [x >= b for b in breaks[1:-1]]
         edges = ca.vertcat(1, *steps, 0)
         inside = edges[:-1] - edges[1:]
-        # by choice, not by fmin and fmax: those turn what is not a number into one
+        # by choice, not by fmin and fmax, which hide NaN
         held = ca.if_else(below, breaks[0], ca.if_else(above, breaks[-1], x))
         start, width = (ca.dot(inside, ca.SX(values)) for values in (breaks[:-1], np.diff(breaks)))
         comparisons = ca.vertcat(below, above, *steps)

@@ -73,7 +73,7 @@ class Records:
         Name and unit of the axis.
     points : array (n,)
     quantities : tuple of (Variable, array (size, n))
-        What there is; numbers, or words such as an outcome.
+        The values: numbers, or words such as an outcome.
     about : mapping
         Attributes of the whole.
     """
@@ -126,9 +126,10 @@ class Records:
         Parameters
         ----------
         path : str or Path
-            ``.csv``: a column per component, labels in the first row. ``.json``: columns, units and attributes.
-            ``.mat``: a matrix (n, size) per quantity, points in a column, ``units`` a structure. Dots in names become
-            underscores there. Numbers have all their digits; what is not a number is an empty field or null.
+            ``.csv``: a column per component, labels in the first row. ``.json``: columns, units and
+            attributes. ``.mat``: a matrix (n, size) per quantity, points in a column, ``units`` a structure.
+            Dots in names become underscores there. Numbers have all their digits; NaN is an empty field or
+            null.
 
         Raises
         ------
@@ -208,7 +209,7 @@ def _plain_list(values: Iterable[Any]) -> list[Any]:
 
 
 def _plain(value: Any, missing: Any) -> Any:
-    """Return a number or word of Python's own; a number that is none becomes what stands for it."""
+    """Return a Python number or string; NaN becomes the given substitute."""
     plain = value.item() if isinstance(value, np.generic) else value
     return missing if isinstance(plain, float) and not np.isfinite(plain) else plain
 

@@ -314,7 +314,7 @@ class Variables:
         raise unknown_name("variable", name, self._owner, self.names)
 
     def state_name(self, key: Symbol | str) -> str:
-        """Return the name of a state that is told by its symbol or its name; raise `ModelError` for others."""
+        """Return the name of a state given by its symbol or its name; raise `ModelError` for others."""
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
         if name is None:
             raise ModelError(
