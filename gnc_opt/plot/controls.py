@@ -88,7 +88,7 @@ def plot_controls(
     UnknownNameError
         There is no such phase or control.
     GncOptError
-        There are no controls at all.
+        The phase has no controls.
 
     Examples
     --------
@@ -200,7 +200,7 @@ def _draw_switching(
 
 
 def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
-    """Return at which times (n_times,) the flown control sits on one of its bounds."""
+    """Return whether the applied control is on one of its bounds (n_times,)."""
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     flown = leg.flown(t)[row]
     room = np.minimum(flown - lower, upper - flown)
@@ -208,7 +208,7 @@ def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
 
 
 def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
-    """Return the switching function that is worth 1e-7 of the Hamiltonian's terms over the control's range.
+    """Return the switching function that changes H by 1e-7 of its terms over the control's range.
 
     An interior control holds it at zero; without this the figure would magnify the rounding errors.
     """

@@ -31,9 +31,10 @@ _VERDICT_LEAST, _VERDICT_MOST = 1e-12, 1e12
 
 
 def plot_verdict(verdict: Verdict) -> Figure:
-    """Return a figure with one row per condition: its offence in shares of its tolerance on a logarithmic axis.
+    """Return a figure with one row per condition: its violation as a share of its tolerance, on a logarithmic
+    axis.
 
-    Conditions that ask for a margin (their tolerance is negative) offend by what is missing of it.
+    The violation of a condition with a margin (negative tolerance) is the missing part of the margin.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def plot_verdict(verdict: Verdict) -> Figure:
 
 
 def _offence(condition: Condition) -> float:
-    """Offence to draw, in tolerances; 1 and more is beyond."""
+    """Violation to draw, in tolerances; 1 or more fails."""
     value, tolerance = condition.value, condition.tolerance
     if not np.isfinite(value):
         return _VERDICT_MOST if condition.result is Result.FAIL else 1.0

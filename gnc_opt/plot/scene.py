@@ -119,7 +119,7 @@ def _sampled(each: Motion, digits: int) -> dict[str, Any]:
 
 
 def _extent(points: list[Array], view: View) -> tuple[Array, Array, float]:
-    """Return lowest and highest corner of what is drawn, with room, and its largest extent."""
+    """Return the lowest and highest corner of the drawing, with a margin, and its largest extent."""
     everything = np.hstack(points)
     low, high = everything.min(axis=1), everything.max(axis=1)
     size = float(np.max(high - low)) if view.position is not None else 1.0

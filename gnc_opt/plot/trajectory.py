@@ -142,10 +142,9 @@ def plot_costates(
 def plot_hamiltonian(
     solution: Solution, *, phase: str | None = None, expected: float | None = None, unit: str = ""
 ) -> Figure:
-    """Draw the Hamiltonian over time with the band it stays in.
+    """Draw the Hamiltonian over time with its range.
 
-    Marks show it at the collocation points, where the program sees it; the line is drawn along the flown
-    controls.
+    Marks show it at the collocation points of the program; the line uses the applied controls.
 
     Parameters
     ----------

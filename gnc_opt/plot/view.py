@@ -26,7 +26,7 @@ AXIS, PLUME = 0.12, 0.2
 
 @dataclass(frozen=True)
 class Thruster:
-    """An actuator that pushes the body along one line; its plume points the other way.
+    """An actuator with a force on the body along one line; its plume points the other way.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Thruster:
         A control or a state of one component, or a component, such as ``"F_B[0]"``. One that takes both signs is a
         pair of thrusters on opposite sides: where it is negative, nozzle and plume are mirrored through the origin.
     direction : array (3,)
-        In which it pushes the body where it is positive: in B if the view has an attitude, else in L.
+        Direction of the force for a positive control: in B if the view has an attitude, else in L.
     position : array (3,)
         Of the nozzle in the same axes, in lengths of the axes as drawn: vehicles are drawn larger than they are.
 
