@@ -29,7 +29,7 @@ _UNIT = 1e-6
 
 @dataclass(frozen=True)
 class MessageMetadata:
-    """What a CCSDS message says of its object and its clock.
+    """Object and clock of a CCSDS message.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class MessageMetadata:
     Raises
     ------
     ArgumentError
-        An epoch that is none, or a text that is empty or has several lines.
+        An invalid epoch, or a text that is empty or has several lines.
 
     Examples
     --------

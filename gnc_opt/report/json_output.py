@@ -21,7 +21,7 @@ from gnc_opt.planning.study.multistart import Multistart
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
-    """Return what a search found as plain JSON values; each minimum with the summary of its solution.
+    """Return the result of a search as plain JSON values; each minimum with the summary of its solution.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     Examples
     --------
     >>> from gnc_opt.report import search_dict
-    >>> told = search_dict(go.multistart(problem, n=2, seed=1, executor="serial", refine=False))
-    >>> print(told["finished"], len(told["minima"]))
+    >>> found = search_dict(go.multistart(problem, n=2, seed=1, executor="serial", refine=False))
+    >>> print(found["finished"], len(found["minima"]))
     2 1
     """
     return {
@@ -107,7 +107,8 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     Returns
     -------
     dict
-        Strings, numbers, booleans, None, lists and dicts; what is not finite or was not measured is None.
+        Strings, numbers, booleans, None, lists and dicts; values that are not finite or not measured are
+        None.
 
     Examples
     --------
