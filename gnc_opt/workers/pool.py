@@ -44,7 +44,7 @@ Place: TypeAlias = tuple[int, ...]
 
 
 class WorkerDied(GncOptError):
-    """Why there is no answer: the process died, or there is nobody to do the task."""
+    """Error: the process died, or no worker is left for the task."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +154,9 @@ class WorkerPool(Generic[Object]):
         task : callable
         items : iterable
         show : callable
-            Is told everything as it is done. What it raises ends the run.
+            Called with each result. An exception in it ends the run.
         split : callable, optional
-            Returns the parts of an item that together are worth as much; none if it has no parts.
+            Returns the parts of an item that together give the same result; none if it has no parts.
 
         Returns
         -------
@@ -282,7 +282,7 @@ class _Ledger(Generic[Item, Answer]):
             future.cancel()
 
     def collect(self) -> None:
-        """Keep answers that nobody has looked at yet."""
+        """Store answers that have not been read yet."""
         for number, future in self.futures.items():
             if (number,) not in self.done and future.done() and _error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())

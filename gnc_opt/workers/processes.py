@@ -143,7 +143,7 @@ class OwnProcesses:
         )
 
     def end(self, at_once: bool = False) -> None:
-        """End them; ``at_once`` whatever they are at: a task may take long, and nobody waits for it any more."""
+        """End them; ``at_once`` also during a task, whose result is no longer needed."""
         if self._executor is None:
             return
         if at_once:
@@ -175,7 +175,7 @@ def _begin(parcel: Parcel[Any]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End at once when the parent is gone, however it went: nobody waits for an answer any more."""
+    """End at once when the parent process is gone for any reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
