@@ -1,4 +1,6 @@
-"""Problem files to start from, one per kind, that ``gnc-opt new`` copies: each is solved and judged as it stands."""
+"""Template problem files, one per kind, that ``gnc-opt new`` copies; each can be solved and verified
+unchanged.
+"""
 
 from __future__ import annotations
 

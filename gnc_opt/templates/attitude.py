@@ -4,7 +4,7 @@ The attitude is given by modified Rodrigues parameters (MRP), sigma = axis * tan
 three numbers, as many as there are ways to turn, good for turns below 360 degrees.
 Frames: B is the body, I is inertial; sigma_BI turns I into B, omega_BI_B is in B.
 
-Solve and judge it with: gnc-opt solve FILE --report report
+Solve and verify with:   gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set duration=60
 """

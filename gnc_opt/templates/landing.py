@@ -4,7 +4,7 @@ Cost and dynamics are linear in the thrust, hence the best thrust is none or all
 (bang-bang). A mesh alone finds the switch only to the width of a segment; refined, the
 structure of the control is recognised and the time of the switch is found.
 
-Solve and judge it with: gnc-opt solve FILE --report report
+Solve and verify with:   gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set height=2000
 """

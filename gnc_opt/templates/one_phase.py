@@ -1,6 +1,6 @@
 """A cart is pushed from rest to rest against drag, with the least effort.
 
-Solve and judge it with: gnc-opt solve FILE --report report
+Solve and verify with:   gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set distance=2
 """

@@ -3,7 +3,7 @@
 Phases follow each other: each has its model, its times and its limits, and a link joins
 the end of one with the beginning of the next. When the waypoint is passed is free.
 
-Solve and judge it with: gnc-opt solve FILE --report report
+Solve and verify with:   gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set duration=5
 """
@@ -48,8 +48,8 @@ def build(
     on.time(initial=(0.1 * duration, 0.9 * duration), final=duration)
     on.final(r=list(goal), v=0.0)
 
-    # Time and all states go on from one phase to the next. A state that jumps, such as
-    # the mass of a stage that is dropped, is told by jump={"m": -200.0}.
+    # Time and all states go on from one phase to the next. A jump of a state, such as the mass of a dropped
+    # stage, is given by jump={"m": -200.0}.
     problem.link(out, on)
 
     for leg in (out, on):
