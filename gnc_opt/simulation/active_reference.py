@@ -153,7 +153,7 @@ class ActiveReference:
         return np.stack([np.interp(times, self.times, row) for row in self.schedule[self.places]])
 
     def consider(self, step: int, x: Array) -> None:
-        """Re-plan at a control step, from the estimated states (n_followed,), if that is asked for then."""
+        """Re-plan at a control step, from the estimated states (n_followed,), if a new plan is due."""
         planner = self.replanner
         assert planner is not None
         t, late = float(self.times[step]), math.ceil(planner.latency / self.dt - STEP_SLACK)
@@ -181,9 +181,7 @@ class ActiveReference:
             plan = planner.solved(begin, state, self._plan)
             rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
-        except (
-            Exception
-        ) as error:  # in flight the old plan is what there is, whatever a solver or a design does
+        except Exception as error:  # in flight any failure of a solver or design keeps the old plan
             return Replan(t, begin, time.perf_counter() - begun, in_words(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path

@@ -27,14 +27,14 @@ from gnc_opt.text import preformatted
 
 @dataclass(frozen=True, eq=False)
 class Campaign(Strict):
-    """Many runs of a closed loop; arrays have one column per run that is there, m in all.
+    """Many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
     ----------
     seed : int
         Run i has the random numbers of ``SeedSequence([seed, i])``.
     asked : int
-        Runs asked for; more than m after Ctrl-C.
+        Requested runs; more than m after Ctrl-C.
     indices : int array (m,)
         Numbers of the runs.
     parameters : array (n_parameters, m)
@@ -44,7 +44,7 @@ class Campaign(Strict):
     errors : array (n_errors, m)
         Of the states at the end, relative to the reference or target, by the plant's own difference.
     target : array (n_states,)
-        What the errors are relative to; not-a-number where there is nothing.
+        Reference of the errors; NaN without one.
     effort, energy : array (n_controls, m)
     saturation_time, variation : array (n_commands, m)
         As in `Run`.
@@ -52,25 +52,25 @@ class Campaign(Strict):
     memory : array (n_memory, m)
         Of the controller at the end; (0, 0) in files of versions that did not store it.
     event_counts, event_times : array (n_events, m)
-        How often each event happened, and the first time (s), not-a-number where it did not; (0, 0) in files of
-        versions without events.
+        Number of occurrences of each event, and the first time (s), NaN without an occurrence; (0, 0) in
+        files of versions without events.
     sums : array (3 n_quantities, m)
         Largest values, least values and integrals of the loop's quantities.
     samples : array (n_quantities, n_samples, m)
-        Of them, at ``sample_times``; not-a-number after a run has ended.
+        Of them, at ``sample_times``; NaN after the end of a run.
     sample_times : array (n_samples,)
         s.
     replans : array (2, m)
-        How often was re-planned in flight, and how often in vain; (2, 0) in files of versions without it.
+        Numbers of successful and of failed re-plans in flight; (2, 0) in files of versions without them.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
     limits : mapping
         Largest permitted value by `measure`.
     measured : mapping
-        Values (m,) of measures of one's own by name.
+        Values (m,) of user-defined measures by name.
     interrupted : bool
-        Whether Ctrl-C ended the campaign before its time.
+        Whether Ctrl-C ended the campaign early.
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
     flight : Flight or None
@@ -156,13 +156,12 @@ class Campaign(Strict):
         ----------
         name : str
             ``"r_L"``, the name of a state: Euclidean norm of its error at the end (unit of the error).
-            ``"angle(sigma)"``: angle between an attitude and its target at the end, rad.
-            ``"effort(F_B)"``, ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components.
-            ``"variation(F_B)"``: chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
-            ``"time(touchdown)"``: when an event happened first, s.
-            ``"max(tilt)"``, ``"min(tilt)"``, ``"integral(tilt)"``: of a quantity of the loop over the run.
-            ``"replans"``, ``"failed replans"``: how often was re-planned in flight, and in vain.
-            Or the name of one's own measure.
+            ``"angle(sigma)"``: angle between an attitude and its target at the end, rad. ``"effort(F_B)"``,
+            ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components. ``"variation(F_B)"``:
+            chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
+            ``"time(touchdown)"``: when an event happened first, s. ``"max(tilt)"``, ``"min(tilt)"``,
+            ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
+            numbers of successful and of failed re-plans in flight. Or the name of a user-defined measure.
 
         Raises
         ------
@@ -268,7 +267,9 @@ class Campaign(Strict):
         return [int(i) for i in self.indices[order[:count]]]
 
     def with_limits(self, **limits: float) -> Campaign:
-        """Return the same runs judged by other limits; names with brackets: ``**{"angle(sigma)": 0.01}``."""
+        """Return the same runs evaluated with other limits; names with brackets: ``**{"angle(sigma)":
+        0.01}``.
+        """
         changed = replace(self, limits=dict(limits))
         for name in limits:
             changed.measure(name)

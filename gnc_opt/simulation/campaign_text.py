@@ -53,7 +53,7 @@ class CampaignStatistics(Protocol):
 
 
 def shown_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
-    """Return the measures worth a row: those with limits first, then errors, own measures and efforts."""
+    """Return the measures to print: those with limits first, then errors, user-defined measures and efforts."""
     errors = [n for n in campaign.measures if "(" not in n]
     efforts = [n for n in campaign.measures if n.startswith("effort(")]
     return tuple(dict.fromkeys([*campaign.limits, *errors, *efforts]))

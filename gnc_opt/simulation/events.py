@@ -73,7 +73,7 @@ class Event:
     Raises
     ------
     ArgumentError
-        A name or direction that is none, or a failure that ends nothing.
+        An invalid name or direction, or a failure that does not end the run.
 
     Examples
     --------

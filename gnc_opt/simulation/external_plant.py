@@ -25,7 +25,7 @@ class Plant(Protocol):
     """What `fly_plant` asks of a plant, in turns: measure, step, measure, step."""
 
     def measure(self, t: float) -> ArrayLike:
-        """Return what the controller is told at t (s), (n_states,) in its order; not a number where it is lost."""
+        """Return the controller's measurements at t (s), (n_states,) in its order; NaN for lost samples."""
 
     def step(self, t: float, u: Array, dt: float) -> None:
         """Go on from t (s) by dt (s) under the held command u (n_commands,)."""
@@ -33,14 +33,14 @@ class Plant(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlantFlight:
-    """A flight of a plant of one's own.
+    """A run of a user-defined plant.
 
     Attributes
     ----------
     times : array (n + 1,)
         Beginnings of the control steps and the end, s.
     measured : array (n_states, n + 1)
-        What the plant told then.
+        Measurements of the plant at these times.
     commands : array (n_commands, n)
         Held over the steps.
     memory : array (n_memory, n)

@@ -15,7 +15,7 @@ _HEADER = 192
 
 
 class Log:
-    """Arrays (size, n_times) that are filled column by column; what is not filled is cut off at the end.
+    """Arrays (size, n_times) that are filled column by column; unused columns are removed at the end.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measures: the numbers of each run by which a campaign is judged, by their names.
+"""Measures: named numbers of each run that a campaign evaluates.
 
 Envelope: between which values a quantity of all runs stays over time, with bands of order statistics.
 """

@@ -151,16 +151,17 @@ def monte_carlo(
     parameters : mapping
         Nominal changes of parameters by dotted name.
     target : mapping
-        What states are compared with at the end, by name; default the reference at the end.
+        Final states for comparison, by name; default: the reference at the end.
     limits : mapping
         Largest permitted values by measure (see `Campaign.measure`), e.g. ``{"r_L": 0.05, "angle(sigma)": 0.0087}``.
     judge : mapping
-        Measures of one's own: functions of the campaign that return a number per run, by name. They can have limits.
+        User-defined measures: functions of the campaign that return a number per run, by name. They can have
+        limits.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
     checkpoint : path, optional
-        A folder to which every batch of runs goes as soon as it has ended. Called again with it, whatever ended the
-        campaign, also with a larger n, only the runs that are missing there are flown; the result has the same bits.
+        A folder that stores every batch of runs when it ends. A repeated call with it, also with a larger n,
+        simulates only the missing runs; the result has the same bits.
     progress : bool
         Show how many runs have ended and how many of them failed.
 

@@ -1,4 +1,4 @@
-"""Run: everything a closed loop did, and what it was worth.
+"""Run: trajectories, commands and figures of merit of one closed-loop simulation.
 
 Metrics of runs, from samples.
 """

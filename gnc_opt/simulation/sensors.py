@@ -257,9 +257,7 @@ class Outage(Block):
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:
-            out = ca.logic_and(
-                out, ca.logic_not(self._condition(tick) <= 0)
-            )  # not-a-number tells nothing good
+            out = ca.logic_and(out, ca.logic_not(self._condition(tick) <= 0))  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
 
     def _condition(self, tick: Tick) -> Any:

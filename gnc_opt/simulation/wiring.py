@@ -58,7 +58,7 @@ def _check_there(variable: Variable, plant: Model, controller: Controller, verb:
 
 
 def _check_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
-    """Refuse two declared units that are written differently; where one is not declared, nobody knows."""
+    """Raise an error for two declared units that differ in writing; an undeclared unit is accepted."""
     one, other = ("".join(c for c in text if c not in " *·") for text in (unit, expected))
     if one and other and one != other:
         raise ArgumentError(
@@ -84,7 +84,7 @@ def check_applied(plant: Model, applied: Kinds, controller: Controller) -> None:
 
 
 def check_names(blocks: Sequence[Block]) -> None:
-    """Refuse two blocks of one name: their parameters could not be told apart."""
+    """Raise an error for two blocks of one name, whose parameters would be ambiguous."""
     names = [block.name for block in blocks]
     for name in names:
         if names.count(name) > 1:
