@@ -28,7 +28,8 @@ from gnc_opt.errors import GncOptError, did_you_mean, unknown_name
 from gnc_opt.planning.problem.problem import Problem
 
 _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
-"""Where the package ``problems`` may lie: inside an installed gnc_opt, or beside it in the repository."""
+"""Possible places of the package ``problems``: inside an installed gnc_opt, or next to it in the repository.
+"""
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,13 @@ ROUNDING = 1e-12
 double precision): singular values beside the largest, sums whose terms cancel, eigenvalues at zero, asymmetries."""
 
 AT_LIMIT = 1e-6
-"""A value this close to its limit, relative to its range or size, sits on it: interior-point iterates stay about
-this far off in the worst case, and what is farther off is not explained by any solver tolerance in use."""
+"""A value this close to its limit, relative to its range or size, is on it: interior-point iterates are at
+most about this far from it at any solver tolerance in use.
+"""
 
 VANISHED = 1e-6
-"""A quantity that never exceeds this has no magnitude of its own: one is taken instead, lest offences be measured in
-shares of rounding."""
+"""A quantity that never exceeds this is scaled by 1, so that violations are not relative to rounding errors.
+"""
 
 EQUAL = 1e-9
 """Numbers that differ by less than this, relative to their size, are equal: values of expressions that say the same."""
@@ -29,7 +30,7 @@ CONVEX = 1e-6
 """Second derivative of H in controls, over their ranges and in shares of H, from which H is strictly convex in them."""
 
 BESIDE = 1e-4
-"""Distance from a switch or a junction, in shares of the segment beside it, over which a slope there is taken."""
+"""Distance from a switch or a junction over which a slope is taken, as a share of the adjacent segment."""
 
 SHORTEST = 1e-9
 """Durations (s) below this have vanished; what has no length is drawn and divided by this."""

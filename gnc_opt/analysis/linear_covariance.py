@@ -124,7 +124,7 @@ def error_sizes(flight: Flight, states: Array) -> Array:
 
 
 _SOURCES = 3
-"""That are told of each state."""
+"""Number of sources printed for each state."""
 
 
 def covariance_table(found: LinearCovariance) -> str:
@@ -191,13 +191,13 @@ LINEAR = 0.05
 """Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
 
 _CHECKS = 30
-"""Runs flown beside their linear predictions unless told otherwise."""
+"""Default number of runs simulated to check the linear predictions."""
 
 FROZEN_GAINS_MAX_NIS = 1e-2
 """Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
 
 _FOLLOWED = 1e-3
-"""Error of a mode over the run, relative, above which the user is told."""
+"""Relative error of a mode over the run above which a warning is given."""
 
 _LOOKS = 10
 """Instants of the nominal run, about, at which the modes of the plant are looked at."""

@@ -41,7 +41,7 @@ SHARE = 0.1
 """Share of the runs of a level that exceed the next one."""
 
 MOST_LEVELS = 12
-"""After so many, failures are rarer than one in 10^12, which nobody's dispersions describe."""
+"""Most levels: beyond them failures are rarer than 1e-12, below the accuracy of any dispersion model."""
 
 _STEP = 0.6
 """First standard deviation s of the chains' steps."""

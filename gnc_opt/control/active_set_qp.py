@@ -25,7 +25,7 @@ from gnc_opt.model.variables import Layout, Variable
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
 _NONE = 1e30
-"""Stands for a limit that is none."""
+"""Value of an absent limit."""
 _MOST = 20
 """Iterations per unknown before a programme counts as unsolved; random ones took up to nine."""
 

@@ -28,7 +28,7 @@ from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.tolerances import LARGEST
 
 HOLD = 3
-"""Lost samples in a row that a law bridges unless told otherwise."""
+"""Default number of consecutive lost samples that a law bridges."""
 
 INVALID = "invalid"
 """The alarm."""

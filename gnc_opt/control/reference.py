@@ -33,7 +33,7 @@ _STEPS = (1e-3, 1e-4, 1e-5)
 _RESIDUAL_NODES = 4
 _ROUNDED = 8 * np.finfo(float).eps
 _TOLERANCE = 1e-3
-"""Share of the terms of a rate by which it may be off: more is told."""
+"""Error of a rate, as a share of its terms, above which a warning is given."""
 
 
 def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:

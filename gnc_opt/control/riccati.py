@@ -220,7 +220,7 @@ def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sample
         try:
             with (
                 warnings.catch_warnings()
-            ):  # a step from an ill-conditioned equation is judged by what it leaves
+            ):  # a step from an ill-conditioned equation is checked by its residual
                 warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)
                 after = (
                     scipy.linalg.solve_discrete_lyapunov(closed.T, load)

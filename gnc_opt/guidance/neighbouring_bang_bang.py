@@ -67,7 +67,7 @@ _STATIONARY = 1e-3
 """Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
 
 _CURVED = 1e-6
-"""Least curvature, times the duration: below it the condition cannot be told from its failure."""
+"""Smallest curvature, times the duration: below it the condition is inconclusive."""
 
 
 @dataclass(frozen=True)

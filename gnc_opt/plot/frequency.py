@@ -18,7 +18,7 @@ _REACH = 2.5
 """How far from the origin a Nyquist plot shows at most: what matters happens about -1."""
 
 _MOST = 7
-"""Lines that can be told apart."""
+"""Largest number of distinguishable lines."""
 
 
 def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:

@@ -29,7 +29,7 @@ _SAMPLES = 60_000
 _DIGITS = 4
 """Of positions, relative to the extent of what is drawn; of axes and plumes to the length of a unit vector."""
 _ROOM = 0.15
-"""Around what is drawn, share of its extent: room for the vehicle, its axes and its plumes."""
+"""Margin around the drawing for the vehicle, its axes and its plumes, as a share of its extent."""
 _FEWEST_OF_A_TUBE = 10
 """Runs below which dispersion is better shown by their paths."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from gnc_opt.errors import GncOptError
 
 KINDS = ("one-phase", "two-phase", "attitude", "landing")
-"""What there is to start from, the usual one first."""
+"""Kinds of templates, the usual one first."""
 
 
 def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:

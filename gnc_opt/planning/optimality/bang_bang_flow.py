@@ -35,7 +35,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 STEPS = 36
-"""Runge-Kutta steps over the phase where nothing is known of it: five revolutions of an oscillator are told to 1e-4."""
+"""Default number of Runge-Kutta steps over the phase: accurate to 1e-4 for five revolutions of an oscillator.
+"""
 
 ORDER = 8
 """Of the steps: half their width leaves 2 to the power of minus this of the error."""

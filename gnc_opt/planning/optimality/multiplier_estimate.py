@@ -190,7 +190,7 @@ def _boundary_times(mesh: Mesh) -> Array:
 
 
 _WRONG = 1e-7
-"""A multiplier of the wrong sign, relative to the largest, that is none."""
+"""Multipliers of the wrong sign below this share of the largest count as zero."""
 
 _ROUNDS = 8
 """Of sorting out which limits push."""

@@ -19,7 +19,9 @@ from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constrai
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 NEAR = 1e-2
-"""A constraint this close to its limit, in shares of what it moves, may be on it between two pushes."""
+"""A constraint this close to its limit, as a share of its span, may be active between two points with
+multipliers.
+"""
 
 PROBE = 1e-3
 """Share of a control's range by which it is moved to see how it moves a constraint."""

@@ -18,7 +18,7 @@ TOGETHER = 1e-7
 """Switches nearer to each other than this share of the phase are simultaneous: their order is not known."""
 
 GRAZES = 1e-6
-"""A switching function worth less than this at an end of the phase, in shares of H, is taken to vanish there."""
+"""A switching function below this share of H at an end of the phase counts as zero there."""
 
 
 @dataclass(frozen=True)

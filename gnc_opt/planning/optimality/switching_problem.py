@@ -36,7 +36,7 @@ states move: order and error of an integration are known where it resolves the d
 
 
 NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
-"""Why a condition on the induced problem is not judged."""
+"""Why a condition on the induced problem is not checked."""
 
 
 @dataclass(frozen=True)

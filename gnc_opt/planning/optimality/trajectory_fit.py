@@ -29,7 +29,7 @@ DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
 
 JUMP = 10.0
-"""Ratio of a change of a control to those beside it from which it is a jump."""
+"""Smallest ratio of a control's change to the adjacent changes for which it is a jump."""
 
 VISIBLE = 1e-3
 """Changes of a control below this share of its range are no jumps."""

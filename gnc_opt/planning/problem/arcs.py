@@ -83,7 +83,7 @@ Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
 """Rows of kinds, one per segment or piece."""
 
 MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED, ArcKind.EASED)
-"""What a control, path constraint or state may be told."""
+"""Kinds of arc that a user may prescribe for a control, path constraint or state."""
 
 
 @dataclass(frozen=True)

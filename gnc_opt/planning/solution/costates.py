@@ -112,7 +112,9 @@ _PUSH = 1e-6
 """A push on a costate counts if it would move it by this share of its size over the segment."""
 
 _TURNED = 1e-3
-"""Pushes of both signs, the smaller one beyond this share of a change of costates, speak against the change."""
+"""A change of costates is rejected if multipliers have both signs and the smaller exceeds this share of the
+change.
+"""
 
 _HELD = 1e-7
 """A state that varies over a segment by less than this, relative to its size in the phase, is held."""
@@ -387,9 +389,7 @@ def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
 
 
 def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
-    """Segments with a multiplier at an interior point, or (trapezoidal rule, no interior points) at all
-    points; (n_states, K).
-    """
+    """Segments with a multiplier at an interior point, or (trapezoidal rule) at all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
         inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]

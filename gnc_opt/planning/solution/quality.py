@@ -30,11 +30,14 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING, TINY
 
 WIDTHS = 100.0
-"""Yardstick of a small feature, in widths of it: solvers keep a limit to shares of the flight's size, and cannot keep
-it to the same share of what is far smaller."""
+"""Scale of a small feature, in its widths: solvers satisfy a limit to a share of the trajectory's size, not
+to the same share of a far smaller feature.
+"""
 
 FINEST = 1e-3
-"""Least yardstick, in shares of the flight's size: below, rounding of the solver's own scale would fail."""
+"""Smallest scale, as a share of the trajectory's size: below it, the solver's rounding would count as a
+violation.
+"""
 
 PINNED = 1e-5
 """A range narrower than this share of the flight's size fixes a value; it is no feature with a width of its own."""

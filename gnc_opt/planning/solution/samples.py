@@ -38,10 +38,10 @@ EDGE = 1e-7
 """Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
 
 NEGLIGIBLE = 1e-4
-"""Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
+"""Costates below this share of the cost scale are rounding and do not set the scale."""
 
 MINOR = 1e-2
-"""Controls that are worth less than this share of what all are worth together are measured by that share."""
+"""Smallest scale of a control's effect on H, as a share of the effect of all controls together."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
 """What is kept of samples and depends on the cost magnitude."""
@@ -49,8 +49,7 @@ _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
 
 @dataclass(frozen=True)
 class EdgeSegment:
-    """A segment where a state constraint becomes active or inactive, its costate integrated again (module
-    `pushes`).
+    """A segment where a state constraint becomes active or inactive, with its integrated costate (`pushes`).
 
     Attributes
     ----------

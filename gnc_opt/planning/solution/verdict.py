@@ -168,9 +168,7 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """The verdict in short: "ok", "NOT ok", or the reason why it was not judged: "not judged: no
-        costates".
-        """
+        """The verdict in short: "ok", "NOT ok", or why there is none: "not judged: no costates"."""
         if self.failed:
             return "NOT ok"
         missing = self.not_judged or ", ".join(c.name for c in self.untold if not c.sufficient)

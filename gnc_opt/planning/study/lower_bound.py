@@ -41,7 +41,7 @@ from gnc_opt.planning.verification.sufficiency import is_convex
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 _TIMES = 201
-"""At which a relaxation is told the flight, its first guess."""
+"""Number of times at which the trajectory is sampled as the guess of a relaxation."""
 
 
 @one_thread()

@@ -72,8 +72,7 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
 
 
 def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
-    """Set a vector control, at all times, to the value that gives the mean rate between the ends at their
-    midpoint.
+    """Set a vector control to the constant that gives the mean rate between the ends at their midpoint.
 
     Applies to sustained thrust. If the required value exceeds the vector's limit, no trajectory is near the
     straight line; if it is small, short pulses suffice and their times are unknown.

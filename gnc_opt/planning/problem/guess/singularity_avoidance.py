@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
 BEND = 0.1
-"""How far a line is bent in its middle, as a share of each state's magnitude."""
+"""Displacement of a curved guess at its midpoint, as a share of each state's magnitude."""
 
 FRACTIONS = np.linspace(0.0, 1.0, 33)
 
