@@ -249,7 +249,7 @@ class Replanner:
         def rate(t: Any, x: Any, _: Any) -> Any:
             return model.function(t, x, u, p)
 
-        return ca.Function("drift", [t, x, u, dt], [dormand_prince(rate, t, x, dt, _PREDICTED)[0]])
+        return ca.Function("drift", [t, x, u, dt], [dormand_prince(rate, t, x, dt, _PREDICTED)])
 
     @property
     def description(self) -> str:

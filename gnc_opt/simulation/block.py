@@ -160,8 +160,7 @@ class Block:
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
             return wave.mapped(lambda y: self.step(tick, y, state, p, noise).signal), step
-        blur = None if wave.blur is None else ca.repmat(ca.mmax(wave.blur), step.signal.shape[0], 1)
-        return Wave(step.signal, blur=blur), step
+        return Wave(step.signal), step
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         """Return what becomes of the signal during one step.

@@ -35,9 +35,6 @@ _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
 
 
-_BESIDE = 1e-6
-"""How far from the nominal start the accuracy is looked at, relative."""
-
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
 
@@ -109,7 +106,7 @@ class ClosedLoop:
     substeps: int | None = field(default=None, kw_only=True)
     plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
-    _kernels: dict[tuple[int, bool], Kernel] = field(init=False, repr=False, default_factory=dict)
+    _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
     _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -247,21 +244,20 @@ class ClosedLoop:
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
         flight = self._accurate(nominal, times, rows)
-        kernel, followed = self.kernel(flight.substeps), self._followed_on_the_way(flight.substeps)
-        return replace(flight, kernel=kernel, replanner=self.replanner, quantities=followed, beside=True)
+        quantities = self._followed_on_the_way(flight.substeps)
+        return replace(flight, replanner=self.replanner, quantities=quantities)
 
     def _followed_on_the_way(self, substeps: int) -> Quantities | None:
         if self.quantities and substeps not in self._on_the_way:
-            step = ControlStep(self.wiring, substeps, beside=False)
+            step = ControlStep(self.wiring, substeps)
             self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
         return self._on_the_way.get(substeps)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
-        """Return the flight, as planned and alone, with as many integration steps as its accuracy needs."""
+        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.modes(times[0], *self._at_start(nominal))
-        start = self._generic(nominal)[:, None]
-        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, modes)
+        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), modes)
 
     def _warn_of_events(self, t: float, nominal: Array) -> None:
         """Tell of an event that is to end the nominal run and has happened before it begins."""
@@ -283,18 +279,6 @@ class ClosedLoop:
         ]
         x, p = (np.concatenate([np.empty(0), *parts]) for parts in named)
         return x, p
-
-    def _generic(self, nominal: Array) -> Array:
-        """Return parameters with a start beside the nominal one.
-
-        From round numbers a relay's input may be zero at a sample; rounding then decides what neighbouring runs do not
-        have to decide.
-        """
-        found = nominal.copy()
-        for i in range(self.layout.size):
-            if self.layout.labels[i].startswith("initial."):
-                found[i] *= 1.0 + _BESIDE * np.cos(i)
-        return found
 
     def simulate(
         self,
@@ -333,23 +317,23 @@ class ClosedLoop:
         flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)
 
-    def kernel(self, substeps: int, beside: bool = True) -> Kernel:
-        """Return the symbolic step with that many integration steps per minor step, for runs with a flight beside them
-        or alone."""
+    def kernel(self, substeps: int) -> Kernel:
+        """Return the symbolic step with that many integration steps per minor step."""
         if substeps * self.minor_steps > _MAX_UNROLLED:
             raise ArgumentError(
                 f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
-        if (substeps, beside) not in self._kernels:
-            self._kernels[substeps, beside] = build_kernel(self.wiring, substeps, beside)
-        return self._kernels[substeps, beside]
+        if substeps not in self._kernels:
+            self._kernels[substeps] = build_kernel(self.wiring, substeps)
+        return self._kernels[substeps]
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
         return Flight(
-            kernel=self.kernel(substeps, beside=False),
+            kernel=self.kernel(substeps),
+            companion=self.kernel(2 * substeps),
             substeps=substeps,
             nominal=nominal,
             layout=self.layout,

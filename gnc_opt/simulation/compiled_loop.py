@@ -18,7 +18,7 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.compiled_step import WORTH, Folded, native
-from gnc_opt.simulation.error_estimate import estimates
+from gnc_opt.simulation.error_estimate import integration_errors
 from gnc_opt.simulation.events import Occurrence, occurrences
 from gnc_opt.simulation.final_values import Ending
 from gnc_opt.simulation.log import Log
@@ -49,8 +49,8 @@ class Flight:
         Rows of the schedule that are the reference of the states that the controller follows.
     substeps : int
         Integration steps per minor step.
-    kernel : Kernel
-        The loop as a compiled function.
+    kernel, companion : Kernel
+        The loop as compiled functions, the companion with twice as many integration steps: it shows the error of a run.
     schedule : array (n_signals, n_steps + 1)
         Rows r of the controller, as planned before the flight; what stands at the end is for the errors there.
     dt : float
@@ -66,17 +66,13 @@ class Flight:
         Per control step.
     events : Layout
         Names of the events.
-    growth : float
-        By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
-    beside : bool
-        Whether the error of each run is seen from a second flight beside it; if not, the nominal run tells its growth.
     replanner : PlanUpdater or None
     quantities : Quantities or None
         What is kept of the way.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
-    library : str
-        Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
+    libraries : tuple of two str
+        Paths of the steps of both kernels as machine code, see `natively`; "" for the interpreter.
 
     Examples
     --------
@@ -86,6 +82,7 @@ class Flight:
     """
 
     kernel: Kernel
+    companion: Kernel
     substeps: int
     nominal: Array
     layout: Layout
@@ -104,13 +101,11 @@ class Flight:
     error_layout: Layout
     judge: Judge
     minor_steps: int
-    growth: float = 1.0
-    beside: bool = False
     events: Layout = field(default_factory=lambda: Layout("event"))
     replanner: PlanUpdater | None = None
     estimates: Any = None
     quantities: Quantities | None = None
-    library: str = ""
+    libraries: tuple[str, str] = ("", "")
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -137,8 +132,9 @@ class Flight:
     def fingerprint(self) -> str:
         """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
         digest = hashlib.sha256()
-        for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
-            digest.update(function.serialize().encode())
+        for kernel in (self.kernel, self.companion):
+            for function in (kernel.start, kernel.constants, kernel.step):
+                digest.update(function.serialize().encode())
         for array in (self.times, self.schedule[:, :-1]):
             digest.update(np.ascontiguousarray(array).tobytes())
         if self.replanner is not None:
@@ -151,12 +147,13 @@ class Flight:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < WORTH:
             return self
-        quick = replace(self, library=native(self._folded.quick))
+        first, second = (native(folded.quick) for folded in self._folded)
+        quick = replace(self, libraries=(first, second))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         X, C = self._begun(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._folded.fly(X, rows, C, end)
+            flight._fly(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
@@ -176,7 +173,7 @@ class Flight:
                 f"the parameters of {len(seeds)} runs have the shape {P.shape}: "
                 f"give ({self.layout.size}, {len(seeds)})."
             )
-        final = np.full((P.shape[1], self._flights, self.kernel.state.size), np.nan)
+        final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = self._recorder(P.shape[1])
         refused: dict[int, str] = {}
@@ -196,9 +193,9 @@ class Flight:
                 else:
                     self._consider(course, first, X, rows, C)
                 if recorder is None or self._stopped(X[0]):
-                    self._folded.fly(X, rows, C, final[i])
+                    self._fly(X, rows, C, final[i])
                 else:
-                    columns, logs, final[i] = self._folded.logged(X, rows, C)
+                    columns, logs = self._logged(X, rows, C, final[i])
                     recorder.add(i, first, columns, logs, (rows, P[:, i]))
                 X[:] = final[i]
                 if all(self._stopped(x) for x in X):
@@ -257,10 +254,10 @@ class Flight:
                 X, C = self._begun(rows[0], P)
             else:
                 self._consider(course, first, X, rows, C)
-            if self._stopped(X[0]):  # the flight beside it goes on until an event ends it, too
-                self._folded.fly(X.copy(), rows, C, X)
+            if self._stopped(X[0]):  # the companion goes on until an event ends it, too
+                self._fly(X.copy(), rows, C, X)
                 continue
-            columns, logs, X = self._folded.logged(X, rows, C)
+            columns, logs = self._logged(X.copy(), rows, C, X)
             parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
             if recorder is not None:
                 recorder.add(0, first, columns, logs, (rows, P))
@@ -386,28 +383,37 @@ class Flight:
             self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
         )
 
-    def _consider(self, course: ActiveReference, step: int, X: Array, rows: Array, C: Array) -> None:
+    def _consider(
+        self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
+    ) -> None:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
         if self.replanner is None:
             return
         if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
             if self.estimates is None:
-                x = self.kernel.measure(X[0], rows[0], C).full()[:, 0]
+                x = self.kernel.measure(X[0], rows[0], C[0]).full()[:, 0]
             else:
                 x = X[0, self.kernel.state.slices["memory"]][self.estimates]
             course.consider(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
-        """Return X of a run and the flight beside it at the first step (1 or 2, n_state), and the constants of both."""
-        X, C = self._folded.begun(known, P)
-        both = np.tile(X, (self._flights, 1))
-        both[1:, self.kernel.state.slices["beside"]] = 1.0
-        return both, C
+    def _begun(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+        """Return X of a run and its companion at the first step (2, n_state), and the constants of both."""
+        (X, C), (other, others) = (folded.begun(known, P) for folded in self._folded)
+        return np.stack([X, other]), (C, others)
 
-    @property
-    def _flights(self) -> int:
-        return 2 if self.beside else 1
+    def _fly(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+        """Write the states of a run and its companion after the steps of a leg to ``final`` (2, n_state)."""
+        for folded, x, c, end in zip(self._folded, X, C, final, strict=True):
+            folded.fly(x, rows, c, end)
+
+    def _logged(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> tuple[Array, Array]:
+        """Do the same, and return states and logs of the run, see `Folded.logged`."""
+        run, companion = self._folded
+        columns, logs = run.logged(X[0], rows, C[0])
+        companion.fly(X[1], rows, C[1], final[1])
+        final[0] = columns[:, -1]
+        return columns, logs
 
     def _note(
         self,
@@ -438,8 +444,8 @@ class Flight:
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
     @cached_property
-    def _folded(self) -> Folded:
-        return Folded(self.kernel, self.library)
+    def _folded(self) -> tuple[Folded, Folded]:
+        return Folded(self.kernel, self.libraries[0]), Folded(self.companion, self.libraries[1])
 
     def _followed_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
@@ -453,16 +459,14 @@ class Flight:
         followed: Array,
         replans: Array | None = None,
     ) -> Ending:
-        """Return how runs have ended, from the kernels' states, and those of the flights beside them (n, 1 or 2,
-        n_state)."""
-        final = ends[:, 0].T
-        others = ends[:, 1].T if self.beside else final
+        """Return how runs have ended, from the kernels' states of them and their companions (n, 2, n_state)."""
+        final, companions = ends[:, 0].T, ends[:, 1].T
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(self.kernel.state, final, others, self.growth, float(self.times[-1]))
+        errors, judged = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
-            else self.judge.outcome(parts, i, errors[i])
+            else self.judge.outcome(parts, i, judged[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
@@ -475,9 +479,8 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            errors + instants,
-            parts["blur"][0],
-            instants,
+            errors,
+            judged,
             outcomes,
             counts,
             firsts,

@@ -1,14 +1,10 @@
-"""Native: the step of a kernel as machine code, from its operations in C, where there is a C compiler.
+"""The step of a kernel, folded over many control steps: by CasADi's interpreter, or as machine code where there is a C
+compiler.
 
-Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Around the step
-goes a loop over the steps of a leg, so that nothing is copied between them but the states. A run and the flight beside
-it are flown at once where vector registers take both (`gnc_opt.simulation.simd_kernel`), else one after
-the other, by the C
-that CasADi writes. A step that says that it is not enough (a law that solves a problem now and then, which has no C)
-ends the loop before it. Libraries are kept in the user's cache by what is in them, so that a function is compiled once
-per machine.
-
-Folded: the step of a kernel, many control steps of a run and the flights beside it in one call.
+The machine code is the C that CasADi writes of the step, with a loop over the steps of a leg around it. Every operation
+is the interpreter's, in its order, and none are fused: the results have the same bits. A step that says that it is not
+enough (a law that solves a problem now and then, which has no C) ends the loop before it. Libraries are kept in the
+user's cache by what is in them, so that a function is compiled once per machine.
 """
 
 from __future__ import annotations
@@ -33,7 +29,6 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.loop_kernel import Kernel
-from gnc_opt.simulation.simd_kernel import in_lanes
 
 
 class Folded:
@@ -51,17 +46,15 @@ class Folded:
         self._buffers: dict[Any, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Write the states after the steps of a leg to ``final``.
+        """Write the state after the steps of a leg to ``final``.
 
         Parameters
         ----------
-        X : array (n_flights, n_state)
+        X : array (n_state,)
         rows : array (n_steps, n_known)
         C : array (n_constants,)
-        final : array (n_flights, n_state)
+        final : array (n_state,)
         """
-        if not len(X):
-            return
         if self._native is None:
             self._interpret(X, rows, C, final)
             return
@@ -86,8 +79,7 @@ class Folded:
         def leg() -> Any:
             return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
 
-        for x, end in zip(X, final, strict=True):
-            self._evaluate(len(rows), leg, (x, rows, C), end)
+        self._evaluate(len(rows), leg, (X, rows, C), final)
 
     def _evaluate(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
@@ -105,22 +97,18 @@ class Folded:
             buffer.set_res(k, memoryview(result.data))
         evaluate()
 
-    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array, Array]:
-        """Return the states of the run, the first flight, before and after the steps of a leg (n_state, n_steps + 1),
-        the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
+    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
+        """Return the states before and after the steps of a leg (n_state, n_steps + 1), and the logs of its steps
+        (n_log, n_steps)."""
         count, step = len(rows), self.kernel.step
-        columns, logs, final = (
-            np.empty(shape) for shape in ((count + 1, X.shape[1]), (count, self.kernel.log.size), X.shape)
-        )
+        columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
         def leg() -> Any:
             return self._leg(lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count)
 
-        columns[0] = X[0]
+        columns[0] = X
         self._evaluate(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
-        final[0] = columns[-1]
-        self.fly(X[1:], rows, C, final[1:])
-        return columns.T, logs.T, final
+        return columns.T, logs.T
 
     @cached_property
     def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:
@@ -167,31 +155,28 @@ _LOOP = """
 #include <string.h>
 
 CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
-                                    casadi_real *final, casadi_int n, casadi_int flights) {
-  const casadi_int size = flights * STATES;
+                                    casadi_real *final, casadi_int n) {
   casadi_int n_arg, n_res, n_iw, n_w, k = 0;
   casadi_real enough = 1;
   int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);
   const casadi_real **arg = malloc(n_arg * sizeof *arg);
-  casadi_real **res = malloc((n_res + 1) * sizeof *res), *w = malloc((n_w + size) * sizeof *w), *now = w + n_w;
+  casadi_real **res = malloc((n_res + 1) * sizeof *res), *w = malloc((n_w + STATES) * sizeof *w), *now = w + n_w;
   casadi_int *iw = malloc((n_iw + 1) * sizeof *iw);
   failed = failed || !arg || !res || !w || !iw;
   if (!failed) {
     STEP_incref();
     int memory = STEP_checkout();
-    memcpy(final, X, size * sizeof *X);
+    memcpy(final, X, STATES * sizeof *X);
     for (; k < n && !failed && enough == 1; k++) {
-      memcpy(now, final, size * sizeof *now);
-      for (casadi_int first = 0; first < size && !failed && enough == 1; first += STATES) {
-        arg[0] = now + first;
-        arg[1] = rows + k * KNOWN;
-        arg[2] = C;
-        res[0] = final + first;
-        if (N_OUT > 1) res[1] = &enough;
-        failed = STEP(arg, res, iw, w, memory);
-      }
+      memcpy(now, final, STATES * sizeof *now);
+      arg[0] = now;
+      arg[1] = rows + k * KNOWN;
+      arg[2] = C;
+      res[0] = final;
+      if (N_OUT > 1) res[1] = &enough;
+      failed = STEP(arg, res, iw, w, memory);
       if (enough != 1) {
-        memcpy(final, now, size * sizeof *now);
+        memcpy(final, now, STATES * sizeof *now);
         k--;
       }
     }
@@ -205,8 +190,8 @@ CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *row
   return failed ? -1 : k;
 }
 """
-"""A leg: the states X of all flights, then, step by step, those that follow, with one row of what is known each.
-Returns how many steps were enough for all."""
+"""A leg: the state X, then, step by step, those that follow, with one row of what is known each. Returns how many steps
+were enough."""
 
 
 def native(step: Any) -> str:
@@ -215,20 +200,12 @@ def native(step: Any) -> str:
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
-    lanes = in_lanes(step)
-    told = (
-        ca.__version__,
-        *FLAGS,
-        _LOOP,
-        lanes,
-        platform.machine(),
-        os.path.realpath(compiler),
-        step.serialize(),
-    )
+    compiled = (platform.machine(), os.path.realpath(compiler), step.serialize())
+    told = (ca.__version__, *FLAGS, _LOOP, *compiled)
     place = _cache() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
     try:
         if not place.exists():
-            _compile(step, lanes, compiler, place)
+            _compile(step, compiler, place)
     except (OSError, RuntimeError):  # no place to write, no C for an operation: the interpreter does without
         return ""
     return str(place) if place.exists() else ""
@@ -240,11 +217,10 @@ def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg
-    leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong] * 2, ctypes.c_longlong
+    leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
     def fly(X: Array, rows: Array, C: Array, final: Array) -> int:
-        flights = 1 if X.ndim == 1 else len(X)
-        flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows), flights)
+        flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
         if flown < 0:
             raise GncOptError(
                 "a control step could not be evaluated: an assertion in it failed, or memory is short."
@@ -277,17 +253,15 @@ def _source(step: Any, folder: str) -> str:
     return "" if told.getvalue() else _with_loop(written.read_text(encoding="utf-8"), step)
 
 
-def _compile(step: Any, lanes: str, compiler: str, place: Path) -> None:
-    """Make the library: of both flights in lanes if that can be, else of what CasADi writes."""
+def _compile(step: Any, compiler: str, place: Path) -> None:
+    """Make the library."""
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
-        for source in (lanes, None):
-            text = _source(step, folder) if source is None else source
-            if not text:
-                continue
-            written.write_text(text, encoding="utf-8")
-            command = [compiler, *FLAGS, "-o", str(made), str(written), "-lm"]
-            if subprocess.run(command, capture_output=True, check=False).returncode == 0:
-                made.replace(place)  # at once: others may be looking for it
-                return
+        text = _source(step, folder)
+        if not text:
+            return
+        written.write_text(text, encoding="utf-8")
+        command = [compiler, *FLAGS, "-o", str(made), str(written), "-lm"]
+        if subprocess.run(command, capture_output=True, check=False).returncode == 0:
+            made.replace(place)  # at once: others may be looking for it

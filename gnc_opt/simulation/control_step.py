@@ -30,12 +30,10 @@ class ControlStep:
     wiring : Wiring
     substeps : int
         Integration steps per minor step.
-    beside : bool
-        Whether another flight can go through the same operations with steps half as long.
     """
 
-    def __init__(self, wiring: Wiring, substeps: int, beside: bool = True) -> None:
-        self.wiring, self.substeps, self.beside = wiring, substeps, beside
+    def __init__(self, wiring: Wiring, substeps: int) -> None:
+        self.wiring, self.substeps = wiring, substeps
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
@@ -64,16 +62,15 @@ class ControlStep:
                 ("saturation", commands),
                 ("variation", commands),
                 ("steps", 1),
-                ("error", 1),
-                ("blur", 1),
-                ("beside", 1),
                 ("fault", 1),
                 ("fault time", 1),
                 ("divergence", 1),
                 ("divergence time", 1),
                 ("alarm", 1),
                 ("alarm time", 1),
-                *self._if_events(("armed", len(wiring.events.owners)), *record_of(wiring.events)),
+                *self._if_events(
+                    ("armed", len(wiring.events.owners)), *record_of(wiring.events, wiring.plant.states.size)
+                ),
             )
         )
         self.known = Places(
@@ -88,7 +85,6 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                ("error", 1),
                 *self._if_events(*notes_of(wiring.plant.states.size)),
             )
         )
@@ -204,61 +200,31 @@ class ControlStep:
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
         watch: Callable[[Taken, Callable[[Any], Any]], None] | None = None,
-    ) -> tuple[Any, Any, Any]:
+    ) -> Any:
         """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
 
-        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state, the error of the
-        integration, and what waves that were taken at their mean may add to it. ``watch`` is told of each integration
-        step, with what is applied at a share (0 to 1) of it; where nothing is flown beside.
-
-        The flight beside a run halves every step. Both go through the same operations, so that one pass of machine code
-        flies both: the run has each piece between bends and jumps in one half, and no time in the other.
+        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state. ``watch`` is called
+        with each integration step and with what is applied at a share (0 to 1) of it.
         """
-        f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
-        n, halved = self.substeps, state["beside"] if self.beside else ca.SX(0)
-
-        def piece(
-            start: Any, x: Any, length: Any, inputs: list[Input], rest: bool = False
-        ) -> tuple[Any, Any]:
-            def u(k: int, node: float) -> Any:
-                return ca.vertcat(*[value(k, node) for value in inputs])
-
-            def stepped(taken: Taken) -> Any:
-                # chosen, not multiplied: in no time, too, rates may be no numbers, and rounding before x is none
-                x = (
-                    ca.if_else(halved, taken.after - taken.rounding, taken.x)
-                    if rest
-                    else taken.after - ca.if_else(halved, taken.rounding, 0)
-                )
-                if watch is not None:
-                    watch(taken._replace(after=x), lambda nu: applied((taken.number + nu) * taken.length))
-                return x
-
-            if held:
-                return dormand_prince(lambda t, x, _: f(t, x, mean), start, x, length, n, stepped=stepped)
-            return dormand_prince(f, start, x, length, n, u, stepped)
-
+        f, n, held = self._rate(state), self.substeps, all(wave.held for wave in waves)
         first, last = span or (ca.SX(0), ca.SX(self.h))
         breaks = in_order(_distinct([b for wave in waves for b in wave.breaks]))
         if span is not None:
             breaks = [ca.fmin(ca.fmax(b, first), last) for b in breaks]
-        mean, before = ca.vertcat(*[wave.mean for wave in waves]), x
+        mean = ca.vertcat(*[wave.mean for wave in waves])
         for begin, end in itertools.pairwise([first, *breaks, last]):
-            middle, rest = 0.5 * (begin + end), halved * (0.5 * (end - begin))
             applied = _applied(waves, begin, end)
-            most = (end - begin) - rest
-            x, estimate = piece(t + begin, x, most, [wave.input(begin, end, n, halved) for wave in waves])
-            error += estimate
-            if not self.beside:
-                continue
-            inputs = [wave.input(middle, end, n) for wave in waves]
-            x, estimate = piece(t + begin + most, x, rest, inputs, rest=True)
-            error += ca.if_else(halved, estimate, 0)
-        if all(wave.blur is None for wave in waves):
-            return x, error, 0.0
-        far = ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])
-        change = (last - first) * ca.fabs(f(t, before, mean + far) - f(t, before, mean))
-        return x, error, ca.mmax(change / ca.fmax(1.0, ca.fabs(x)))
+
+            def stepped(taken: Taken, applied: Callable[[Any], Any] = applied) -> None:
+                if watch is not None:
+                    watch(taken, lambda nu: applied((taken.number + nu) * taken.length))
+
+            if held:
+                x = dormand_prince(lambda t, x, _: f(t, x, mean), t + begin, x, end - begin, n, None, stepped)
+            else:
+                u = _inputs([wave.input(begin, end, n) for wave in waves])
+                x = dormand_prince(f, t + begin, x, end - begin, n, u, stepped)
+        return x
 
     def tick_of(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
         return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, i, self.by_state(state["plant"]))
@@ -284,8 +250,6 @@ class ControlStep:
         state: dict[str, Any],
         t: Any,
         told: dict[str, Any],
-        error: Any,
-        blur: Any,
         z: Any,
     ) -> Any:
         """Complete the state after a control step, and return its log."""
@@ -294,8 +258,6 @@ class ControlStep:
             "memory": z,
             "command": u,
             "steps": state["steps"] + 1,
-            "error": state["error"] + error,
-            "blur": state["blur"] + blur,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
         seen = [*watched(self.wiring, y), u, mean, new["plant"]]
@@ -303,7 +265,7 @@ class ControlStep:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         self._watch(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
-        return self.log.join({**nothing, **told, "error": error + blur})
+        return self.log.join({**nothing, **told})
 
     def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
         return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
@@ -328,6 +290,11 @@ class ControlStep:
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+
+
+def _inputs(inputs: Sequence[Input]) -> Input:
+    """Return several inputs as one column."""
+    return lambda k, node: ca.vertcat(*[value(k, node) for value in inputs])
 
 
 def _applied(waves: Sequence[Wave], begin: Any, end: Any) -> Callable[[Any], Any]:

@@ -1,12 +1,10 @@
 r"""Fixed-step integration by the Runge-Kutta pair of Dormand and Prince, as symbolic expressions.
 
-The fifth-order solution is carried on; its distance to the embedded fourth-order one,
+The fifth-order solution is carried on. Within a step the solution is a polynomial of degree four through both ends and
+their rates, of fourth order. The stability function, by which a step multiplies a mode :math:`e^{\lambda t}`,
+:math:`z = \lambda h`, is
 
-.. math:: e = h \sum_i (b_i - \hat b_i) k_i,
-
-estimates the error of the *fourth*-order solution over one step, and so is a safe estimate of what is carried on. To it
-comes the rounding of the sum, half a unit in the last place of x. Within a step the solution is a polynomial of degree
-four through both ends and their rates, also of fourth order.
+.. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} .
 
 Sources: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
 table 2 (RK5(4)7M); within a step, Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 2nd edition,
@@ -20,9 +18,7 @@ from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
-import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.simulation.intersample_input import Input
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -37,12 +33,6 @@ STAGES: tuple[tuple[float, ...], ...] = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 """The last row is the fifth-order solution: the last stage is the first one of the next step."""
-
-ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-"""b - b_hat."""
-
-ROUNDING = 2.0**-53
-"""Of a sum, relative."""
 
 DENSE_WEIGHTS = (
     -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
@@ -66,8 +56,6 @@ class Taken(NamedTuple):
         States at its beginning and at its end.
     stages : list of SX column
         Rates, the first at the beginning and the last at the end.
-    rounding : SX column
-        What rounding may amount to, of the sign of e.
     """
 
     number: int
@@ -76,7 +64,6 @@ class Taken(NamedTuple):
     x: Any
     after: Any
     stages: list[Any]
-    rounding: Any
 
     def at(self, nu: float) -> tuple[Any, Any]:
         """Return the state and its rate at ``nu`` (0 to 1) of the step."""
@@ -92,8 +79,8 @@ class Taken(NamedTuple):
         return self.x + self.length * (nu * outer), outer + nu * outer_slope
 
 
-Stepped: TypeAlias = Callable[[Taken], Any]
-"""The state to go on with after a step."""
+Stepped: TypeAlias = Callable[[Taken], None]
+"""Called with each step."""
 
 
 def dormand_prince(
@@ -104,7 +91,7 @@ def dormand_prince(
     steps: int = 1,
     u: Input | None = None,
     stepped: Stepped | None = None,
-) -> tuple[Any, Any]:
+) -> Any:
     """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
 
     Parameters
@@ -119,17 +106,14 @@ def dormand_prince(
     u : callable, optional
         ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
     stepped : callable, optional
-        What to go on with after each step, see `Stepped`; default the fifth-order solution.
+        Called with each step, see `Taken`.
 
     Returns
     -------
     x : column
         The state at the end.
-    error : scalar
-        Sum over the steps of the largest component of ``(|e| + 2^-53 |x|) / max(1, |x|)``.
     """
     h = length / steps
-    total = 0.0
     rate = None
     for i in range(steps):
         start = t + i * h
@@ -137,13 +121,11 @@ def dormand_prince(
         for node, row in zip(NODES[1:], STAGES[1:], strict=True):
             after = _stage(row, x.shape[0])(x, h, *k)
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
-        error, rounding = _judged(x.shape[0])(after, h, *k)
-        total = total + error
         if stepped is not None:
-            after = stepped(Taken(i, h, start, x, after, k, rounding))
+            stepped(Taken(i, h, start, x, after, k))
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
-    return x, total
+    return x
 
 
 @cache
@@ -157,25 +139,8 @@ def _stage(row: tuple[float, ...], n: int) -> Any:
     return ca.Function("stage", [x, h, *k], [x + h * _combine(row, k)])
 
 
-@cache
-def _judged(n: int) -> Any:
-    """The error of a step and what rounding may amount to, from x (n,) after it, h and its rates."""
-    after, h, *k = _columns(n, len(ERROR_WEIGHTS))
-    error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
-    largest = ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
-    return ca.Function("judged", [after, h, *k], [largest, ca.copysign(ROUNDING * size, error)])
-
-
 def _columns(n: int, rates: int) -> list[Any]:
     return [ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(rates))]
-
-
-def linear_error(z: Array) -> Array:
-    """Return the relative size of e where ``dx/dt = lambda x``, for ``z = h lambda``; complex."""
-    k: list[Any] = []
-    for row in STAGES:
-        k.append(z * (1 + sum(w * rate for w, rate in zip(row, k, strict=True))))
-    return np.asarray(np.abs(_combine(ERROR_WEIGHTS, k)))
 
 
 def _combine(weights: tuple[float, ...], k: list[Any]) -> Any:

@@ -22,7 +22,6 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.simulation.dormand_prince import Taken
-from gnc_opt.simulation.event_error import instant_error
 from gnc_opt.simulation.events import MOST, Events
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import SAME_TIME
@@ -40,7 +39,7 @@ _NARROWED = 12
 """How often the way to where a row may have crossed is looked at again: a row that only touches zero promises to cross
 it however closely it is looked at."""
 
-_SHORT = 1e-4
+RATE_SHARE_OF_STEP = 1e-4
 """Of a minor step: over which rates are taken as differences."""
 
 _NEAR = 0.05
@@ -129,14 +128,12 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
     )
 
 
-def record_of(events: Events) -> tuple[tuple[str, int], ...]:
+def record_of(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
     """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
-    what resets and instants add to the error of the integration, and that when each row was last met; and which events
-    could not be noticed somewhere.
+    the rates of the states there; and which events could not be noticed somewhere.
     """
-    count, rows = len(events), len(events.owners)
-    kept = (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
-    return (*kept, ("resets", 1), ("instants", 1), ("error at row", rows), ("lost", count))
+    count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
+    return (("count", count), ("first", count), *stop, ("lost", count))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
@@ -146,8 +143,8 @@ def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
     ----------
     events : Events
     leg : casadi.Function
-        ``(x, armed, begin, end, *context) -> (x, error, blur, armed, y, dy_dt, found, first, last, lost,
-        lost_inside)``, the plant flown between two times since the minor step began.
+        ``(x, armed, begin, end, *context) -> (x, armed, y, dy_dt, found, first, last, lost, lost_inside)``, the plant
+        flown between two times since the minor step began.
     h : float
         Minor step, s.
 
@@ -172,10 +169,7 @@ class _Passage:
                 ("x", n),
                 ("armed", self.n_rows),
                 ("s", 1),
-                ("error", 1),
-                ("error before", 1),
-                ("blur", 1),
-                *record_of(events),
+                *record_of(events, n),
                 *notes_of(n),
             )
         )
@@ -183,7 +177,6 @@ class _Passage:
         self.lowest = self._lowest()
         self.newton = self._newton()
         self.effect = self._effect()
-        self.instant = instant_error(events, n)
 
     def _context(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
@@ -209,10 +202,8 @@ class _Passage:
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
-        x, error, blur, armed, _, _, found, first, last, lost, _ = self.leg(
-            v["x"], v["armed"], v["s"], self.h, *context
-        )
-        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, error=error, blur=blur, lost=lost))
+        x, armed, _, _, found, first, last, lost, _ = self.leg(v["x"], v["armed"], v["s"], self.h, *context)
+        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, lost=lost))
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
@@ -225,9 +216,8 @@ class _Passage:
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        """Return what there is at s, with what a leg until then has made or added."""
-        sums = {name: v[name] + leg[name] for name in ("error", "blur")}
-        return {**v, **leg, **sums, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
+        """Return what there is at s, with what a leg until then has made."""
+        return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
 
     def _meet(self) -> Any:
         """Fly to where a row may have crossed; if one has, through the event."""
@@ -239,9 +229,9 @@ class _Passage:
         for _ in range(_NARROWED):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
-        x, error, blur, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
+        x, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, error=error, blur=blur, lost=lost))
+        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, lost=lost))
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
@@ -254,7 +244,7 @@ class _Passage:
         sizes = (("r", 3), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), *self._context())
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
-        _, _, _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
+        _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
         on = ca.logic_and(found, ca.logic_not(ca.sum1(ca.logic_and(again, y < 0)) > 0.5))
         step = ca.Function("step", inputs, [ca.if_else(on, ca.vertcat(first, last, 0), ca.vertcat(r[:2], 1))])
         choice = ca.Function.if_else("narrow", keep, step)
@@ -277,27 +267,15 @@ class _Passage:
         for _ in range(_ITERATIONS):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
-        x, error, blur, armed, y, slope, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
-        y_later = self.leg(x, armed, s, s + moment, *context)[4]
+        x, armed, y, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
+        y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._moved(v, s, x=x, armed=armed, error=error, blur=blur, lost=inside)
-        after, reset = self.effect(self.places.join(met), fired, t, p)
-        w, soon = self.places.split(after), _SHORT * self.h
-        x_soon, _, _, _, _, slope_soon, *_ = self.leg(x, armed, s, s + soon, *context)
-        x_later = self.leg(w["x"], armed, s, s + soon, *context)[0]
-        rates = ca.horzcat(x_soon - x, x_later - w["x"]) / soon
-        bend, ended = (slope_soon - slope) / soon, w["stop"] > 0.5
-        total = v["error before"] + met["error"]
-        states, instants = self.instant(
-            total - v["error at row"], t + s, x, w["x"], fired, rates, bend, reset, ended, p
-        )
-        w["resets"] += states
-        w["instants"] += instants
-        w["error at row"] = ca.if_else(fired, total, v["error at row"])
+        met = self._moved(v, s, x=x, armed=armed, lost=inside)
+        w = self.places.split(self.effect(self.places.join(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
-        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[5]
-        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[4:6]
+        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
+        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[2:4]
         # a reset may put rows of other events on zero; those that it leaves where they are have only come near it
         put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
         kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
@@ -313,6 +291,9 @@ class _Passage:
             ends = ca.logic_and(ends, w["stop"] < 0.5)
             w["stop"] = ca.if_else(ends, code, w["stop"])
             w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
+        soon = RATE_SHARE_OF_STEP * self.h
+        rate = (self.leg(x, armed, s, s + soon, *context)[0] - x) / soon
+        w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
         return ca.Function("happen", given, [self.places.join(w)])
 
     def _unkept(self, through: Any, happened: Any) -> Iterator[tuple[int, Any]]:
@@ -333,7 +314,7 @@ class _Passage:
         context = [ca.MX.sym(name, size) for name, size in self._context()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
-        _, _, _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
+        _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
         step = ca.Function("step", inputs, [self.newton(r, *self.lowest(y, slope, crossing))])
         choice = ca.Function.if_else("improve", keep, step)
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
@@ -366,8 +347,7 @@ class _Passage:
         )
 
     def _effect(self) -> Any:
-        """``(q, fired rows, t, p) -> (q, slope)`` after conditions and resets, with what happened noted, and the slope
-        of the states after them by those before."""
+        """``(q, fired rows, t, p) -> q`` after conditions and resets, with what happened noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
         v = self.places.split(column)
@@ -391,9 +371,8 @@ class _Passage:
             if event.ends:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
-        slope = ca.densify(ca.jacobian(x, v["x"]))
         v["x"] = x
-        return ca.Function("effect", [column, fired, t, p], [self.places.join(v), slope])
+        return ca.Function("effect", [column, fired, t, p], [self.places.join(v)])
 
 
 def _at(column: Any, place: int, condition: Any, value: Any) -> Any:

@@ -27,12 +27,9 @@ class Ending:
     variation : array (n_commands, n)
         Sum of the changes of the commands: chattering.
     integration_error : array (n,)
-        Estimated, relative to max(1, \\|x\\|).
-    averaging_error : array (n,)
-        What of it is owed to actuators that took the mean of a wave.
-    instant_error : array (n,)
-        What of it is owed to instants of events alone, and to the end at one. ``accuracy`` is not asked of it: a soft
-        touchdown is a touch, whose instant has half the digits.
+        Estimated, relative to max(1, \\|x\\|), of the states and of the instant of an event that ends the run.
+    state_error : array (n,)
+        The same of the states at one time: ``accuracy`` is asked of it.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         How often each event happened, and the first time (s), not-a-number where it did not.
@@ -59,8 +56,7 @@ class Ending:
     saturation_time: Array
     variation: Array
     integration_error: Array
-    averaging_error: Array
-    instant_error: Array
+    state_error: Array
     outcomes: tuple[Outcome, ...]
     event_counts: Array
     event_times: Array

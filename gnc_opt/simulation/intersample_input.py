@@ -75,8 +75,6 @@ class Wave:
         Times (s) at which components change their parts.
     after : callable, optional
         What blocks without memory make of the components at every time.
-    blur : SX column or None
-        How far the output may be from the true one, where a block took the mean of a wave for a held input.
     """
 
     mean: Any
@@ -84,7 +82,6 @@ class Wave:
     tau: Any = None
     breaks: tuple[Any, ...] = ()
     after: Callable[[Any], Any] | None = None
-    blur: Any = None
 
     @property
     def held(self) -> bool:
@@ -109,40 +106,27 @@ class Wave:
 
     def mapped(self, function: Callable[[Any], Any]) -> Wave:
         """Return what a block without memory makes of it at every time."""
-        blur = None if self.blur is None else ca.fabs(function(self.mean + self.blur) - function(self.mean))
         if self.held:
-            return Wave(function(self.mean), blur=blur)
+            return Wave(function(self.mean))
         before = self.after
         both = function if before is None else lambda y: function(before(y))
-        return replace(self, mean=function(self.mean), after=both, blur=blur)
+        return replace(self, mean=function(self.mean), after=both)
 
-    def averaged(self, h: float) -> Wave:
-        """Return it held at its mean, with how far it is from that: for blocks that cannot follow it."""
-        if self.held:
-            return self
-        far = ca.SX.zeros(self.mean.shape[0])
-        for part, end in self.pieces(h):
-            for s in (part.begin, end):
-                y = part.at(s, self.tau)
-                far = ca.fmax(far, ca.fabs((y if self.after is None else self.after(y)) - self.mean))
-        return Wave(self.mean, blur=far if self.blur is None else far + self.blur)
+    def averaged(self) -> Wave:
+        """Return it held at its mean: for blocks that cannot follow it."""
+        return self if self.held else Wave(self.mean)
 
-    def input(self, begin: Any, end: Any, steps: int, halved: Any = 0.0) -> Input:
-        """Return its values for the integration from ``begin`` to ``end`` (s), between breaks, in equal steps.
-
-        Where ``halved`` is 1 and not 0, steps are half as long and lead to the middle; what depends on their lengths
-        alone stays a constant of the run.
-        """
+    def input(self, begin: Any, end: Any, steps: int) -> Input:
+        """Return its values for the integration from ``begin`` to ``end`` (s), between breaks, in equal steps."""
         if self.held:
             return lambda k, node: self.mean
         part = self._between(begin, end)
         sigma = (end - begin) / steps
         first = part.value + part.slope * (begin - part.begin)
-        decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma, halved)
-        step = sigma - halved * (0.5 * sigma)
+        decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma)
 
         def value(k: int, node: float) -> Any:
-            y = first + part.slope * step * (k + node)
+            y = first + part.slope * sigma * (k + node)
             y = y if decay is None else y + decay(k, node)
             return y if self.after is None else self.after(y)
 
@@ -171,8 +155,7 @@ def stacked(waves: Sequence[Wave], h: float) -> Wave:
     if len(waves) == 1:
         return waves[0]
     if all(wave.held for wave in waves) or any(wave.after is not None for wave in waves):
-        waves = [wave.averaged(h) for wave in waves]
-        return Wave(ca.vertcat(*[wave.mean for wave in waves]), blur=_blurs(waves))
+        return Wave(ca.vertcat(*[wave.mean for wave in waves]))
     count = max(len(wave.parts) for wave in waves)
     columns = [[part for part, _ in wave.pieces(h)] for wave in waves]
     for parts in columns:
@@ -189,53 +172,39 @@ def stacked(waves: Sequence[Wave], h: float) -> Wave:
         joined,
         None if all(wave.tau is None for wave in waves) else ca.vertcat(*taus),
         tuple(b for wave in waves for b in wave.breaks),
-        blur=_blurs(waves),
     )
 
 
 def cut(wave: Wave, begin: int, end: int) -> Wave:
     """Return some of the components."""
     if wave.held:
-        return Wave(wave.mean[begin:end], blur=None if wave.blur is None else wave.blur[begin:end])
+        return Wave(wave.mean[begin:end])
     whole = wave.after
     if whole is not None:
-        return replace(
-            wave,
-            mean=wave.mean[begin:end],
-            after=lambda y: whole(y)[begin:end],
-            blur=None if wave.blur is None else wave.blur[begin:end],
-        )
+        return replace(wave, mean=wave.mean[begin:end], after=lambda y: whole(y)[begin:end])
     return Wave(
         wave.mean[begin:end],
         tuple(Part(*(entry[begin:end] for entry in _entries(part))) for part in wave.parts),
         None if wave.tau is None else wave.tau[begin:end],
         wave.breaks,
-        blur=None if wave.blur is None else wave.blur[begin:end],
     )
 
 
 class _Decay:
     """The projected exponential of a part in the integration steps of a piece."""
 
-    def __init__(self, part: Part, tau: Any, begin: Any, sigma: Any, halved: Any) -> None:
+    def __init__(self, part: Part, tau: Any, begin: Any, sigma: Any) -> None:
         self.first = part.decay * ca.exp(-(begin - part.begin) / tau)
-        self.halved = halved
-        lengths = (sigma,) if isinstance(halved, float) else (sigma, 0.5 * sigma)
-        self.ratio = self._of(*(ca.exp(-length / tau) for length in lengths))
-        self.coefficients = [projection(0.5 * length / tau) for length in lengths]
+        self.ratio = ca.exp(-sigma / tau)
+        self.coefficients = projection(0.5 * sigma / tau)
         self.shapes: dict[float, Any] = {}
 
     def __call__(self, k: int, node: float) -> Any:
         if node not in self.shapes:
             z = 2 * node - 1
             legendre = (1.0, z, 0.5 * (3 * z**2 - 1))
-            self.shapes[node] = self._of(
-                *(sum(e * p for e, p in zip(found, legendre, strict=True)) for found in self.coefficients)
-            )
+            self.shapes[node] = sum(e * p for e, p in zip(self.coefficients, legendre, strict=True))
         return self.first * self.ratio**k * self.shapes[node]
-
-    def _of(self, whole: Any, half: Any = None) -> Any:
-        return whole if half is None else whole + self.halved * (half - whole)
 
 
 def projection(xi: Any) -> list[Any]:
@@ -258,9 +227,3 @@ def projection(xi: Any) -> list[Any]:
 
 def _entries(part: Part) -> tuple[Any, ...]:
     return part.begin, part.value, part.slope, part.decay
-
-
-def _blurs(waves: Sequence[Wave]) -> Any:
-    if all(wave.blur is None for wave in waves):
-        return None
-    return ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])

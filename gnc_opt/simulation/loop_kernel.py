@@ -91,7 +91,7 @@ class _EventfulStep:
     @property
     def notes(self) -> Places:
         """What a control step with events adds up beside the state."""
-        sums = (("applied", self.wiring.plant.controls.size), ("flown", 1), ("error", 1), ("blur", 1))
+        sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return Places((*sums, *notes_of(self.wiring.plant.states.size)))
 
     def _minor(self, i: int) -> tuple[Any, Any]:
@@ -105,11 +105,11 @@ class _EventfulStep:
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
         watch = self.base.watch_rows({"armed": armed}, begin)
-        flown, error, blur = self.base.fly(tick.t, x, waves, new, (begin, end), watch)
+        flown = self.base.fly(tick.t, x, waves, new, (begin, end), watch)
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside]
         context = [column, known, self.P, u]
-        leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, error, blur, *seen])
+        leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
         way, places = passage(wiring.events, leg, h)
         # the book-keeping
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.notes.size)
@@ -117,8 +117,8 @@ class _EventfulStep:
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.tally(new, applied, saturated, v["s"])
-        n |= {"error": n["error"] + v["error"], "blur": n["blur"] + v["blur"], "flown": n["flown"] + v["s"]}
-        n |= {"applied": n["applied"] + v["s"] * applied} | {k: v[k] for k, _ in notes_of(x.shape[0])}
+        n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
+        n |= {k: v[k] for k, _ in notes_of(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])
         # all together
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
@@ -128,8 +128,7 @@ class _EventfulStep:
             **{k: a[k] for k, _ in places.parts if k in a},
             **{k: b[k] for k, _ in places.parts if k in b},
         }
-        first |= {"x": a["plant"], "s": ca.MX(0), "error": ca.MX(0), "blur": ca.MX(0)}
-        first["error before"] = a["error"] + b["error"]
+        first |= {"x": a["plant"], "s": ca.MX(0)}
         p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
         rest = (column_, w_, P_, u_)
         after = way(places.join(first), self.known.split(w_)["t"] + i * h, p, *rest)
@@ -153,7 +152,7 @@ class _EventfulStep:
         }
         told |= {name: n[name] for name, _ in notes_of(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]
-        log = self.base.close(new, state, t, told, n["error"], n["blur"], z)
+        log = self.base.close(new, state, t, told, z)
         return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
 
 
@@ -199,10 +198,9 @@ class Kernel:
         return {}
 
 
-def build_kernel(wiring: Wiring, substeps: int, beside: bool = True) -> Kernel:
-    """Return the kernel with the plant integrated in ``substeps`` per minor step, for runs with a flight beside them or
-    alone."""
-    return _Builder(wiring, substeps, beside).kernel()
+def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
+    """Return the kernel with the plant integrated in ``substeps`` per minor step."""
+    return _Builder(wiring, substeps).kernel()
 
 
 class _Builder(ControlStep):
@@ -281,21 +279,19 @@ class _Builder(ControlStep):
         z = ca.SX.sym("z", wiring.controller.memory.size)
         state, w = self.state.split(column_x), self.known.split(column)
         new = self.pushed(state, w)
-        mean, error, blur, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0), ca.SX(0), ca.SX(0)
+        mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
             tick = self.tick_of(i, w, new)
             waves, saturated = self.actuate(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch = self.watch_rows(new, ca.SX(0)) if wiring.events else None
-            new["plant"], estimate, blurred = self.fly(tick.t, new["plant"], waves, new, watch=watch)
+            new["plant"] = self.fly(tick.t, new["plant"], waves, new, watch=watch)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
-            error += estimate
-            blur += blurred
             mean += applied / wiring.minor_steps
             self.tally(new, applied, saturated, self.h)
-        log = self.close(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, error, blur, z)
+        log = self.close(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
         # what follows from P alone is computed once per run
         results = [self.state.join(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)

@@ -16,9 +16,6 @@ from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.events import MOST
 
-_AVERAGED = ", owed to actuators that take the mean of what they get"
-"""Said of runs that more integration steps do not make more accurate."""
-
 _LOST = ": no digit is right"
 """Said of runs whose states are off by more than their size; how far then is hard to tell."""
 
@@ -75,7 +72,7 @@ class Judge:
         if name in self.failures or (name and name not in self.events):
             return Outcome(RunStatus.STOPPED, name, time)
         if not error <= self.accuracy:
-            why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else _LOST if error > 1 else ""
+            why = _LOST if error > 1 else ""
             return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 

@@ -436,8 +436,7 @@ def along(step: ControlStep, rows: Any) -> Any:
     Parameters
     ----------
     step : ControlStep
-        With nothing beside.
-    rows : casadi SX column
+        rows : casadi SX column
         Of the plant's symbols of time, states, controls and parameters.
 
     Returns
@@ -488,7 +487,7 @@ def _fly(
         waves, _ = step.actuate(tick, u, new, w, i)
         begin, first, last = (ca.fmin(ca.fmax(s - i * step.h, 0), step.h) for s in span)
         if span[0] is not span[1]:
-            flown, _, _ = step.fly(tick.t, x, waves, new, (begin, first))
+            flown = step.fly(tick.t, x, waves, new, (begin, first))
             x = ca.if_else(first > begin, flown, x)
         if looking is step and any(wave.tau is not None for wave in waves):
             # a decay is projected on parabolas in each integration step, and right at its ends
@@ -497,7 +496,7 @@ def _fly(
         look.now = ca.fmin(
             ca.fmax(i * step.h, span[1]), span[2]
         )  # no time passes in minor steps that are not flown
-        flown, _, _ = looking.fly(tick.t, x, waves, new, (first, last), look)
+        flown = looking.fly(tick.t, x, waves, new, (first, last), look)
         before = x = ca.if_else(last > first, flown, x)
 
 

@@ -94,7 +94,7 @@ class Lag(_Following):
         return {"tau": (0.0, math.inf)}
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave if wave.straight else wave.averaged(tick.h)
+        wave = wave if wave.straight else wave.averaged()
         tau, y = ca.fmax(p["tau"], INSTANT), state
         parts, impulse = [], ca.SX.zeros(state.shape[0])
         for part, end in wave.pieces(tick.h):
@@ -104,7 +104,7 @@ class Lag(_Following):
             impulse += (settled + 0.5 * part.slope * length) * length - gap * tau * ca.expm1(-length / tau)
             y = settled + part.slope * length + gap * ca.exp(-length / tau)
         step = Step(impulse / tick.h, y)
-        return Wave(step.signal, tuple(parts), tau, wave.breaks, blur=wave.blur), step
+        return Wave(step.signal, tuple(parts), tau, wave.breaks), step
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class RateLimit(_Following):
         return {"rate": (POSITIVE, math.inf)}
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave if wave.stepped else wave.averaged(tick.h)
+        wave = wave if wave.stepped else wave.averaged()
         y, size = state, state.shape[0]
         zero, parts, breaks = ca.SX.zeros(size), [], list(wave.breaks)
         impulse, saturated = zero, zero
@@ -156,7 +156,7 @@ class RateLimit(_Following):
             saturated = ca.fmax(saturated, differs(change, wanted))
             y = y + change
         step = Step(impulse / tick.h, y, saturated)
-        return Wave(step.signal, tuple(parts), None, tuple(breaks), blur=wave.blur), step
+        return Wave(step.signal, tuple(parts), None, tuple(breaks)), step
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Delay(_Following):
         return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave.averaged(tick.h)
+        wave = wave.averaged()
         size = wave.mean.shape[0]
         line = ca.vertcat(wave.mean, state)  # newest first
         steps = p["delay"] / tick.h
@@ -216,7 +216,7 @@ class Delay(_Following):
         begin, zero = share * tick.h, ca.SX.zeros(size)
         parts = (Part(zero, older, zero, zero), Part(zero + begin, newer, zero, zero))
         step = Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
-        return Wave(step.signal, parts, None, (begin,), blur=wave.blur), step
+        return Wave(step.signal, parts, None, (begin,)), step
 
 
 @dataclass(frozen=True)

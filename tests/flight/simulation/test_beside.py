@@ -13,16 +13,13 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from gnc_opt.simulation import (
     ClosedLoop,
-    Delay,
     Event,
     Flight,
-    Lag,
     Noise,
     Quantisation,
-    RateLimit,
     RunStatus,
 )
-from gnc_opt.simulation.error_estimate import apart
+from gnc_opt.simulation.error_estimate import integration_errors
 from gnc_opt.simulation.signals import Places
 
 G = 9.81
@@ -164,7 +161,6 @@ def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
 def test_steps_of_integration_are_those_that_the_nominal_run_needs() -> None:
     """The second flight changes what is told, not how is flown; and not what is told of the nominal run."""
     flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 12.0, accuracy=1e-6)
-    assert flown.beside
     run = flown.run(flown.nominal, 0)
     assert run.outcome.ok and run.integration_error <= 1e-6
 
@@ -177,19 +173,19 @@ def test_bits_of_the_estimate_do_not_depend_on_the_way_of_flying(monkeypatch: An
     assert told == [flown.run(P, 0).integration_error] * 2
 
 
-def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -> None:
-    places = Places((("plant", 2), ("stop", 1), ("stop time", 1)))
-    one = np.array(
-        [[10.0, 0.1, 0.0, 0.0], [10.0, 0.1, 1.0, 1.0], [1.0, 1.0, 0.0, 0.0], [np.nan, 1.0, 0.0, 0.0]]
-    ).T
-    two = np.array(
-        [[10.0, 0.3, 0.0, 9.0], [12.0, 0.2, 1.0, 1.5], [np.nan, 1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]]
-    ).T
-    assert apart(places, one, two, 4.0) == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
-    met = np.array(
-        [[10.0, 0.1, 1.0, 3.9]]
-    ).T  # an event that only one of the flights has met ends it so much earlier
-    assert apart(places, met, one[:, :1], 4.0) == pytest.approx([0.1 / 3.9])
+def test_distances_are_relative_and_infinite_where_the_companion_is_lost() -> None:
+    """Columns are x (2,), whether an event has ended the run, when, and the rates there (2,)."""
+    places = Places((("plant", 2), ("stop", 1), ("stop time", 1), ("stop rate", 2)))
+    one = np.array([[10.0, 0.1, 0, 0], [10.0, 0.1, 1, 1.0], [1.0, 1.0, 0, 0], [np.nan, 1.0, 0, 0]])
+    two = np.array([[10.0, 0.3, 0, 9.0], [12.0, 0.2, 1, 1.5], [np.nan, 1.0, 0, 0], [1.0, 1.0, 0, 0]])
+    rates = np.array([[0.0, 0.0], [4.0, 0.1], [0.0, 0.0], [0.0, 0.0]])
+    columns = [np.hstack([values, rates]).T for values in (one, two)]
+    errors, at_one_time = integration_errors(places, *columns, 4.0)
+    assert 0.75 * errors == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
+    assert 0.75 * at_one_time == pytest.approx([0.2, 0.05, np.inf, np.nan], nan_ok=True)
+    # an event that only one of both has met ends it so much earlier
+    met = np.array([[10.0, 0.1, 1.0, 3.9, 0.0, 0.0]]).T
+    assert 0.75 * integration_errors(places, met, columns[0][:, :1], 4.0)[0] == pytest.approx([0.1 / 3.9])
 
 
 def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:
@@ -198,31 +194,3 @@ def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:
     run = loop.run(loop.nominal, 0)
     wrong = abs(run.states[0, -1] / np.exp(12.0) - 1)
     assert wrong < run.integration_error and run.outcome.status is RunStatus.INACCURATE
-
-
-@pytest.mark.parametrize(
-    "chain",
-    [
-        [],
-        [Lag("lag", 0.04)],
-        [Delay("pipe", 0.03), RateLimit("slew", 40.0), Lag("lag", 0.04)],
-    ],
-)
-def test_the_second_flight_is_the_run_with_twice_the_steps(chain: list[Any]) -> None:
-    """To rounding, whatever the actuators make of commands between samples; no step of the run is halved."""
-    model = go.Model("swing")
-    a, w, u = model.state("a"), model.state("w"), model.control("u")
-    model.ode({a: w, w: -40 * ca.sin(a) + u})
-    law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
-
-    def ends(substeps: int) -> Any:
-        flown = ClosedLoop(model, law, chain, dt=0.1, substeps=substeps).flight([0.5, 0.0], tf=1.0)
-        _, rows = next(flown.legs(0, np.empty((flown.n_steps, flown.kernel.known.size))))
-        X, C = flown._begun(rows[0], flown.nominal)
-        final = np.empty_like(X)
-        flown._folded.fly(X, rows, C, final)
-        return final[:, flown.kernel.state.slices["plant"]]
-
-    coarse, fine = ends(2), ends(4)
-    assert coarse[1] == pytest.approx(fine[0], abs=1e-13)
-    assert np.max(np.abs(coarse[0] - fine[0])) > 1e-9

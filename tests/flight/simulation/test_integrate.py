@@ -7,14 +7,13 @@ from testing.loops import double_integrator, feedback
 
 import gnc_opt as go
 from gnc_opt.simulation import Normal, Uniform
-from gnc_opt.simulation.dormand_prince import ERROR_WEIGHTS, NODES, STAGES, dormand_prince, linear_error
+from gnc_opt.simulation.dormand_prince import NODES, STAGES, dormand_prince
 
 
 def _advance(f, x0, length, steps):
     x = ca.SX.sym("x", len(x0))
-    end, error = dormand_prince(f, 0.0, x, length, steps)
-    after, estimate = ca.Function("F", [x], [end, error])(x0)
-    return after.full()[:, 0], float(estimate)
+    end = dormand_prince(f, 0.0, x, length, steps)
+    return ca.Function("F", [x], [end])(x0).full()[:, 0]
 
 
 def _pendulum(t, x, u):
@@ -24,43 +23,19 @@ def _pendulum(t, x, u):
 def test_tableau_is_consistent():
     for node, row in zip(NODES, STAGES, strict=True):
         assert sum(row) == pytest.approx(node, abs=1e-15)
-    assert sum(ERROR_WEIGHTS) == pytest.approx(0.0, abs=1e-16)
 
 
 @pytest.mark.parametrize("power", range(1, 5))
 def test_quadrature_of_polynomials_is_exact_to_fourth_degree(power):
-    after, estimate = _advance(lambda t, x, u: ca.SX(t) ** power + 0 * x, [0.0], 2.0, 1)
+    after = _advance(lambda t, x, u: ca.SX(t) ** power + 0 * x, [0.0], 2.0, 1)
     assert after[0] == pytest.approx(2.0 ** (power + 1) / (power + 1), rel=1e-14)
-    assert power == 4 or estimate < 1e-14
 
 
 def test_order_of_convergence_is_five():
-    exact, _ = _advance(_pendulum, [1.0, 0.0], 2.0, 400)
-    errors = [np.max(np.abs(_advance(_pendulum, [1.0, 0.0], 2.0, n)[0] - exact)) for n in (8, 16, 32)]
+    exact = _advance(_pendulum, [1.0, 0.0], 2.0, 400)
+    errors = [np.max(np.abs(_advance(_pendulum, [1.0, 0.0], 2.0, n) - exact)) for n in (8, 16, 32)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(orders > 4.7) and np.all(orders < 5.6)
-
-
-def test_estimate_falls_with_the_fourth_power():
-    estimates = [_advance(_pendulum, [1.0, 0.0], 2.0, n)[1] for n in (16, 32, 64)]
-    assert np.log2(np.divide(estimates[:-1], estimates[1:])) == pytest.approx(4.0, abs=0.3)
-
-
-@pytest.mark.parametrize("steps", [4, 8, 16, 32])
-def test_estimate_bounds_the_true_error(steps):
-    exact, _ = _advance(_pendulum, [1.0, 0.0], 2.0, 400)
-    after, estimate = _advance(_pendulum, [1.0, 0.0], 2.0, steps)
-    assert np.max(np.abs(after - exact)) < estimate
-
-
-@pytest.mark.parametrize("z", [0.3, -0.7, 0.2 + 0.9j, -0.4j])
-def test_the_error_of_a_mode_is_that_of_a_step(z):
-    rate, start = np.array([[z.real, -z.imag], [z.imag, z.real]]), np.array([1.0, 0.0])
-    stages = []
-    for row in STAGES:
-        stages.append(rate @ (start + sum((w * k for w, k in zip(row, stages, strict=True)), 0 * start)))
-    told = np.linalg.norm(np.array(ERROR_WEIGHTS) @ np.array(stages))
-    assert linear_error(np.array([complex(z)])) == pytest.approx(told, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +67,7 @@ def test_a_coasting_mass_at_rest_takes_one_step():
 def _within(length):
     """Return state and rate at the ends of a step of the pendulum and at 0.6 of it; its end, first and last stages."""
     seen, x = [], ca.SX.sym("x", 2)
-    dormand_prince(_pendulum, 0.3, x, length, 1, None, lambda taken: seen.append(taken) or taken.after)
+    dormand_prince(_pendulum, 0.3, x, length, 1, None, seen.append)
     (taken,) = seen
     told = [*taken.at(0.0), *taken.at(0.6), *taken.at(1.0), taken.after, taken.stages[0], taken.stages[-1]]
     return [v.full()[:, 0] for v in ca.Function("within", [x], told)(_START)]
@@ -107,7 +82,7 @@ def test_within_a_step_the_solution_is_of_fourth_order():
     for length in (0.4, 0.2, 0.1):
         first, rate, middle, middle_rate, last, last_rate, *ends = _within(length)
         assert np.allclose([first, last, rate, last_rate], [_START, *ends], rtol=1e-13, atol=1e-14)
-        truth, _ = _advance(lambda t, y, u: _pendulum(t + 0.3, y, u), _START, 0.6 * length, 20)
+        truth = _advance(lambda t, y, u: _pendulum(t + 0.3, y, u), _START, 0.6 * length, 20)
         slope = _pendulum(0.3 + 0.6 * length, ca.DM(truth), None).full()[:, 0]
         errors.append([np.abs(middle - truth).max(), np.abs(middle_rate - slope).max()])
     ratios = np.array(errors[:-1]) / errors[1:]

@@ -29,11 +29,7 @@ from gnc_opt.simulation import (
     monte_carlo,
 )
 from gnc_opt.simulation import compiled_step as module
-from gnc_opt.simulation import (
-    simd_kernel as lanes,
-)
 from gnc_opt.simulation.compiled_step import Folded
-from gnc_opt.simulation.simd_kernel import in_lanes
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -71,17 +67,17 @@ def bits(flight: Flight) -> list[bytes]:
 def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: float | None) -> None:
     flight = flown(through)
     quick = flight.natively(2)
-    assert Path(quick.library).parent == cache and not flight.library
+    assert {Path(p).parent for p in quick.libraries} == {cache} and not any(flight.libraries)
     assert bits(quick) == bits(flight) and quick.fingerprint == flight.fingerprint
     assert bits(pickle.loads(pickle.dumps(quick))) == bits(flight)
 
 
 @needs_compiler
 def test_a_function_is_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, other = flown().natively(2).library, flown()
+    first, other = flown().natively(2).libraries, flown()
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("compiled again"))
-    assert other.natively(2).library == first
-    assert [path.suffix for path in cache.iterdir()] == [".so"]
+    assert other.natively(2).libraries == first
+    assert [path.suffix for path in cache.iterdir()] == [".so", ".so"]
 
 
 _ONE = (
@@ -131,71 +127,27 @@ _SPECIAL = (0.0, -0.0, 0.5, -0.5, 1.0, 1.5, 7.25, -1e300, 5e-324, np.inf, -np.in
 
 
 @needs_compiler
-@pytest.mark.parametrize("long", [lanes.LONG, 0])
-def test_both_halves_of_vectors_have_the_bits_of_the_interpreter(
-    long: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of every operation, with numbers of all kinds; two flights differ, and one alone may be flown."""
-    monkeypatch.setattr(lanes, "LONG", long)
-    monkeypatch.setattr(lanes, "PART", 7)
+def test_machine_code_has_the_bits_of_the_interpreter_for_every_operation() -> None:
+    """With numbers of all kinds."""
     x, w, c = ca.SX.sym("x", len(_ONE) + len(_TWO)), ca.SX.sym("w", 2), ca.SX.sym("c", 2)
     a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
     results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
     step = ca.Function("step", [x, w, c], [ca.vertcat(*results)])
-    assert in_lanes(step)
     fly = module.loaded(module.native(step))
     assert fly is not None
-    X, C = np.zeros((2, x.shape[0])), np.array([1.0, 2.0])
-    X[1, 0] = 0.75
+    X, C = np.zeros(x.shape[0]), np.array([1.0, 2.0])
+    X[0] = 0.75
     final = np.empty_like(X)
     for known in itertools.product(_SPECIAL, _SPECIAL):
         row = np.array([known])
         assert fly(X, row, C, final) == 1
-        told = np.column_stack([step(one, row[0], C).full() for one in X]).T
+        told = np.ravel(step(X, row[0], C).full())
         assert np.array_equal(final, told, equal_nan=True)
         assert np.array_equal(np.signbit(final[told == 0]), np.signbit(told[told == 0]))
-        fly(X[1:], row, C, final[:1])
-        assert np.array_equal(final[0], told[1], equal_nan=True)
-
-
-def test_long_steps_are_many_short_functions() -> None:
-    """A compiler takes far more than twice as long for a function twice as long. In memory is what goes from one to the
-    next, here the last sine, w and nothing else."""
-    x, w, c = (ca.SX.sym(name) for name in "xwc")
-    y = x
-    for _ in range(lanes.LONG // 2):
-        y = ca.sin(y) * w
-    step = ca.Function("step", [x, w, c], [y])
-    assert step.n_instructions() > lanes.LONG
-    source = in_lanes(step)
-    bodies = source.split("__attribute__((noinline))")[1:]
-    count = -(-step.n_instructions() // lanes.PART)
-    assert len(bodies) == count
-    assert max(body.count("  const pair v") - body.count("= a[") for body in bodies) <= lanes.PART
-    assert source.count("\n  a[") == count and "malloc((2 + 1)" in source
-
-
-def test_what_is_done_twice_is_written_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """CasADi does not see it; in a function of its own no compiler would, either."""
-    x, w, c = (ca.SX.sym(name) for name in "xwc")
-    twice = ca.sin(x * w) - ca.cos(ca.sin(x * w) + 0.25) * (c + 0.25)
-    step = ca.Function("step", [x, w, c], [twice])
-    for part in (lanes.LONG, 1):
-        monkeypatch.setattr(lanes, "LONG", part)
-        monkeypatch.setattr(lanes, "PART", part)
-        source = in_lanes(step)
-        assert [source.count(f"{name}(v") for name in ("sin", "cos")] == [2, 2]  # one for each flight
-        assert source.count(f"PAIR({(0.25).hex()}") == 1
-
-
-def test_what_takes_more_than_operations_on_scalars_is_left_to_casadi() -> None:
-    x, w, c = (ca.SX.sym(name) for name in "xwc")
-    assert not in_lanes(ca.Function("step", [x, w, c], [ca.erf(x)]))
-    assert not in_lanes(ca.Function("step", [x, w, c], [x, w]))
 
 
 def test_few_steps_are_not_worth_it(cache: Path) -> None:
-    assert flown().natively(1).library == "" and not cache.exists()
+    assert flown().natively(1).libraries == ("", "") and not cache.exists()
 
 
 @pytest.mark.parametrize("why", ["no compiler", "it fails", "no place", "no C"])
@@ -213,7 +165,7 @@ def test_without_machine_code_the_interpreter_flies(
     else:
         monkeypatch.setattr(module, "_compile", _refuse)
     quick = flight.natively(2)
-    assert quick.library == "" and bits(quick) == bits(flight)
+    assert quick.libraries == ("", "") and bits(quick) == bits(flight)
 
 
 @needs_compiler
@@ -222,7 +174,7 @@ def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
 ) -> None:
     plant, law = predictive()
     flight = ClosedLoop(plant, replace(law, easy=None)).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
-    assert flight.library == "" and list(cache.iterdir()) == []
+    assert flight.libraries == ("", "") and list(cache.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 
 
@@ -243,14 +195,14 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     noise = [Noise("gauge", 1e-3, on="q")]
     flight = ClosedLoop(plant, law, sensors=noise, events=events).flight([1.0, 0.0], t0=0.0, tf=8.0)
     quick = flight.natively(2)
-    assert quick.library and bits(quick) == bits(flight)
+    assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
     interpret = Folded._interpret
     monkeypatch.setattr(Folded, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
-    replace(quick, beside=False).final(flight.nominal[:, None], [1])
+    quick.final(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
-    assert set(interpreted) == {1} and max(3, at_limit) <= len(interpreted) < 60
+    assert set(interpreted) == {1} and 2 * max(3, at_limit) <= len(interpreted) < 120
 
 
 def _refuse(*_: Any) -> None:
@@ -258,24 +210,24 @@ def _refuse(*_: Any) -> None:
 
 
 def test_a_library_of_another_machine_is_not_missed(tmp_path: Path) -> None:
-    assert bits(replace(flown(), library=str(tmp_path / "gone.so"))) == bits(flown())
+    assert bits(replace(flown(), libraries=(str(tmp_path / "gone.so"), ""))) == bits(flown())
 
 
 @needs_compiler
 def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = module.native(flown(weight=2)._folded.step)
+    library = module.native(flown(weight=2)._folded[0].step)
     monkeypatch.setattr(flight_module, "native", lambda _: library)
-    assert library and flown().natively(2).library == ""
+    assert library and flown().natively(2).libraries == ("", "")
 
 
 @needs_compiler
 def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
     mission: dict[str, Any] = {"x0": [1.0, 0.0], "tf": 5.0, "seed": 3, "executor": "serial"}
     quick = monte_carlo(loop(), 4, **mission)
-    assert quick.flight is not None and quick.flight.library
+    assert quick.flight is not None and all(quick.flight.libraries)
     monkeypatch.setattr(flight_module, "WORTH", 10_000)
     plain = monte_carlo(loop(), 4, **mission)
-    assert plain.flight is not None and not plain.flight.library
+    assert plain.flight is not None and not any(plain.flight.libraries)
     assert quick.states.tobytes() == plain.states.tobytes()
 
 

@@ -2,7 +2,6 @@
 
 import itertools
 from decimal import Decimal, localcontext
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -10,9 +9,8 @@ import pytest
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
-from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
+from gnc_opt.simulation import ClosedLoop, Delay, RateLimit
 from gnc_opt.simulation.intersample_input import Part, Wave, cut, stacked
-from gnc_opt.simulation.step_selection import grown
 
 H = 2.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -67,8 +65,8 @@ LINES = tuple((b, v, g, (0.0,) * len(b)) for b, v, g, _ in TWO)
 STEPS = tuple((b, v, (0.0,) * len(b), (0.0,) * len(b)) for b, v, _, _ in TWO)
 
 
-def held(*values, blur=None):
-    return Wave(sx(*values), blur=blur)
+def held(*values):
+    return Wave(sx(*values))
 
 
 def moments(given, begin, end, steps):
@@ -152,11 +150,10 @@ def test_what_is_held_stays_and_what_bends_bends_at_every_time():
 def test_stacked_waves_keep_their_own_times():
     """A held one, one that lags and one of straight lines, whose parts change at other times."""
     third = ((0.0,), (5.0,), (1.0,), (0.0,)), ((1.0,), (-1.0,), (0.5,), (0.0,))
-    own = wave(third, None, (1.0,), blur=sx(0.25))
+    own = wave(third, None, (1.0,))
     whole = stacked([held(7.0), wave(), own], H)
     assert number(whole.mean) == pytest.approx([7.0, *number(wave().mean), *number(own.mean)])
     assert [float(b) for b in whole.breaks] == [0.5, 1.5, 0.25, 1.0]
-    assert number(whole.blur).tolist() == [0, 0, 0, 0.25]
     edges = [0.0, 0.25, 0.5, 1.0, 1.5, 2.0]
     for begin, end in itertools.pairwise(edges):
 
@@ -165,8 +162,7 @@ def test_stacked_waves_keep_their_own_times():
 
         assert moments(whole, begin, end, 2) == pytest.approx(expected(at, begin, end, 2), abs=1e-9)
     lines = stacked([wave(LINES, None), own], H)
-    assert lines.tau is None and lines.straight and lines.blur is not None
-    assert stacked([wave(LINES, None), held(1.0)], H).blur is None
+    assert lines.tau is None and lines.straight
     mixed = stacked([wave(LINES, None), wave()], H)  # what does not lag has any time constant, and no decay
     assert number(mixed.tau)[2:].tolist() == list(TAU) and mixed.tau.shape == mixed.mean.shape == (4, 1)
     one = wave()
@@ -174,124 +170,45 @@ def test_stacked_waves_keep_their_own_times():
 
 
 def test_held_waves_stacked_are_held_and_bent_ones_averaged():
-    both = stacked([held(1.0, blur=sx(0.5)), held(2.0, 3.0)], H)
-    assert both.held and number(both.mean).tolist() == [1, 2, 3] and number(both.blur).tolist() == [0.5, 0, 0]
-    assert stacked([held(1.0), held(2.0)], H).blur is None
+    both = stacked([held(1.0), held(2.0, 3.0)], H)
+    assert both.held and number(both.mean).tolist() == [1, 2, 3]
     bent = wave(LINES, None).mapped(lambda y: 3 * y)
     found = stacked([bent, held(1.0)], H)
     assert found.held and number(found.mean) == pytest.approx([*number(bent.mean), 1.0])
-    assert (
-        number(found.blur)[:2] == pytest.approx(number(bent.averaged(H).blur)) and number(found.blur)[2] == 0
-    )
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0, 1), (1, 2), (0, 2)])
 def test_components_that_are_cut_out(begin, end):
-    for given in (wave(blur=sx(0.1, 0.2)), wave(LINES, None)):
+    for given in (wave(), wave(LINES, None)):
         piece = cut(given, begin, end)
         assert number(piece.mean) == pytest.approx(number(given.mean)[begin:end])
         assert [float(b) for b in piece.breaks] == [float(b) for b in given.breaks]
         whole = moments(given, 0.5, 1.5, 2)
         assert moments(piece, 0.5, 1.5, 2) == pytest.approx(whole[:, begin:end])
-        assert (
-            (piece.blur is None)
-            if given.blur is None
-            else number(piece.blur) == pytest.approx(number(given.blur)[begin:end])
-        )
         assert (piece.tau is None) is (given.tau is None)
-    bent = wave(LINES, None, blur=sx(0.1, 0.2)).mapped(lambda y: ca.vertcat(y[1], 2 * y[0]))
+    bent = wave(LINES, None).mapped(lambda y: ca.vertcat(y[1], 2 * y[0]))
     piece = cut(bent, begin, end)
     value = piece.input(ca.SX(0.5), ca.SX(1.5), 2)
     swapped = curve(LINES, None, 1.25)[::-1] * [1, 2]
     assert number(value(1, 0.5)) == pytest.approx(swapped[begin:end])
     assert number(piece.mean) == pytest.approx(number(bent.mean)[begin:end])
-    assert number(piece.blur) == pytest.approx(number(bent.blur)[begin:end])
-    still = cut(held(1.0, 2.0, blur=sx(0.3, 0.4)), begin, end)
-    assert (
-        number(still.mean).tolist() == [1, 2][begin:end]
-        and number(still.blur).tolist() == [0.3, 0.4][begin:end]
-    )
-    assert cut(held(1.0, 2.0), begin, end).blur is None
+    assert number(cut(held(1.0, 2.0), begin, end).mean).tolist() == [1, 2][begin:end]
 
 
 # --- blocks without memory --------------------------------------------------------------------------------
 
 
 def test_blocks_without_memory_act_one_after_the_other():
-    """First 1 + y, then y^2; the blur is what the block makes of it about the mean."""
-    bent = wave(LINES, None, blur=sx(0.5, 0.25)).mapped(lambda y: 1 + y).mapped(lambda y: y**2)
+    """First 1 + y, then y^2."""
+    bent = wave(LINES, None).mapped(lambda y: 1 + y).mapped(lambda y: y**2)
     mean = number(wave(LINES, None).mean)
     assert number(bent.mean) == pytest.approx((1 + mean) ** 2)
-    assert number(bent.blur) == pytest.approx(np.abs((1 + mean + [0.5, 0.25]) ** 2 - (1 + mean) ** 2))
     assert number(bent.after(sx(2.0, -3.0))).tolist() == [9.0, 4.0]
-    still = held(2.0, blur=sx(1.0)).mapped(lambda y: y**3)
-    assert still.held and number(still.mean).tolist() == [8.0] and number(still.blur).tolist() == [19.0]
-    falling = held(2.0, blur=sx(1.0)).mapped(lambda y: 3 - 2 * y)  # as far off as a rising one
-    assert number(falling.mean).tolist() == [-1.0] and number(falling.blur).tolist() == [2.0]
-    assert held(2.0).mapped(lambda y: -y).blur is None
-
-
-def test_an_average_knows_how_far_it_is_off():
-    """Lines 0 to 1 and back in halves of the step, mean 1/2, then squared with the mean's square for a mean."""
-    tent = (((0.0,), (0.0,), (1.0,), (0.0,)), ((1.0,), (1.0,), (-1.0,), (0.0,)))
-    given = wave(tent, None, (1.0,))
-    assert number(given.mean) == pytest.approx([0.5])
-    found = given.averaged(H)
-    assert (
-        found.held
-        and number(found.mean) == pytest.approx([0.5])
-        and number(found.blur) == pytest.approx([0.5])
-    )
-    assert number(wave(tent, None, (1.0,), blur=sx(0.125)).averaged(H).blur) == pytest.approx([0.625])
-    squared = given.mapped(lambda y: 4 * y**2).averaged(H)
-    assert number(squared.mean) == pytest.approx([1.0]) and number(squared.blur) == pytest.approx([3.0])
-    decay = wave((((0.0,), (1.0,), (0.0,), (3.0,)),), (0.5,), ()).averaged(H)
-    mean = 1 + 3 * 0.5 * (1 - np.exp(-4.0)) / 2
-    assert number(decay.mean) == pytest.approx([mean]) and number(decay.blur) == pytest.approx([4 - mean])
-    late = wave((((0.0,), (1.0,), (0.0,), (-3.0,)),), (5.0,), ()).averaged(H)
-    begin, end = -2.0, 1 - 3 * np.exp(-0.4)
-    mean = 1 - 3 * 5 * (1 - np.exp(-0.4)) / 2
-    assert number(late.blur) == pytest.approx([max(abs(begin - mean), abs(end - mean))])
-    still = held(1.0)
-    assert still.averaged(H) is still
-
-
-@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1), (-50.0, 1)])
-def test_what_averaging_may_add_is_reckoned_at_every_minor_step(start, minor):
-    """x' = 3 u behind two lags: the second one takes the mean of the first, by a plain loop; shares of large states."""
-    plant = Model("impulse")
-    x, u = plant.state("x"), plant.control("u")
-    plant.ode({x: 3 * u})
-    law = scheduled(plant, lambda t: 1 + 0 * t[None, :])
-    loop = ClosedLoop(plant, law, [Lag("one", 0.5), Lag("two", 0.25)], dt=0.6, minor_steps=minor)
-    flight = loop.flight([start], tf=1.2)
-    ending = flight.final(flight.nominal[:, None], [0])
-    h, one, two, at, total = 0.6 / minor, 0.0, 0.0, start, 0.0
-    for _ in range(2 * minor):
-        end = 1 + (one - 1) * np.exp(-h / 0.5)
-        mean = 1 + (one - 1) * 0.5 * (1 - np.exp(-h / 0.5)) / h
-        far = max(abs(one - mean), abs(end - mean))
-        applied = mean + (two - mean) * 0.25 * (1 - np.exp(-h / 0.25)) / h
-        one, two = end, mean + (two - mean) * np.exp(-h / 0.25)
-        at += 3 * h * applied
-        total += 3 * h * far / max(1.0, abs(at))
-    assert ending.states[0, 0] == pytest.approx(at, rel=1e-12)
-    assert ending.averaging_error[0] == pytest.approx(total, rel=1e-9)
-    assert ending.integration_error[0] == pytest.approx(total, rel=1e-6)  # the integration itself is exact
-
-
-@pytest.mark.parametrize("averaged", [True, False])
-def test_inaccurate_runs_say_whether_averaging_is_to_blame(averaged: bool) -> None:
-    """A delay behind a rate limit takes means; before it, what is left is one integration step in 0.5 s."""
-    plant = Model("spring")
-    x, v, u = plant.state("x"), plant.state("v"), plant.control("u")
-    plant.ode({x: v, v: u - 4 * x})
-    law = scheduled(plant, lambda t: np.sin(3 * t)[None, :])
-    blocks = [RateLimit("valve", 1.0), Delay("bus", 0.2)]
-    loop = ClosedLoop(plant, law, blocks if averaged else blocks[::-1], dt=0.5, substeps=1)
-    outcome = loop.simulate([0.0, 0.0], tf=2.0).outcome
-    assert outcome.what.startswith("integration error")
-    assert ("owed to actuators that take the mean" in outcome.what) is averaged
+    still = held(2.0).mapped(lambda y: y**3)
+    assert still.held and number(still.mean).tolist() == [8.0]
+    averaged = bent.averaged()
+    assert averaged.held and number(averaged.mean) == pytest.approx((1 + mean) ** 2)
+    assert still.averaged() is still
 
 
 def test_where_waves_of_several_actuators_break_the_integration_begins_anew():
@@ -308,20 +225,6 @@ def test_where_waves_of_several_actuators_break_the_integration_begins_anew():
     assert run.outcome.ok
 
 
-def test_by_how_much_errors_grow():
-    """Apart by 1/2 of 1 and by 10 of 10 where single steps leave 0.01: the fifth power of the steps' ratio is left."""
-
-    def at(*states):
-        return SimpleNamespace(states=np.array(states)[:, None])
-
-    growth = grown(at(1.5, 20.0, 0.5), at(1.0, 10.0, 0.4), 0.01, 0.5)
-    assert growth == pytest.approx(1 / ((1 - 1 / 32) * 0.01))
-    assert grown(at(0.7), at(0.2), 0.01, 0.5) == pytest.approx(0.5 / ((1 - 1 / 32) * 0.01))
-    assert grown(at(1.001), at(1.0), 0.01, 0.5) == 1.0
-    assert grown(at(2.0), at(1.0), 0.0, 0.5) == 1.0 and grown(at(2.0), at(1.0), 1e-300, 0.5) > 1.0
-    assert grown(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
-
-
 @pytest.mark.parametrize("options", [{"substeps": 1}, {"accuracy": 0.1}])
 def test_the_printed_error_is_that_of_the_end_where_errors_grow(options):
     """x' = 4 x from 1/2 exp(-16), to 1/2 after 4 s: errors of the first steps are multiplied by millions."""
@@ -331,26 +234,13 @@ def test_the_printed_error_is_that_of_the_end_where_errors_grow(options):
     loop = ClosedLoop(plant, feedback(plant, [[0.0]]), dt=0.5, **options)
     flight = loop.flight([0.5 * np.exp(-16.0)], tf=4.0)
     ending = flight.final(flight.nominal[:, None], [0])
-    assert flight.substeps == 1 and flight.growth > 5.0
-    assert ending.integration_error[0] == pytest.approx(1.3 * abs(ending.states[0, 0] - 0.5), rel=0.15)
-
-
-@pytest.mark.parametrize("options", [{"substeps": 1}, {"accuracy": 1e-2}])
-def test_noise_is_no_growth_of_errors(options):
-    """The runs that are compared to see errors grow meet the same random numbers: x' = -x + w forgets its errors."""
-    plant = Model("gusty")
-    x, u = plant.state("x"), plant.control("u")
-    plant.ode({x: -x + u})
-    gusts = RandomHold("gusts", 10.0, on="x")
-    loop = ClosedLoop(plant, feedback(plant, [[0.0]]), disturbances=[gusts], dt=0.5, **options)
-    flight = loop.flight([1.0], tf=5.0)
-    assert flight.growth < 2.0 and flight.substeps == 1
+    assert 1.0 < ending.integration_error[0] / abs(ending.states[0, 0] - 0.5) < 1.4
 
 
 @pytest.mark.parametrize(
     ("dt", "tf", "accuracy"), [(0.02, 10.0, 1e-6), (0.02, 10.0, 1e-8), (0.1, 40.0, 1e-6)]
 )
-def test_a_relay_on_an_unstable_plant_is_not_printed_too_accurate(dt, tf, accuracy):
+def test_a_relay_on_an_unstable_plant_is_no_run_that_passes(dt, tf, accuracy):
     """x' = 2 x - sign(x) of the samples: exactly x E - sign(x) (E - 1) / 2 after each, E = exp(2 dt), with 60 digits.
 
     Nothing damps the difference of two runs whose relay turns at the same samples: it grows as exp(2 t), rounding, too;
@@ -368,15 +258,5 @@ def test_a_relay_on_an_unstable_plant_is_not_printed_too_accurate(dt, tf, accura
         for _ in range(run.commands.shape[1]):
             exact = growth * exact - (growth - 1) / 2 * (1 if exact > 0 else -1)
         error = abs(float(Decimal(float(run.states[0, -1])) - exact))
-    assert error <= 4 * run.integration_error
     assert run.outcome.ok == (run.integration_error <= accuracy)
     assert error <= accuracy or not run.outcome.ok
-
-
-def test_round_numbers_are_no_growth_of_errors():
-    """x' = -sign(x) from 0.7 in steps of 0.1: rounding decides the relay at 0, and nothing from a start beside that."""
-    plant = Model("integrator")
-    x, u = plant.state("x"), plant.control("u")
-    plant.ode({x: u})
-    loop = ClosedLoop(plant, controller(plant, lambda t, x, r, z: (-ca.sign(x), z)), dt=0.1)
-    assert loop.flight([0.7], tf=5.0).growth < 10.0
