@@ -8,7 +8,8 @@ phase is a state with constant coefficients c and, in Legendre polynomials of th
     \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
 
 The fraction follows :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, which makes s the inverse of the
-duration, whether that is fixed or free. All of these have costates, as other states do.
+duration, whether that is fixed or free. All of these have costates, as other states do. A link hands a control with a
+limited rate over, as any state; polynomials and the fraction begin anew in each phase.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ class StatedPhase(Protocol):
     """Declarations of a phase that others are made of."""
 
     model: Model
+    own_states: frozenset[str]
+
+    @property
+    def is_linked(self) -> bool: ...
 
     @property
     def where(self) -> str: ...
@@ -47,8 +52,6 @@ class StatedPhase(Protocol):
     def initial(self, **values: Any) -> None: ...
 
     def final(self, **values: Any) -> None: ...
-
-    def guess(self, time: None = None, **values: Any) -> None: ...
 
     def path(self, name: str, expression: Any, *, lower: Any = None, upper: Any = None) -> None: ...
 
@@ -71,6 +74,7 @@ def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
         symbol = _control(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.where}", 0, ProblemError)
         v = symbol.variable
+        leg.own_states |= {name, f"{name}_coefficients"}
         if degree == 0:
             leg.add_states({symbol: ca.SX.zeros(v.size)})
             continue
@@ -86,9 +90,9 @@ def fraction_of(leg: StatedPhase) -> Any:
     if FRACTION not in leg.model.states:
         fraction, rate = _new(leg, FRACTION, 1, ""), _new(leg, FRACTION_RATE, 1, "1/s")
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
+        leg.own_states |= {FRACTION, FRACTION_RATE}
         leg.initial(fraction=0.0)
         leg.final(fraction=1.0)
-        leg.guess(fraction=(0.0, 1.0))
     return leg.model.symbol(FRACTION)
 
 
@@ -112,6 +116,10 @@ def _control(leg: StatedPhase, name: str, what: str) -> Symbol:
     if name in leg.model.equations:
         raise ProblemError(
             f"{what}() of {leg.where} got '{name}', which its equation determines: limit other controls."
+        )
+    if leg.is_linked:
+        raise ProblemError(
+            f"{what}() of {leg.where} comes after link() or sequence(), which hand states over: call it before."
         )
     if name not in layout:
         raise unknown_name("control", name, f"{what}() of {leg.where}", layout.names)

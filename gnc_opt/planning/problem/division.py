@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Protocol
@@ -27,7 +27,7 @@ class Divisible(Protocol):
 
     def changed(self) -> None: ...
 
-    def link(self, first: Phase, second: Phase) -> None: ...
+    def link(self, first: Phase, second: Phase, *, states: Iterable[str]) -> None: ...
 
     def constrain(
         self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -54,7 +54,7 @@ def divided(
         problem.phases[part.name] = part
     problem.changed()
     for one, other in pairwise(parts):
-        problem.link(one, other)
+        problem.link(one, other, states=leg.model.states.names)
     duration = parts[-1].final_time - leg.initial_time
     if fractions is not None:
         for part, share, mark in zip(parts[1:], np.ravel(fractions), marks[1:], strict=False):

@@ -146,6 +146,7 @@ class Phase(Strict):
         "model",
         "name",
         "numbers",
+        "own_states",
         "paths",
         "restatement",
         "told",
@@ -173,6 +174,9 @@ class Phase(Strict):
         self.follows: str | None = None
         self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
+        self.own_states: frozenset[str] = (
+            frozenset()
+        )  # they begin anew in the next phase, unless a link names them
         self._name_ends()
         self._note_curved(model.derivative())
 
@@ -287,6 +291,13 @@ class Phase(Strict):
         self.paths[name] = constraint
         self._note_curved(constraint.expression)
         self._owner.changed()
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether states of this phase are handed over, to it or from it."""
+        return bool(self.handed) or any(
+            self.name in {f for f, _ in leg.handed.values()} for leg in self.siblings
+        )
 
     def drop_path(self, name: str) -> None:
         """Remove a path constraint, if there is one of that name."""

@@ -124,7 +124,8 @@ def linkages(
         raise ProblemError(
             f"{label} of problem '{problem}' takes no time: link a phase to itself with time=False."
         )
-    shared = [name for name in first.model.states.names if name in second.model.states]
+    own = first.own_states | second.own_states
+    shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
     names = shared if states is None else _state_names(states, f"the states of {label}")
     jumps = {} if jump is None else expect(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
     for name in dict.fromkeys([*names, *jumps]):
@@ -331,7 +332,7 @@ class Problem(Statement):
         ----------
         first, second : Phase or str
         states : iterable of str, optional
-            The states to hand over; default: all that both models have.
+            The states to hand over; default: all that both models have, but for polynomials (`Phase.polynomials`).
         time : bool
             Whether the second phase starts when the first one ends.
         jump : mapping, optional

@@ -112,3 +112,43 @@ def test_wrong_uses_are_named() -> None:
     leg.rates(a=(-1.0, 1.0))
     with pytest.raises(go.ProblemError, match="'a', which is a state"):
         leg.polynomials(a=1)
+
+
+@pytest.mark.parametrize(("degree", "effort"), [(0, 2.0), (1, 1.5)])
+def test_polynomials_of_two_phases(degree: int, effort: float) -> None:
+    """A constant per second takes a = 1, then -1; straight lines make the one of least effort, 12 / T^3."""
+    model, a = cart()
+    problem = go.Problem("two polynomials")
+    legs = [problem.phase(name, model) for name in ("one", "two")]
+    for k, leg in enumerate(legs):
+        leg.time(float(k), k + 1.0)
+        leg.polynomials(a=degree)
+    problem.link(*legs)
+    assert set(problem.constraints) == {"link_one_two_q", "link_one_two_v", "link_one_two_time"}
+    legs[0].initial(q=0.0, v=0.0)
+    legs[1].final(q=1.0, v=0.0)
+    problem.minimize(sum(leg.integral(a**2) for leg in legs))
+    assert go.solve(problem).objective == pytest.approx(effort, rel=1e-8)
+
+
+def test_polynomial_over_a_divided_phase() -> None:
+    """It is one over both parts: the fraction and the coefficients are handed over."""
+    problem, leg, a = ride("divided", 2.0, 1.0)
+    leg.polynomials(a=2)
+    leg.initial(a=0.0)
+    parts = problem.divide(leg, fractions=[0.4])
+    problem.minimize(sum(part.integral(a**2) for part in parts))
+    whole, leg, a = ride("whole", 2.0, 1.0)
+    leg.polynomials(a=2)
+    leg.initial(a=0.0)
+    whole.minimize(leg.integral(a**2))
+    assert go.solve(problem).objective == pytest.approx(go.solve(whole).objective, rel=1e-8)
+
+
+def test_rates_come_before_links() -> None:
+    model, _ = cart()
+    problem = go.Problem("late")
+    legs = [problem.phase(name, model) for name in ("one", "two")]
+    problem.link(*legs)
+    with pytest.raises(go.ProblemError, match=r"comes after link\(\) or sequence\(\)"):
+        legs[0].rates(a=(-1.0, 1.0))
