@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from gnc_opt.commands import (
+    MAX_WORK_S,
     REFINE_TOLERANCE,
     ExitCode,
     check_command,
@@ -190,6 +191,14 @@ def _add_solve(commands: Any) -> None:
         choices=("auto", "bang-bang", "none"),
         default="auto",
         help="how to refine: exact switch times, hp, or whichever suits (auto, the default)",
+    )
+    add("--fast", action="store_true", help="stop at the estimated error of the objective, without the check")
+    add(
+        "--limit",
+        type=float,
+        default=MAX_WORK_S,
+        metavar="S",
+        help="work in CPU seconds of a reference processor, counted by iterations (default 60)",
     )
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")

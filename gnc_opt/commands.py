@@ -31,6 +31,10 @@ REFINE_TOLERANCE = 1e-8
 """What --tol is where it is not given: an answer is refined until it can be judged."""
 
 
+MAX_WORK_S = 60.0
+"""What --limit is where it is not given: that of `RefinementLimits`."""
+
+
 class ExitCode(IntEnum):
     """Exit codes of the commands."""
 
@@ -47,6 +51,7 @@ class ExitCode(IntEnum):
 
 def solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.failure import failure_message
+    from gnc_opt.planning.refinement.budget import RefinementLimits
     from gnc_opt.planning.solver import solve
 
     _check_targets(args)
@@ -59,11 +64,14 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
             scheme=args.scheme,
             tol=args.tol,
             structure=args.structure,
+            check=not args.fast,
+            limits=RefinementLimits(max_work=args.limit),
             options=_solver_options(args),
             progress=not args.quiet,
             throw=False,
         )
-        verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
+        checked = solution.status.solved and not (args.fast or args.no_verify)
+        verdict = _verify(solution) if checked else None
     if args.quiet and not solution.status.solved:
         print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
     _show(console, solution, verdict)

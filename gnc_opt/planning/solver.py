@@ -6,7 +6,7 @@ Resolver: solving a problem again and again with other numbers, near a solution 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
 from typing import Literal
@@ -15,15 +15,14 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.failure import SolveError, failure_message
-from gnc_opt.planning.direct.second_solve import another_way, relative_gain
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.refinement.arc_warm_start import WARM_ITERATIONS, KnownArcs, first_meshes
+from gnc_opt.planning.refinement.arc_warm_start import WARM_ITERATIONS, Judged, KnownArcs, first_meshes
+from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import StructureChoice, refine
-from gnc_opt.planning.refinement.limits import RefinementLimits
 from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -143,16 +142,15 @@ class Resolver:
 
     def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
-        if self._flight is not None:
-            flight = self._flight if near is None else KnownFlight.of(near)
-            flown = None if flight is None else flight.vary(problem)
-            if flown is not None:
-                return said(flown, Way.SWITCH_TIMES)
+        flight = self._flight if near is None or self._flight is None else KnownFlight.of(near)
+        found = solve_by_switching_times(problem, flight)
+        if found is not None:
+            return found
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.of(near)
-            found = arcs.vary(problem, reached(self.solution) if self.tol is None else self.tol, "changed")
-            return None if found is None else said(found, Way.WARM)
+            tol = reached(self.solution) if self.tol is None else self.tol
+            return solve_by_known_arcs(problem, arcs, tol, "changed")
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)
@@ -190,6 +188,8 @@ def solve(
     guess: Solution | None = None,
     tol: float | Literal["auto"] | None = "auto",
     structure: StructureChoice = "auto",
+    check: bool = True,
+    limits: RefinementLimits | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
     throw: bool = True,
@@ -224,6 +224,11 @@ def solve(
         to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
+    check : bool
+        ``False``: return as soon as the estimated error of the objective is within the tolerance, without the
+        optimality check; see `refine`.
+    limits : RefinementLimits, optional
+        On solving and refining together; see `refine`.
     options : SolverOptions, optional
         Solver, tolerances, limits and raw options. The limit on wall time is one on solving and refining together.
     progress : bool
@@ -255,6 +260,8 @@ def solve(
     family_of(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+    limits = RefinementLimits() if limits is None else limits
+    expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
@@ -270,9 +277,9 @@ def solve(
         nearby = _varied(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
-        if in_a_loop and guess.converged and _is_variation(problem, guess):
+        if in_a_loop and _is_refined(guess) and _is_variation(problem, guess):
             tol = reached(guess)
-        if tol is not None and guess.converged:
+        if tol is not None and _is_refined(guess):
             return _refined_again(problem, guess, tol, progress, throw)
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
     if guess is not None:
@@ -282,20 +289,11 @@ def solve(
     if tol is None or not solution.status.solved:
         return solution
 
-    def refined(found: Solution) -> Solution:
-        limit = options.max_wall_time
-        left = None if limit is None else max(limit - (time.perf_counter() - begin), SHORTEST)
-        limits = RefinementLimits(max_wall_time=left)
-        found = refine(found, tol=tol, structure=structure, limits=limits, progress=progress)
-        return found if guess is None else said(found, Way.WARM)
-
-    final = refined(solution)
-    if final.converged or guess is not None or _stopped(final):
-        return final
-    try:
-        return better_of_two(problem, solution, final, refined, options, mesh, scheme)
-    except KeyboardInterrupt:
-        return final
+    if options.max_wall_time is not None:
+        left = max(options.max_wall_time - (time.perf_counter() - begin), SHORTEST)
+        limits = replace(limits, max_wall_time=min(left, limits.max_wall_time or left))
+    final = refine(solution, tol=tol, structure=structure, check=check, limits=limits, progress=progress)
+    return final if guess is None else said(final, Way.WARM)
 
 
 def said(solution: Solution, way: Way) -> Solution:
@@ -313,16 +311,31 @@ def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: boo
     if not _is_variation(problem, known):
         return None
     if in_a_loop:
-        flight = KnownFlight.of(known)
-        flown = None if flight is None else flight.vary(problem)
-        if flown is not None:
-            return said(flown, Way.SWITCH_TIMES)
-        tol = reached(known) if known.structure or known.converged else None
-    refined = bool(known.structure) or known.history is not None
-    if tol is None or not refined:
+        found = solve_by_switching_times(problem, KnownFlight.of(known))
+        if found is not None:
+            return found
+        tol = reached(known) if known.structure or _is_refined(known) else None
+    if tol is None or not (known.structure or known.history is not None):
         return None
-    found = KnownArcs.of(known).vary(problem, tol, "changed" if in_a_loop else "always")
+    return solve_by_known_arcs(problem, KnownArcs.of(known), tol, "changed" if in_a_loop else "always")
+
+
+def solve_by_switching_times(problem: Problem, known: KnownFlight | None) -> Solution | None:
+    """Return the solution of a variation by Newton's method on known switching times, or None."""
+    found = None if known is None else known.vary(problem)
+    return None if found is None else said(found, Way.SWITCH_TIMES)
+
+
+def solve_by_known_arcs(problem: Problem, known: KnownArcs, tol: float, judged: Judged) -> Solution | None:
+    """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
+    found = known.vary(problem, tol, judged)
     return None if found is None else said(found, Way.WARM)
+
+
+def _is_refined(known: Solution) -> bool:
+    """Whether a solution is within its tolerance, checked or not."""
+    reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
+    return known.history is not None and known.history.status in reached_by
 
 
 def _is_variation(problem: Problem, known: Solution) -> bool:
@@ -369,33 +382,3 @@ def reached(known: Solution) -> float:
 
 def _stopped(refined: Solution) -> bool:
     return refined.history is not None and refined.history.status is RefinementStatus.INTERRUPTED
-
-
-def better_of_two(
-    problem: Problem,
-    first: Solution,
-    refined: Solution,
-    refine: Callable[[Solution], Solution],
-    options: SolverOptions,
-    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
-    scheme: Scheme = GAUSS,
-) -> Solution:
-    """Return a refined solution that did not come to rest, or one from `another_way` if that is better.
-
-    Parameters
-    ----------
-    problem : Problem
-    first, refined : Solution
-        On the first mesh, and what came of it.
-    refine : function
-        Refines a solution as the first one was refined.
-    options, mesh, scheme
-        Of the first solve.
-    """
-    other = another_way(problem, first, mesh, scheme, options)
-    if other is None:
-        return refined
-    second = refine(other)
-    assert refined.history is not None and second.history is not None, "both have just been refined"
-    as_accurate = second.converged or second.history.final.error <= refined.history.final.error
-    return second if relative_gain(refined, second) > 0 and as_accurate else refined

@@ -19,8 +19,6 @@ try                   after                                   how
 
 A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
 
-A solution that was found may be looked for again: the module `again` says when.
-
 All tries of one solve share its limit on wall time, and their effort adds up in its statistics.
 """
 
@@ -115,7 +113,8 @@ class SolveLimits:
     Attributes
     ----------
     warm_iterations : int, optional
-        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
+        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`; 0: from the trajectory
+        alone.
     iterations : int, optional
         Of all tries together: the last one ends as `Status.ITERATION_LIMIT` there.
     deadline : float
@@ -166,13 +165,13 @@ def solve_mesh(
         return _coarse_to_fine(task)
     if limits.warm_iterations is None:
         return task.solve(guess)
+    if limits.warm_iterations == 0:
+        return task.along(guess)
     found = task.brief(limits.warm_iterations).solve(guess)
     task = task.after(found)
     if found.status not in TRAJECTORY_ONLY or task.iterations == 0:
         return found
-    start, cold = guess_from_solution(problem, guess), replace(chosen, mu_init=COLD_MU)
-    again = replace(task, problem=start, options=cold).solve(after=found)
-    return replace(again, problem=found.problem)
+    return task.along(guess, after=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +191,12 @@ class _Task:
         if self.iterations is None:
             return self
         return replace(self, iterations=max(0, self.iterations - found.statistics.iterations))
+
+    def along(self, guess: Solution, *, after: Solution | None = None) -> Solution:
+        """Solve from the trajectory of a solution, without its multipliers."""
+        start, cold = guess_from_solution(self.problem, guess), replace(self.options, mu_init=COLD_MU)
+        found = replace(self, problem=start, options=cold).solve(after=after)
+        return replace(found, problem=self.problem.frozen())
 
     def brief(self, iterations: int) -> _Task:
         """Return the task with so many iterations at most."""
@@ -243,6 +248,8 @@ def _coarse_to_fine(task: _Task) -> Solution:
 def _coarser_meshes(problem: Problem, meshes: Mapping[str, Mesh]) -> list[Mapping[str, Mesh]]:
     """Return meshes on the way to fine ones, coarsest first; none where boundaries or arcs are given."""
     if any(m.movable for m in meshes.values()) or any(leg.numbers.arcs for leg in problem.phases.values()):
+        return []
+    if knows_trajectory(problem):
         return []
     levels = [meshes]
     while any(mesh.segments >= FINE for mesh in levels[0].values()):

@@ -1,8 +1,8 @@
 """From a first solution to an accurate one: error estimate, meshes, arcs, switching times."""
 
+from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import refine
 from gnc_opt.planning.refinement.indirect.solve_indirect import polish
-from gnc_opt.planning.refinement.limits import RefinementLimits
 from gnc_opt.planning.solution.history import History, RefinementStatus
 
 __all__ = [

@@ -21,11 +21,11 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import MOVED
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.loop import TIGHT, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.attempt import RefinementAttempt, result_of
+from gnc_opt.planning.refinement.candidates import Candidate, answer_of
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.switching.warm_start import on_the_way
-from gnc_opt.planning.solution.history import History
+from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 
@@ -93,14 +93,14 @@ class KnownArcs:
         found = self._by_arcs(start, tol) if self.structures else self._by_mesh(start, problem, tol)
         if found is None:
             return None
-        attempt = RefinementAttempt(*found)
-        if attempt.stopped:
+        candidate = Candidate(*found, "nearby")
+        if candidate.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        if not attempt.history.converged:
+        if not candidate.history.converged:
             return None
-        if judged == "changed" and self._stands(attempt):
-            return replace(attempt.solution, history=None)
-        return result_of(start, [attempt], tol, begin) if attempt.final else None
+        if judged == "changed" and self._stands(candidate):
+            return answer_of([candidate], None, tol, begin, check=False)
+        return answer_of([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
 
     def _by_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         left = {name: s.after(start.phases[name].initial_time) for name, s in self.structures.items()}
@@ -121,7 +121,7 @@ class KnownArcs:
             raise KeyboardInterrupt
         return refine_mesh(found, tol=tol, limits=self._limits) if found.status.solved else None
 
-    def _stands(self, found: RefinementAttempt) -> bool:
+    def _stands(self, found: Candidate) -> bool:
         """Whether a solution has the same arcs as the known one, or else is on the very mesh of it."""
         known = [(arc.phase, arc.channel, arc.kind) for arc in self.solution.structure]
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]

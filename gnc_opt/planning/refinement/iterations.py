@@ -21,10 +21,6 @@ HORIZON = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
-ALIKE = 1e-6
-"""Relative difference of objectives and errors of one solution found twice."""
-
-
 PROMISING, EXTENDED = 0.3, 2.0
 """A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
 
@@ -51,22 +47,15 @@ class PassLimits:
         One that has begun may cost half as much more at most; see `of_solve`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
-    spare : int
-        So many solves more where the last one is not the best yet; if it is not then, refining has stalled. What begins
-        anew from the best one would only repeat them.
     worst : float
         A structure whose first pass has a larger error is not that of the problem, and is given up.
-    known : sequence of Pass
-        What has led nowhere already: where a structure comes to the same, it ends.
     """
 
     passes: int = 40
     points: int = 1000
     work: float = math.inf
     deadline: float = math.inf
-    spare: int = 0
     worst: float = math.inf
-    known: Sequence[Pass] = ()
 
     def allowed(self, records: Sequence[Pass]) -> float:
         """What all passes may cost after these: more where the last one says that few others will do."""
@@ -83,15 +72,6 @@ class PassLimits:
         left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
         most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
         return SolveLimits(iterations=most, deadline=self.deadline)
-
-
-def same_pass(one: Pass, other: Pass) -> bool:
-    """Whether two passes have come to the same solution, for the same number of points, and ask for the same."""
-    alike = one.points == other.points and one.solved == other.solved and one.actions == other.actions
-    return alike and all(
-        abs(ours - theirs) <= ALIKE * max(abs(ours), abs(theirs))
-        for ours, theirs in ((one.objective, other.objective), (one.error, other.error))
-    )
 
 
 def pass_record(

@@ -73,6 +73,7 @@ class RefinementStatus(Enum):
 
     CONVERGED = "converged"
     VERDICT_FAILS = "verdict_fails"
+    UNCHECKED = "unchecked"
     POINT_LIMIT = "point_limit"
     PASS_LIMIT = "pass_limit"
     WORK_LIMIT = "work_limit"
@@ -94,6 +95,10 @@ _REMEDIES = {
         "The estimated error is below the tolerance, but a condition of the verdict fails: the trajectory is that of "
         "its mesh, and no optimum yet. The meaning of the condition says what that can be; a tighter `tol`, another "
         "first mesh or another guess may help."
+    ),
+    RefinementStatus.UNCHECKED: (
+        "The estimated error of the objective is within the tolerance; optimality was not checked, as was asked. "
+        "Call `verify` to check it, or `refine` for local errors within the tolerance."
     ),
     RefinementStatus.POINT_LIMIT: (
         "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
@@ -193,6 +198,8 @@ class Pass:
         Solving and estimating.
     actions : Actions or str
         Changes to the mesh before this solve; for a structure loop, the changes its solution requires.
+    stage : str
+        Where in the sequence of meshes; see `gnc_opt.planning.refinement.stages`.
     """
 
     meshes: dict[str, Mesh]
@@ -204,6 +211,7 @@ class Pass:
     iterations: int
     seconds: float
     actions: Actions | str
+    stage: str = ""
 
     @property
     def points(self) -> int:
@@ -272,13 +280,12 @@ class History:
         )
 
     def __str__(self) -> str:
-        lines = [
-            f"{'pass':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'it.':>4} {'s':>6}  actions"
-        ]
+        head = f"{'pass':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'it.':>4} {'s':>6}"
+        lines = [f"{head}  {'stage':<16} actions"]
         for i, p in enumerate(self.passes):
             mark = "*" if i == self.chosen else " "
             lines.append(
                 f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
-                f"{p.iterations:>4} {p.seconds:>6.2f}  {p.actions}"
+                f"{p.iterations:>4} {p.seconds:>6.2f}  {p.stage:<16} {p.actions}"
             )
         return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s in all)"])

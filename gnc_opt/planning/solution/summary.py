@@ -151,7 +151,8 @@ def _headline(solution: SummarisedSolution) -> str:
     elif history is None:
         status = f"solved ({_words(solution.status.value)})"
     else:
-        status = f"{'refined' if history.converged else 'NOT CONVERGED'} ({_words(history.status.value)})"
+        reached = history.converged or history.status is RefinementStatus.UNCHECKED
+        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_words(history.status.value)})"
     return f"{solution.problem_name}: {status}, objective {solution.objective:.10g} ({sense})"
 
 

@@ -29,7 +29,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
-from gnc_opt.planning.direct.second_solve import sharper
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import with_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
 from gnc_opt.planning.optimality.program_point import WEAK, ProgramLimits, ProgramPoint, saddle_matrix
@@ -41,6 +42,9 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.scaling import Scaling, scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+
+SHARP = 1e-12
+"""Solver tolerance that tells active limits from others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,3 +341,11 @@ def _derivatives(transcription: Transcription) -> Any:
         outputs = [ca.densify(ca.jtimes(e, nlp.p, dp)) for e in (lagrangian, gradient, nlp.g)]
         transcription.built["sensitivity"] = ca.Function("sensitivity", [nlp.x, nlp.p, lam, dp], outputs)
     return transcription.built["sensitivity"]
+
+
+def sharper(solution: Solution) -> Solution:
+    """Return the solution on its own mesh, sharp enough to tell active limits from others; itself if that fails."""
+    problem = solution.need_problem("solve")
+    options = SolverOptions(tolerance=SHARP)
+    again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)
+    return again if again.status.solved else solution

@@ -27,9 +27,9 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import StructureChoice
 from gnc_opt.planning.refinement.engine import refine as refine_solution
-from gnc_opt.planning.refinement.limits import RefinementLimits
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.minima import Minimum, Reflection, Reflections, equal, merged

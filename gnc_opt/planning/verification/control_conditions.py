@@ -16,13 +16,17 @@ from gnc_opt.planning.optimality.active_set import left, left_free
 from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, without_switches
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, Result
 from gnc_opt.planning.verification.feasibility import judge
-from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, coupled_gains, limits
+from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, coupled_gains, coupled_minima, limits
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST
 
 CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
+
+SLOPE_MIN_SHARE = 1e-3
+"""Gain of H across a control's range, in shares of what all controls are worth, from which its slope has a sign."""
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -114,6 +118,28 @@ def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, float, bool
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
     return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
+
+
+def minimum_loss(solution: Solution) -> float:
+    """Return the loss of the minimum principle, in the unit of the objective: the integral of H less its least value.
+
+    Not finite where H has no value.
+    """
+    samples = [s for s in solution.samples().values() if s.has_length and s.leg.controls.size]
+    return float(sum(_largest_gain(s, np.inf)[1] for s in samples))
+
+
+def least_controls(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return times (n_times,) and the controls (m, n_times) that minimise H there, as far as they are found.
+
+    Controls whose slope is within rounding stay as they are, as along singular arcs.
+    """
+    times, u = coupled_minima(s)
+    apart = s.functions.separable_controls
+    lower, upper = (limit[:, None] for limit in limits(s))
+    slope = s.control_gradient[:, np.searchsorted(s.times, times)]
+    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SLOPE_MIN_SHARE * s.joint_worth)
+    return times, np.where(clear, np.where(slope > 0, lower, upper), u)
 
 
 def _separable_gain(s: PhaseSamples) -> Array:

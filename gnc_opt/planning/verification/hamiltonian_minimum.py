@@ -104,6 +104,17 @@ def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
     return gains, searched
 
 
+def coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return times (n_times,) and controls (m, n_times): those in which H is not affine where they minimise it."""
+    chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
+    u = s.u[:, chosen].copy()
+    for group in s.functions.coupled_controls:
+        search = _Search(s, group, chosen)
+        vector = lone_vector(s, group)
+        u[group] = search.physical(search.anywhere() if vector is None else search.aligned(vector))
+    return s.times[chosen], u
+
+
 @dataclass(frozen=True, eq=False)
 class _Search:
     """Controls of one group at some samples, by their shares of the range (group, n); the others are as flown."""
@@ -237,6 +248,19 @@ class _Search:
         lower, span = self._box
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
+
+    def physical(self, shares: Array) -> Array:
+        """Return the controls (group, n_times) for shares of their range; as flown where they have none."""
+        lower, span = self._box
+        return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
+
+    def anywhere(self) -> Array:
+        """Return the controls (group, n_times) of least H that descents from all points tried reach."""
+        shares, at = self._points()
+        per_time = at.size // self.chosen.size
+        best = np.arange(self.chosen.size) * per_time
+        best = best + np.argmin(self.value(shares, at).reshape(-1, per_time), axis=1)
+        return self._followed(np.zeros((self.group.size, 0)), shares[:, best])
 
     def everywhere(self, tolerance: float) -> Gain:
         """Search among all controls; what gains is followed to all times."""

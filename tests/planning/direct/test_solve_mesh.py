@@ -14,9 +14,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import Status
-from gnc_opt.planning.direct.second_solve import another_way, relative_gain, sharper
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, knows_trajectory, solve_mesh
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
+from gnc_opt.planning.study.kkt_sensitivity import sharper
 
 
 def regulator(weight: float = 1.0) -> go.Problem:
@@ -272,33 +272,6 @@ def test_a_cold_start_that_wanders_is_met_by_the_adaptive_barrier(monkeypatch: p
 
 def worth(objective: float, maximised: bool = False) -> Any:
     return SimpleNamespace(objective=objective, maximised=maximised)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "maximised", "gain"),
-    [
-        (10.0, 9.0, False, 0.1), (9.0, 10.0, False, -0.1), (9.0, 10.0, True, 0.1), (-8.0, -10.0, False, 0.2),
-        (1.0, -4.0, False, 1.25), (0.0, 0.0, False, 0.0), (0.0, 2.0, True, 1.0),
-    ],
-)  # fmt: skip
-def test_gains_are_relative_to_the_larger_objective(
-    old: float, new: float, maximised: bool, gain: float
-) -> None:
-    assert relative_gain(worth(old, maximised), worth(new, maximised)) == pytest.approx(gain)
-
-
-@pytest.mark.parametrize("gain", [1e-2, 1e-4])
-def test_another_way_counts_if_it_is_clearly_better(gain: float) -> None:
-    problem = regulator()
-    first = solve_mesh(problem, "3x4")
-    worse = replace(first, objective=first.objective * (1 + gain))
-    second = another_way(problem, worse, "3x4", "LG", go.SolverOptions())
-    assert (second is not None) is (gain >= 1e-3)
-    if second is not None:
-        assert second.objective == pytest.approx(cost(), rel=1e-9)
-        assert "'ipopt.mu_strategy': 'adaptive'" in second.provenance["options"]
-    for chosen in ({"ipopt.mu_strategy": "adaptive"}, {"ipopt": {"mu_strategy": "monotone"}}):
-        assert another_way(problem, worse, "3x4", "LG", go.SolverOptions(extra=chosen)) is None
 
 
 def test_a_sharper_solution_is_the_same_one() -> None:

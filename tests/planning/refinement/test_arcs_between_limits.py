@@ -15,7 +15,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
 from gnc_opt.planning.refinement.arcs.loop import optimise_switches, structures_of
 from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -65,17 +65,17 @@ def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Sol
 def test_an_interior_arc_whose_control_stays_on_its_bound_is_none(coarse: go.Solution) -> None:
     times = (0.0, 0.9, 1.1, 2.0)
     (samples,) = coarse.samples().values()
-    mesh = coarse.phase().mesh
-    found, action = unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, SHORT), mesh), set())
+    resolutions = tuple(Resolution(segments, 4) for segments in (9, 2, 9))
+    found, action = unpinned(samples, Plan(structure(coarse, times, HELD, SHORT, SHORT), resolutions), set())
     assert found is not None and action == "a on its bound from 1.1 s"
     assert found.kinds == (HELD, SHORT, BOUND)
-    assert unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, BOUND), mesh), set()) == (
+    assert unpinned(samples, Plan(structure(coarse, times, HELD, SHORT, BOUND), resolutions), set()) == (
         None,
         "",
     )
     np.testing.assert_array_equal(found.times, times)
     left = {("leg", found.at(()))}
-    assert unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, SHORT), mesh), left) == (
+    assert unpinned(samples, Plan(structure(coarse, times, HELD, SHORT, SHORT), resolutions), left) == (
         None,
         "",
     )

@@ -7,7 +7,6 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs.ends import with_ends_met
 
 DRAG, TOP = 0.1, 0.6
 COAST = 0.3
@@ -59,17 +58,6 @@ def test_an_arc_may_end_with_its_phase(limit: str) -> None:
     (arc,) = [a for a in solution.structure if a.channel in ("speed", "v")]
     assert arc.kind is ArcKind.UPPER and arc.phase == "push"
     assert (arc.start, arc.end) == pytest.approx((TOP, push.final_time), abs=1e-7)
-
-
-def test_without_the_limit_at_the_end_a_mesh_goes_beyond_it() -> None:
-    first = go.solve(push_coast_brake("path"), tol=None)
-    assert first.objective < least_time() - 1e-3
-    met = with_ends_met(first)
-    assert met is not None and met.status.solved and abs(met.objective - least_time()) < 1e-4
-    end = first.phase("push").final_time, met.phase("push").final_time
-    assert first.phase("push").x(end[0])[1] > TOP + 1e-3
-    assert met.phase("push").x(end[1])[1] == pytest.approx(TOP, abs=1e-7)
-    assert met.problem is first.problem and with_ends_met(met) is None
 
 
 @pytest.mark.parametrize("coast", [0.0, 0.5])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -25,13 +24,13 @@ from gnc_opt.planning import (
     Status,
     load,
 )
-from gnc_opt.planning.direct import second_solve as again
 from gnc_opt.planning.direct import solve_mesh as tries
 from gnc_opt.planning.direct.failure import bounds_to_give, failure_message
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.nlp import NlpResult
 from gnc_opt.planning.solution.diagnosis import Violation, find_violations
 from gnc_opt.planning.solution.history import Actions, Pass
+from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------
 
@@ -356,39 +355,6 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random
     assert [s.held.tolist() for s in tries.feasibility_starts(still.transcription, fixed, still.start.x)] == [
         []
     ] * 4
-
-
-@pytest.mark.parametrize(
-    ("options", "objective", "status", "found"),
-    [
-        ({}, 5.0, Status.OPTIMAL, True), ({}, 5.999, Status.OPTIMAL, False), ({}, 5.0, Status.INFEASIBLE, False),
-        ({"solver": "sqpmethod", "extra": {}}, 5.0, Status.OPTIMAL, False),
-        ({"extra": {"ipopt.mu_strategy": "monotone"}}, 5.0, Status.OPTIMAL, False),
-        ({"extra": {"ipopt": {"mu_strategy": "monotone"}}}, 5.0, Status.OPTIMAL, False),
-        ({"extra": {"ipopt": {"tol": 1e-9}}}, 5.0, Status.OPTIMAL, True),
-    ],
-)  # fmt: skip
-def test_another_way_is_taken_if_it_is_clearly_better(
-    moved: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-    options: Any,
-    objective: float,
-    status: Status,
-    found: bool,
-) -> None:
-    asked: list[SolverOptions] = []
-
-    def solve(problem: Any, mesh: Any, *, scheme: Any, options: SolverOptions) -> Solution:
-        asked.append(options)
-        return replace(moved, objective=objective, status=status)
-
-    monkeypatch.setattr(again, "solve_mesh", solve)
-    chosen: Any = SimpleNamespace(**options) if "solver" in options else SolverOptions(**options)
-    better = again.another_way(moved.need_problem("x"), moved, None, "LG", chosen)
-    assert (better is not None) is found
-    if asked:
-        assert asked[0].extra["ipopt.mu_strategy"] == "adaptive"
-        assert set(chosen.extra) <= set(asked[0].extra)
 
 
 @pytest.mark.parametrize("status", [Status.OPTIMAL, Status.INFEASIBLE])

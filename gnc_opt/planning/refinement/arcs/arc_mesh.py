@@ -29,12 +29,6 @@ HELPED = 0.3
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
 
-MOST_INHERITED, MOST_CUT, FEWEST = 20, 14, 4
-"""Collocation points of a segment of a mesh that is gone on with: at most, where it is cut, and at least."""
-
-SLIVER = 0.1
-"""Ends of its segments nearer than this share of a neighbour to the end of a piece are left out."""
-
 MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
@@ -78,8 +72,6 @@ class Resolution:
         Largest dH/du that was left along the piece with the degree before; see `smoother`.
     edges : tuple of float
         Where segments meet, in shares of the piece; none: they are equally long.
-    degrees : tuple of int
-        Collocation points of every segment, if they differ; ``degree`` is the largest then.
     """
 
     segments: int = 1
@@ -87,12 +79,6 @@ class Resolution:
     smooth: int = 0
     gradient: float = np.inf
     edges: tuple[float, ...] = ()
-    degrees: tuple[int, ...] = ()
-
-    @property
-    def each(self) -> tuple[int, ...]:
-        """Collocation points of every segment."""
-        return self.degrees or (self.degree,) * self.segments
 
     @property
     def shares(self) -> Array:
@@ -121,20 +107,6 @@ class Resolution:
             return replace(self, degree=min(self.degree + points, MAX_DEGREE))
         halvings = np.ones_like(decades) if self.smooth else np.ceil(np.clip(decades, 0.0, BOLD) / HALVED)
         return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
-
-    def with_points(self, more: Indices) -> Resolution:
-        """Return the resolution with so many points more in every segment, which is cut where that is too many.
-
-        A segment half as long with the same points leaves out about the square root of what the whole one did.
-        """
-        shares, edges, degrees = self.shares, [], []
-        for k, (n, added) in enumerate(zip(self.each, more, strict=True)):
-            parts = 1 if n + added <= MOST_INHERITED else 2 if n + added <= 2 * MOST_INHERITED else 4
-            each = n + max(int(added), 2 if added else 0) if parts == 1 else min(n, MOST_CUT)
-            edges += list(np.linspace(shares[k], shares[k + 1], parts + 1)[1:])
-            degrees += [each] * parts
-        inner = tuple(map(float, edges[:-1]))
-        return Resolution(len(degrees), max(degrees), edges=inner, degrees=tuple(degrees))
 
     def _cut(self, parts: Indices, order: Indices) -> Resolution:
         """Return the resolution with every segment cut in equal parts, in this order up to `MAX_SEGMENTS`."""
@@ -199,14 +171,6 @@ class Plan:
         return cls(structure, first, points)
 
     @classmethod
-    def on_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
-        """Return a plan that starts with the segments of the mesh that the structure was found on."""
-        times = np.asarray(structure.times)
-        ends = (times - times[0]) / (times[-1] - times[0])
-        pieces = itertools.pairwise(map(float, ends))
-        return cls(structure, tuple(_inherited(mesh, a, b) for a, b in pieces), points_of(mesh))
-
-    @classmethod
     def refined(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
         """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
         found, times = cls.of(structure, points_of(mesh)), np.asarray(structure.times)
@@ -231,8 +195,6 @@ class Plan:
 
         Beside a bang that H bends along, a short interior arc shows on a fine mesh only: there the mesh stays as fine.
         """
-        if self.inherits:
-            return replace(Plan.on_mesh(structure, self.mesh()), firm=self.firm)
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
         kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
@@ -248,8 +210,6 @@ class Plan:
         They are fine enough already, and what the arc changes in them is small.
         """
         plan = self.restructured(structure)
-        if self.inherits:
-            return plan
         kept = tuple(self._of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions))
         return replace(plan, resolutions=kept)
 
@@ -284,11 +244,6 @@ class Plan:
         return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
 
     @property
-    def inherits(self) -> bool:
-        """Whether it goes on with the segments of a mesh, each of its own degree."""
-        return any(r.degrees for r in self.resolutions)
-
-    @property
     def leaves_limits(self) -> bool:
         """Whether state constraints may be left beside arcs that move."""
         loose, firm = (self.structure.beside_contacts(self.loose, firm) for firm in (self.firm, True))
@@ -311,7 +266,7 @@ class Plan:
         for k, r in enumerate(self.resolutions):
             left, right = self.structure.times[k], self.structure.times[k + 1]
             times += [left + (right - left) * float(share) for share in r.shares[1:]]
-            degrees += r.each
+            degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
         movable = tuple(
@@ -455,19 +410,6 @@ def _move_apart(model: Model, controls: list[int]) -> bool:
 def points_of(mesh: Mesh) -> float:
     """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
-
-
-def _inherited(mesh: Mesh, start: float, end: float) -> Resolution:
-    """The segments of a mesh between two fractions of the phase; what ends too close to them is joined to the next."""
-    breaks, degrees = np.asarray(mesh.breaks), np.asarray(mesh.degrees)
-    inside = np.flatnonzero((breaks > start) & (breaks < end))
-    room = SLIVER * np.minimum(breaks[inside] - breaks[inside - 1], breaks[inside + 1] - breaks[inside])
-    kept = breaks[inside[np.minimum(breaks[inside] - start, end - breaks[inside]) > room]]
-    cuts = np.array([start, *kept, end])
-    middles = 0.5 * (cuts[1:] + cuts[:-1])
-    own = degrees[np.searchsorted(breaks, middles, "right") - 1]
-    edges = tuple(float(e) for e in (kept - start) / (end - start))
-    return Resolution(own.size, int(own.max()), edges=edges, degrees=tuple(max(FEWEST, int(n)) for n in own))
 
 
 def _refined(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:

@@ -10,7 +10,6 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
-from gnc_opt.planning.refinement.arcs.error_propagation import Decay, on_carrying_arcs
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import TINY
@@ -34,23 +33,11 @@ def finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    if plan.inherits:
-        return _finer_inherited(samples, plan, per_segment, tol)
     by_piece = np.split(per_segment, plan.piece_ends[1:-1])
     wanted = tuple(
         next_resolution(r, errors, gradient, tol)
         for r, errors, gradient in zip(plan.resolutions, by_piece, open_gradient(samples, plan), strict=True)
     )
-    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
-
-
-def _finer_inherited(samples: PhaseSamples, plan: Plan, errors: Array, tol: float) -> Plan | None:
-    """Return the plan with segments made finer that are to blame for errors (K,), or None."""
-    decay = Decay.of(samples)
-    own = decay.own_errors(on_carrying_arcs(plan.structure)[plan.segment_pieces], errors)
-    points = np.ceil(np.log10(np.maximum(own, tol) / tol) / decay.rates)
-    by_piece = np.split(points.astype(int), plan.piece_ends[1:-1])
-    wanted = tuple(r.with_points(more) for r, more in zip(plan.resolutions, by_piece, strict=True))
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 

@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.update import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve
 from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits, with_singular_magnitudes
 from gnc_opt.planning.refinement.error import estimate_errors
-from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record, same_pass
+from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
 from gnc_opt.planning.refinement.switching.costates import settle_costates
 from gnc_opt.planning.refinement.switching.newton import settle
@@ -46,9 +46,6 @@ IN_VAIN = 2
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
-ROOM = 0.4
-"""Share of the tolerance that segments of a mesh that is gone on with are refined to."""
-
 FINISHING = 4.0
 """Passes that are, or may be, the last ones begin for up to so many times the work."""
 
@@ -59,7 +56,7 @@ TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
 
-Segments: TypeAlias = Literal["few", "mesh", "kept"]
+Segments: TypeAlias = Literal["few", "kept"]
 
 
 def optimise_switches(
@@ -86,8 +83,8 @@ def optimise_switches(
     options : SolverOptions, optional
     progress : bool
         Show one line per pass.
-    segments : {"few", "mesh", "kept"}
-        Begin with few, with those of the solution's mesh, or with those that these very structures were refined to.
+    segments : {"few", "kept"}
+        Begin with few, or with those that these very structures were refined to.
 
     Returns
     -------
@@ -129,7 +126,7 @@ def optimise_switches(
 def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
     if segments == "few":
         return Plan.of(structure, points_of(mesh))
-    return Plan.on_mesh(structure, mesh) if segments == "mesh" else Plan.refined(structure, mesh)
+    return Plan.refined(structure, mesh)
 
 
 def _with_unique_costates(
@@ -157,15 +154,16 @@ class _Try:
 
 
 def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
-    """Return the pass to keep: where the loop came to rest, or the one with the least error; None without any.
+    """Return the pass to keep: where the loop came to rest, or the one whose objective has the least estimated error.
 
-    Of passes with the same error but for rounding the last one, which mended what the error does not show.
+    None without any; of passes with the same error but for rounding the last one, which mended what it does not show.
     """
-    solved = {k: t.record.error for k, t in enumerate(tries) if t.record.solved}
+    solved = {k: t for k, t in enumerate(tries) if t.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
-    least = min(solved.values())
-    return max((k for k, error in solved.items() if error <= ALIKE * least), default=min(solved))
+    errors = {k: t.solution.objective_error.value for k, t in solved.items()}
+    least = min(errors.values())
+    return max((k for k, error in errors.items() if error <= ALIKE * least), default=min(errors))
 
 
 def _settled(
@@ -232,21 +230,19 @@ class _Loop:
                 continue
             solution, vain = found, 0
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-            plans, action = improve(solution, current, left, self._aim_of(current))
+            plans, action = improve(solution, current, left, self.aim)
             record = _record(solution, begin, action or "structure stands")
-            resolved = _resolved([*self.records, record], self._aim_of(current))
+            resolved = _resolved([*self.records, record], self.aim)
             if resolved and (finer := smoother(solution, current)) != current:
                 plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
             self._note(_Try(solution, current, record))
             if len(self.records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
-            # The kinks that a mesh shows have been moved at least once.
-            settled = len(self.records) > 1 and record.error <= self.tol
-            if not action or resolved or (settled and _adjusts_mesh(current, record)):
+            if not action or resolved:
                 return RefinementStatus.CONVERGED
             changes = set() if _adjusting(record) else _changes(current, plans)
             again, asked = changes & asked, changes | asked
-            if again or _restless(self.records) or self._known(record):
+            if again or _restless(self.records):
                 return RefinementStatus.STALLED
         return self._limited(RefinementStatus.PASS_LIMIT)
 
@@ -254,10 +250,6 @@ class _Loop:
     def aim(self) -> float:
         """Error that meshes are refined to: it costs little more, where a structure is known."""
         return min(self.tol, FINEST)
-
-    def _aim_of(self, plans: Mapping[str, Plan]) -> float:
-        """That error, or the tolerance with some room: the points of a mesh that is gone on with are many."""
-        return ROOM * self.tol if any(plan.inherits for plan in plans.values()) else self.aim
 
     @property
     def records(self) -> list[Pass]:
@@ -275,10 +267,6 @@ class _Loop:
         if not errors or min(*errors, errors[-1] ** 2 / errors[0]) > self.tol:
             return self.limits.allowed(self.records)
         return FINISHING * self.limits.work
-
-    def _known(self, record: Pass) -> bool:
-        """Whether another attempt has come to the same, which led it nowhere."""
-        return record.solved and any(same_pass(record, known) for known in self.limits.known)
 
     def _note(self, tried: _Try) -> None:
         self.tries.append(tried)
@@ -336,11 +324,6 @@ def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Chang
 def _adjusting(record: Pass) -> bool:
     """Whether a solution asked for nothing but other kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
-
-
-def _adjusts_mesh(plans: Mapping[str, Plan], record: Pass) -> bool:
-    """Whether the structure stays, on the segments of a mesh: as many points as those are not refined any further."""
-    return any(plan.inherits for plan in plans.values()) and _adjusting(record)
 
 
 def _solve(

@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution, points_of
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.error import PhaseError
-from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
+from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
@@ -54,15 +50,6 @@ def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     at_once = left(times)
     found = [_resolution(left, row, times[k], times[k + 1], MARGIN * tol) for k, row in enumerate(at_once)]
     return replace(plan, resolutions=tuple(found))
-
-
-def error_at_first(error: PhaseError, structure: PhaseStructure) -> float:
-    """Return the largest error that a known trajectory has on the few segments that a structure begins with."""
-    leg = error.samples.leg
-    first = Plan.of(structure, points_of(leg.mesh)).mesh()
-    times = leg.initial_time + leg.duration * np.asarray(first.breaks)
-    trials = [Piece(*ends, n) for ends, n in zip(pairwise(map(float, times)), first.degrees, strict=True)]
-    return float(np.max(trial_errors(error, trials)[0]))
 
 
 def _resolution(

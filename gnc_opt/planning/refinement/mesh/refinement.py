@@ -182,11 +182,9 @@ class _Refinement:
     def run(self, show: Callable[[Pass], None]) -> RefinementStatus:
         """Refine until one of the endings."""
         show(self._records[-1])
-        for k in range(self._limits.passes + self._limits.spare):
+        for _ in range(self._limits.passes):
             if time.perf_counter() > self._limits.deadline:
                 return self.ending_without(Status.INTERRUPTED)
-            if k >= self._limits.passes and self._best is self._state:
-                return self._ending(RefinementStatus.PASS_LIMIT)
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
@@ -201,8 +199,7 @@ class _Refinement:
                 return self._ending(RefinementStatus.WORK_LIMIT)
             if not status.solved:
                 return self.ending_without(status)
-        rises = self._limits.spare and self._best is not self._state
-        return self._ending(RefinementStatus.STALLED if rises else RefinementStatus.PASS_LIMIT)
+        return self._ending(RefinementStatus.PASS_LIMIT)
 
     @property
     def _spent(self) -> float:
@@ -343,7 +340,7 @@ class _Refinement:
             limits=replace(within, warm_iterations=WARM_ITERATIONS),
         )
         self._state = self._judge(solution, begin, actions)
-        if self._better(self._state.record, self._best.record):
+        if self._better(self._state, self._best):
             self._best, self._chosen = self._state, len(self._records) - 1
         return solution.status
 
@@ -365,10 +362,15 @@ class _Refinement:
         self._totals.append(state.total)
         return state
 
-    def _better(self, new: Pass, old: Pass) -> bool:
-        if self._converged(new) and self._converged(old):
-            return new.points < old.points
-        return new.solved and new.error < old.error
+    def _better(self, new: _State, old: _State) -> bool:
+        """Whether a solution is within the tolerance on fewer points, or its objective has the smaller error."""
+        if self._converged(new.record) != self._converged(old.record):
+            return self._converged(new.record)
+        if self._converged(new.record):
+            return new.record.points < old.record.points
+        if not new.record.solved:
+            return False
+        return new.solution.objective_error.value < old.solution.objective_error.value
 
 
 def _size(meshes: dict[str, Mesh]) -> int:

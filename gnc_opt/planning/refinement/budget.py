@@ -1,0 +1,119 @@
+"""What a solve may cost: limits, and the count of work that is the same on every machine.
+
+Work is counted in iterations of one variable at one collocation point. A solve on N points with n states and m controls
+that takes k iterations costs N (n + m) (k + 15); the 15 stand for derivatives, the estimates of its errors and the next
+mesh. `WORK_PER_SECOND` converts it to CPU seconds, so that limits can be given in a familiar unit and still end a solve
+at the same place on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.planning.solution.history import work_of
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+
+WORK_PER_SECOND = 1e5
+"""Work of one CPU second where iterations are costly (many states, programs with arcs) on a processor of 2023; small
+problems do five times as much."""
+
+FINISH_MIN_SECONDS = 10.0
+"""Once the estimated error of the objective is within the tolerance, so many seconds, or as many as have been spent if
+that is more, are left for the local errors and the check."""
+
+
+@dataclass(frozen=True)
+class RefinementLimits:
+    """Where solving and refining end if the tolerance has not been reached; the best answer is returned.
+
+    Parameters
+    ----------
+    max_passes : int
+        At most so many solves of one refinement of a mesh, or with one structure.
+    max_points : int
+        At most so many collocation points in any phase.
+    max_work : float
+        CPU seconds of a reference processor, by counted iterations (see the module): the same result
+        on every machine. ``math.inf`` allows everything.
+    max_wall_time : float, optional
+        Limit in seconds on all of it, by the clock.
+
+    Raises
+    ------
+    ArgumentError
+        A limit is no positive number.
+
+    Examples
+    --------
+    >>> coarse = go.solve(problem, mesh="5x3", tol=None)
+    >>> print(go.refine(coarse, structure="none", limits=go.RefinementLimits(max_points=15)).history.status.value)
+    point_limit
+    """
+
+    max_passes: int = 40
+    max_points: int = 2000
+    max_work: float = 60.0
+    max_wall_time: float | None = None
+
+    def __post_init__(self) -> None:
+        read_integer(self.max_passes, "max_passes of RefinementLimits", 1)
+        read_integer(self.max_points, "max_points of RefinementLimits", 1)
+        if self.max_work != math.inf:
+            read_positive(self.max_work, "max_work of RefinementLimits")
+        if self.max_wall_time is not None:
+            read_positive(self.max_wall_time, "max_wall_time of RefinementLimits")
+
+
+def variables_per_point(phases: Mapping[str, PhaseSolution]) -> float:
+    """Return states and controls per collocation point, a mean over the points of all phases."""
+    points = sum(leg.mesh.size for leg in phases.values())
+    return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases.values()) / points
+
+
+@dataclass
+class WorkBudget:
+    """Work that is allowed and has been spent.
+
+    Attributes
+    ----------
+    total : float
+        Allowed, s of the reference processor.
+    deadline : float
+        When to stop, as `time.perf_counter` counts.
+    spent : float
+        s of the reference processor.
+    """
+
+    total: float
+    deadline: float = math.inf
+    spent: float = 0.0
+    _shortened: bool = field(default=False, repr=False)
+
+    @property
+    def left(self) -> float:
+        """What is left, s of the reference processor."""
+        return max(0.0, self.total - self.spent)
+
+    def charge(self, solution: Solution) -> None:
+        """Count what a solve has cost, failed tries included."""
+        points = sum(leg.mesh.size for leg in solution.phases.values())
+        self.charge_work(solution, work_of(points, solution.statistics.iterations))
+
+    def charge_work(self, like: Solution, work: float) -> None:
+        """Count iterations at one collocation point (`Pass.work`) of a problem with the variables of a solution."""
+        self.spent += work * variables_per_point(like.phases) / WORK_PER_SECOND
+
+    def work_left(self, like: Solution, share: float = 1.0) -> float:
+        """Return a share of the total, at most what is left, in iterations at one collocation point."""
+        seconds = min(share * self.total, self.left)
+        return seconds * WORK_PER_SECOND / variables_per_point(like.phases)
+
+    def shorten(self) -> None:
+        """Leave what finishing an answer may take, once."""
+        if not self._shortened:
+            self.total = min(self.total, self.spent + max(FINISH_MIN_SECONDS, self.spent))
+            self._shortened = True

@@ -1,0 +1,237 @@
+"""Candidates: the answers found on the way, what is known of the error of each, and which of them is returned."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.iterations import pass_record
+from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.verdict import Result, Verdict
+from gnc_opt.planning.verification.control_conditions import minimum_loss
+from gnc_opt.planning.verification.engine import verify
+
+LOSS_MIN_SHARE = 1e-3
+"""Loss of the minimum principle, in shares of the objective, from which an answer is taken for a false extremal."""
+
+LOCAL_ERROR_RATIO = 1e3
+"""The estimated error of the objective counts where local errors are at most so many tolerances: it is of first order
+in them."""
+
+MARGIN = 3.0
+"""Estimates within this factor of the true error are usual: an objective that is lower by more than so many estimates
+belongs to another minimum."""
+
+OPEN_MAX_RATIO = 1e2
+"""No finer mesh meets a condition that misses its tolerance by a larger factor: with the tolerance of a mesh costates
+improve by its first power, errors by its square."""
+
+NAMED_CONDITIONS = 3
+"""So many open conditions are named in the message."""
+
+_CHATTERING = (
+    "A singular arc, {where}, may be of higher order: such arcs meet arcs on bounds by chattering only, ever faster "
+    "switches that no mesh resolves. The cost is then right to what it moved by in the last passes; with a small "
+    "penalty on the control there is an optimum that can be resolved."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An answer with the record of how it was found.
+
+    Attributes
+    ----------
+    solution : Solution
+    history : History
+        Of the passes that led to it.
+    stage : str
+        Where in the sequence of meshes it was found.
+    """
+
+    solution: Solution
+    history: History
+    stage: str
+
+    @classmethod
+    def of_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
+        """Return the candidate of a single solve that began at a time (as `time.perf_counter` counts)."""
+        record = pass_record(solution, estimate_errors(solution), begin, Actions())
+        reached = record.solved and record.error <= tol
+        status = RefinementStatus.CONVERGED if reached else RefinementStatus.WORK_LIMIT
+        return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a solution at all."""
+        return self.solution.status.solved and self.history.final.solved
+
+    @property
+    def error(self) -> float:
+        """Largest local error; infinite without a solution."""
+        return self.history.final.error if self.solved else math.inf
+
+    @property
+    def cost(self) -> float:
+        """The objective, negated where it is maximised."""
+        return -self.solution.objective if self.solution.maximised else self.solution.objective
+
+    @property
+    def estimate(self) -> float:
+        """Estimated error of the objective, in its unit; infinite without a solution."""
+        return self.solution.objective_error.value if self.solved else math.inf
+
+    @cached_property
+    def loss(self) -> float:
+        """Loss of the minimum principle, in the unit of the objective."""
+        loss = minimum_loss(self.solution)
+        return loss if math.isfinite(loss) else 0.0
+
+    @property
+    def is_false_extremal(self) -> bool:
+        """Whether other controls lower H along the costates by much."""
+        return self.loss > LOSS_MIN_SHARE * self.solution.objective_error.scale
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Of the optimality check."""
+        return verify(self.solution)
+
+    @property
+    def checked(self) -> Verdict | None:
+        """The verdict if it is known already."""
+        return vars(self).get("verdict")
+
+    @property
+    def passes(self) -> bool:
+        """Whether it is known to pass the optimality check."""
+        return self.checked is not None and self.checked.ok
+
+    @property
+    def is_nearly_optimal(self) -> bool:
+        """Whether the optimality check fails by so little that a finer mesh may pass it."""
+        if self.checked is None:
+            return False
+        necessary = [c for c in self.checked.open if not c.sufficient]
+        return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
+
+    def within(self, tol: float) -> bool:
+        """Whether the objective is within a relative tolerance, by its estimate."""
+        if not self.error <= LOCAL_ERROR_RATIO * tol:
+            return False
+        found = self.solution.objective_error
+        if found.relative <= tol:
+            return True
+        others = found.value - found.suboptimal
+        return others <= tol * found.scale and others + self.loss <= tol * found.scale
+
+    def is_lower(self, other: Candidate) -> bool:
+        """Whether it belongs to another minimum with a lower cost, both estimates considered.
+
+        One that is not known to pass the optimality check must be lower by far than one that does.
+        """
+        ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
+        least = LOSS_MIN_SHARE * abs(other.cost) if other.passes and not self.passes else 0.0
+        return self.cost + max(MARGIN * ours, least) < other.cost - MARGIN * theirs
+
+
+def best_of(candidates: Sequence[Candidate]) -> int:
+    """Return which candidate to keep: of those that pass the check, else of all, the one with the least estimate.
+
+    A clearly lower minimum wins in any case.
+    """
+    solved = [k for k, c in enumerate(candidates) if c.solved]
+    if not solved:
+        return len(candidates) - 1
+    among = [k for k in solved if candidates[k].passes] or solved
+    best = min(among, key=lambda k: candidates[k].estimate)
+    for k in solved:
+        if candidates[k].is_lower(candidates[best]):
+            best = k
+    return best
+
+
+def answer_of(
+    candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
+) -> Solution:
+    """Return the best candidate's solution with the history of all, its verdict, and how it ended.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    ended : RefinementStatus or None
+        What stopped the search; None if nothing was left to do.
+    tol : float
+    begin : float
+        As `time.perf_counter` counts.
+    check : bool
+        Whether the answer is to carry a verdict.
+    """
+    chosen = best_of(candidates)
+    best = candidates[chosen]
+    interrupted = ended is RefinementStatus.INTERRUPTED
+    verdict = best.checked if interrupted or not check or not best.solved else best.verdict
+    status = _status(best, verdict, ended, tol)
+    passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
+    history = History(
+        status,
+        tol,
+        tuple(passes),
+        sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
+        _message(status, best, verdict, tol),
+        time.perf_counter() - begin,
+    )
+    solution = best.solution
+    answer = replace(solution, history=history, provenance={**solution.provenance, "stage": best.stage})
+    return answer.with_verdict(verdict)
+
+
+def _status(
+    best: Candidate, verdict: Verdict | None, ended: RefinementStatus | None, tol: float
+) -> RefinementStatus:
+    if ended is RefinementStatus.INTERRUPTED:
+        return ended
+    if verdict is None:
+        if best.error <= tol or best.within(tol):
+            return RefinementStatus.UNCHECKED
+        return ended or best.history.status
+    reached = best.error <= tol
+    if verdict.ok and (reached or (best.solution.structure and best.history.converged)):
+        return RefinementStatus.CONVERGED if reached else RefinementStatus.STALLED
+    if reached:
+        return RefinementStatus.VERDICT_FAILS if not verdict.ok else RefinementStatus.CONVERGED
+    if ended is not None:
+        return ended
+    return RefinementStatus.STALLED if best.history.converged else best.history.status
+
+
+def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
+    """Say how it ended: local error, estimated error of the objective, stage, and what is open."""
+    error = best.error
+    text = f"{status.value}: error {error:.1e} (wanted {tol:.1e})"
+    if status is RefinementStatus.CONVERGED:
+        return f"{text}, verdict ok"
+    if error > tol:
+        text += f" at {best.history.final.where}"
+    if best.solved:
+        text += f"; estimated error of the objective {best.estimate:.1e}"
+    left = () if verdict is None else verdict.open
+    if left:
+        named = "; ".join(
+            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}"
+            for c in left[:NAMED_CONDITIONS]
+        )
+        more = f"; and {len(left) - NAMED_CONDITIONS} more" if len(left) > NAMED_CONDITIONS else ""
+        text += f". Open: {named}{more}"
+    return f"{text}. {status.remedy}{'' if verdict is None else _on_singular_arcs(verdict)}"
+
+
+def _on_singular_arcs(verdict: Verdict) -> str:
+    """Say what may keep a refinement with singular arcs from its end, and where they are."""
+    told = [c for c in verdict.conditions if c.name == "singular arcs" and c.result is not Result.PASS]
+    return "".join(f" {_CHATTERING.format(where=c.where)}" for c in told)

@@ -1,0 +1,34 @@
+"""Controls of least H along a trajectory: where a solve begins again that has come to a false extremal.
+
+A collocation program may converge to controls that are stationary in H without minimising it, as its derivatives see
+only what is near. The costates are nearly those of the optimum where the states are; the controls that minimise H along
+them lead from the wrong minimum of H to the right one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.verification.control_conditions import least_controls
+
+
+def with_least_controls(solution: Solution) -> Solution:
+    """Return a solution with the controls that minimise H along its states and costates, as a guess."""
+    phases = {name: _moved(s) for name, s in solution.samples().items()}
+    return replace(solution, phases=phases)
+
+
+def _moved(s: PhaseSamples) -> PhaseSolution:
+    if not s.leg.controls.size:
+        return s.leg
+    times, controls = least_controls(s)
+    nearest = np.clip(np.searchsorted(times, s.leg.point_times), 1, times.size - 1)
+    nearest -= s.leg.point_times - times[nearest - 1] < times[nearest] - s.leg.point_times
+    values: Array = controls[:, nearest]
+    return replace(s.leg, u=piecewise(s.leg.breaks, s.leg.rules, values))

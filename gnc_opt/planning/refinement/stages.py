@@ -1,0 +1,389 @@
+"""The stages of a solve: from a stated problem to an answer that is accurate and whose optimality is checked.
+
+=====  ======================================================================================================
+stage  what is solved
+=====  ======================================================================================================
+first  the first mesh; where it shows arcs, the program with these arcs and free breakpoints, else, or where the
+       objective is accurate already, hp refinement
+least  the first mesh again, from the controls that minimise H along the costates, where these lose much
+bar.   the first mesh again, by IPOPT's adaptive barrier strategy
+60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory
+200    200 segments of degree 3, warm, and programs with the arcs that they show, read in two ways
+hp     hp refinement of the mesh whose estimated error of the objective is least, and programs with its arcs
+=====  ======================================================================================================
+
+Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
+tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
+solve on the first mesh that is lower than the one before by more than the estimates of both begins the first stage
+anew, once each. At the end, at limits and after Ctrl-C the best candidate is returned (`candidates.best_of`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.guess.simulation import with_flown_guess
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.curvature import affine_channels, convex_channels, curved_channels
+from gnc_opt.planning.refinement.arcs.detection import structures_of
+from gnc_opt.planning.refinement.arcs.loop import TIGHT, Segments, optimise_switches
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.candidates import Candidate, answer_of
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.least_control import with_least_controls
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+
+MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS = 60, 20
+"""Segments of the middle stage in all phases together, and in each at least: from the first mesh to the finest one in a
+single step takes ten times the iterations where the trajectory still moves."""
+
+FINE_SEGMENTS, FINE_MIN_SEGMENTS = 200, 40
+"""Segments of the fine stage in all phases together, and in each at least."""
+
+STAGE_DEGREE = 3
+"""Collocation points per segment of both."""
+
+PROGRAM_MAX_ITERATIONS = 100
+"""Of a program with arcs: those that lead anywhere begin near their end."""
+
+PROGRAM_MAX_SHARE = 0.1
+"""Share of the budget that a program with arcs may cost."""
+
+PROGRAM_MAX_PIECES = 80
+"""Pieces of a phase up to which a program with arcs is tried."""
+
+PROGRAM_MAX_FAILURES = 3
+"""Programs without a solution after which no other is tried."""
+
+RESTART_MAX_ITERATIONS = 100
+"""Of a solve that begins at controls of least H, and beyond those of the first solve, of one from an integrated
+trajectory."""
+
+HP_FIRST_MAX_SHARE = 0.25
+"""Share of the budget of hp refinement on the first stage."""
+
+TIGHTER = (1e-2, 1e-4)
+"""Shares of the tolerance to which a mesh is refined whose local errors are within it while the check is open, as long
+as the estimated error of the objective falls to half."""
+
+STRATEGY = "ipopt.mu_strategy"
+
+
+@dataclass(eq=False)
+class Stages:
+    """A problem, what is asked of its answer, and what has been found.
+
+    Parameters
+    ----------
+    problem : Problem
+        As it is solved: restated.
+    tol : float
+        On local errors, and on the estimated error of the objective in shares of it.
+    limits : RefinementLimits
+    check : bool
+        Whether the answer has to pass the optimality check.
+    options : SolverOptions, optional
+        Of all solves.
+    progress : bool
+    begin : float
+        When it began, as `time.perf_counter` counts.
+    """
+
+    problem: Problem
+    tol: float
+    limits: RefinementLimits
+    check: bool = True
+    options: SolverOptions | None = None
+    progress: bool = False
+    begin: float = field(default_factory=time.perf_counter)
+    candidates: list[Candidate] = field(default_factory=list)
+    _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        wall = self.limits.max_wall_time
+        deadline = np.inf if wall is None else self.begin + wall
+        self.budget = WorkBudget(self.limits.max_work, deadline)
+
+    def run(self, first: Solution) -> Solution:
+        """Return the answer, from a solution on a first mesh."""
+        self.budget.charge(first)
+        return self._collect(first, self._stages(first))
+
+    def refine_mesh(self, first: Solution) -> Solution:
+        """Return the answer by hp refinement alone, from a solution on a mesh."""
+        self._add(Candidate.of_solve(first, self.tol, self.begin, "first"))
+        return self._collect(first, self._by_mesh(first, 1.0))
+
+    def with_arcs(self, first: Solution) -> Solution:
+        """Return the answer with the arcs that a solution shows.
+
+        Raises
+        ------
+        ProblemError
+            No control switches.
+        """
+        found = structures_of(first)
+        if not _has_arcs(first, found, at_least=0):
+            raise ProblemError(
+                f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
+                'bounds: use structure="none".'
+            )
+        return self._collect(first, self._by_arcs(first, found, "first", share=1.0))
+
+    def interrupted(self, first: Solution) -> Solution:
+        """Return a solution as the answer of a search that Ctrl-C ended before it began."""
+        candidate = Candidate.of_solve(first, self.tol, self.begin, "first")
+        return answer_of([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+
+    # --- what is solved in which order ------------------------------------------------------------------------
+
+    def _collect(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+        ended: RefinementStatus | None = None
+        try:
+            for candidate in stages:
+                self._add(candidate)
+                ended = self._ending(candidate)
+                if ended is not None:
+                    break
+        except KeyboardInterrupt:
+            ended = RefinementStatus.INTERRUPTED
+        settled = ended is RefinementStatus.CONVERGED
+        if not settled and not any(c.solved and c.solution is first for c in self.candidates):
+            self.candidates.append(Candidate.of_solve(first, self.tol, self.begin, "first"))
+        return answer_of(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
+
+    def _add(self, candidate: Candidate) -> None:
+        self.candidates.append(candidate)
+        if candidate.error <= self.tol or candidate.within(self.tol):
+            self.budget.shorten()
+
+    def _ending(self, candidate: Candidate) -> RefinementStatus | None:
+        """Return whether to stop with a candidate: converged, or at a limit; None to go on."""
+        status = candidate.history.status
+        if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
+            return RefinementStatus.INTERRUPTED
+        if self._settles(candidate):
+            return RefinementStatus.CONVERGED
+        return RefinementStatus.WORK_LIMIT if self.budget.left <= 0 else None
+
+    def _settles(self, candidate: Candidate) -> bool:
+        if not candidate.solved:
+            return False
+        if not self.check:
+            return candidate.within(self.tol) and not candidate.is_false_extremal
+        resolved = candidate.error <= self.tol
+        stands = bool(candidate.solution.structure) and candidate.history.converged
+        return (resolved or stands) and candidate.verdict.ok
+
+    def _stages(self, first: Solution) -> Iterator[Candidate]:
+        yield from self._first(first)
+        for stage, solve in (("least H", self._from_least_controls), ("barrier", self._by_other_barrier)):
+            other = solve(first, stage)
+            if other is not None:
+                yield other
+                if other.is_lower(self._mesh_candidate(first)):
+                    first = other.solution
+                    yield from self._first(first, stage)
+        middle = yield from self._middle(first)
+        fine = self._solve("200", self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
+        yield fine
+        if fine.solved:
+            again = self._from_least_controls(fine.solution, "200, least H")
+            if again is not None:
+                yield again
+                fine = again if again.is_lower(fine) else fine
+            for sharp in (False, True):
+                yield from self._by_arcs(
+                    fine.solution, structures_of(fine.solution, sharp=sharp), "200, arcs"
+                )
+        yield from self._last()
+
+    def _first(self, first: Solution, stage: str = "first") -> Iterator[Candidate]:
+        candidate, found = Candidate.of_solve(first, self.tol, self.begin, stage), structures_of(first)
+        arcs = _has_arcs(first, found, at_least=1)
+        if arcs:
+            yield from self._by_arcs(first, found, f"{stage}, arcs")
+        if stage == "first":
+            yield candidate
+        if not arcs or candidate.within(self.tol):
+            yield from self._by_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, hp")
+
+    def _middle(self, first: Solution) -> Generator[Candidate, None, Solution]:
+        """Yield what the middle stage finds; the generator returns the solution to go on with."""
+        meshes = self._meshes(MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS, first)
+        found = self._solve("60", meshes, first)
+        yield found
+        flown = with_flown_guess(self.problem)
+        if flown is not None:
+            most = RESTART_MAX_ITERATIONS + first.statistics.iterations
+            second = self._solve("60, second start", meshes, None, flown, most)
+            yield second
+            if second.solved and (not found.solved or second.is_lower(found)):
+                found = second
+        return found.solution if found.solved else first
+
+    def _last(self) -> Iterator[Candidate]:
+        """Refine the best mesh, and try its arcs; then further where only the check is open."""
+        meshes = [c for c in self.candidates if c.solved and not c.solution.structure]
+        start = min(meshes, key=lambda c: c.estimate)
+        found = yield from self._by_mesh(start.solution, 1.0)
+        arcs = structures_of(found.solution)
+        yield from self._by_arcs(found.solution, arcs, "hp, arcs", segments="kept")
+        for share in TIGHTER:
+            if not found.error <= self.tol or not found.is_nearly_optimal:
+                return
+            finer = yield from self._by_mesh(found.solution, 1.0, "hp", share * self.tol)
+            if not finer.estimate <= 0.5 * found.estimate:
+                return
+            found = finer
+
+    # --- single solves ------------------------------------------------------------------------------------------------
+
+    def _mesh_candidate(self, solution: Solution) -> Candidate:
+        return next(c for c in self.candidates if c.solved and c.solution is solution)
+
+    def _meshes(self, segments: int, least: int, like: Solution) -> dict[str, Mesh]:
+        """Return uniform meshes of so many segments in all phases together; finer ones that a solution has stay."""
+        each = max(segments // len(like.phases), least)
+        meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
+        return {
+            name: leg.mesh if leg.mesh.size > meshes[name].size else meshes[name]
+            for name, leg in like.phases.items()
+        }
+
+    def _solve(
+        self,
+        stage: str,
+        meshes: Mapping[str, Mesh],
+        guess: Solution | None,
+        problem: Problem | None = None,
+        iterations: int | None = None,
+        options: SolverOptions | None = None,
+        trajectory_only: bool = False,
+    ) -> Candidate:
+        begin = time.perf_counter()
+        found = solve_mesh(
+            problem or self.problem,
+            meshes,
+            scheme=self.candidates[0].solution.scheme,
+            guess=guess,
+            options=options or self.options,
+            limits=SolveLimits(0 if trajectory_only else None, iterations, self.budget.deadline),
+            progress=self.progress,
+        )
+        self.budget.charge(found)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        found = replace(found, problem=self.candidates[0].solution.problem)
+        return Candidate.of_solve(found, self.tol, begin, stage)
+
+    def _from_least_controls(self, start: Solution, stage: str) -> Candidate | None:
+        """Solve on the same mesh from the controls of least H, where the controls lose much."""
+        if not self._mesh_candidate(start).is_false_extremal:
+            return None
+        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        guess = with_least_controls(start)
+        return self._solve(stage, meshes, guess, iterations=RESTART_MAX_ITERATIONS, trajectory_only=True)
+
+    def _by_other_barrier(self, start: Solution, stage: str) -> Candidate | None:
+        """Solve on the same mesh from the problem's own guess by the adaptive barrier strategy."""
+        options = self.options or SolverOptions()
+        if any(c.within(self.tol) for c in self.candidates):
+            return None
+        if options.solver != "ipopt" or STRATEGY in options.extra or "ipopt" in options.extra:
+            return None
+        other = replace(options, extra={**options.extra, STRATEGY: "adaptive"})
+        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        most = RESTART_MAX_ITERATIONS + start.statistics.iterations
+        return self._solve(stage, meshes, None, iterations=most, options=other)
+
+    def _by_mesh(
+        self, start: Solution, share: float, stage: str = "hp", tol: float | None = None
+    ) -> Generator[Candidate, None, Candidate]:
+        """Yield what hp refinement leads to; the generator returns it, too."""
+        solution, history = refine_mesh(
+            start,
+            tol=tol or self.tol,
+            limits=self._limits(start, share),
+            options=self.options,
+            progress=self.progress,
+        )
+        self.budget.charge_work(start, sum(p.work for p in history.passes[1:]))
+        if history.chosen > 0:  # the first pass is the solution that was given
+            history = replace(history, passes=history.passes[1:], chosen=history.chosen - 1)
+        candidate = Candidate(solution, history, stage)
+        yield candidate
+        return candidate
+
+    def _by_arcs(
+        self,
+        start: Solution,
+        found: Mapping[str, PhaseStructure],
+        stage: str,
+        share: float = PROGRAM_MAX_SHARE,
+        segments: Segments = "few",
+    ) -> Iterator[Candidate]:
+        """Yield what a program with arcs leads to, if it is worth trying."""
+        if not self._is_new(start, found) and share < 1.0:
+            return
+        options = self.options or SolverOptions(tolerance=TIGHT, max_iterations=PROGRAM_MAX_ITERATIONS)
+        solution, history = optimise_switches(
+            start,
+            tol=self.tol,
+            limits=self._limits(start, share),
+            structures=found,
+            options=self.options if share == 1.0 else options,
+            progress=self.progress,
+            segments=segments,
+        )
+        self.budget.charge_work(start, sum(p.work for p in history.passes))
+        self._tried.append((found, any(p.solved for p in history.passes)))
+        yield Candidate(solution, history, stage)
+
+    def _is_new(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+        """Whether arcs are there, few enough, not tried before, and programs have had solutions so far."""
+        if not _has_arcs(start, found, at_least=1):
+            return False
+        if any(s.pieces > PROGRAM_MAX_PIECES for s in found.values()):
+            return False
+        if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
+            return False
+        order = {name: s.at(()) for name, s in found.items()}
+        return not any(
+            found == known or (solved and order == {name: s.at(()) for name, s in known.items()})
+            for known, solved in self._tried
+        )
+
+    def _limits(self, like: Solution, share: float) -> PassLimits:
+        return PassLimits(
+            self.limits.max_passes,
+            self.limits.max_points,
+            self.budget.work_left(like, share),
+            self.budget.deadline,
+        )
+
+
+def _has_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
+    """Whether some control can have switches or kinks, and its phase has more pieces than that, or touches limits."""
+    for name, samples in solution.samples().items():
+        if np.any(affine_channels(samples)) and found[name].pieces > at_least:
+            return True
+        if any(found[name].touches[0] + found[name].touches[-1]):
+            return True
+        if np.any(curved_channels(samples)) and found[name].pieces > max(at_least, 1):
+            return True
+        # Controls that H determines have nothing to settle if they stay between their bounds.
+        if np.any(convex_channels(samples)) and found[name].pieces > 1:
+            return True
+    return False
