@@ -130,7 +130,7 @@ _REMEDIES = {
     "Matrix product with incompatible dimensions": "(Vectors are columns: write a.T @ b, or casadi.dot(a, b).)",
     "overloaded function": "(Build vectors with casadi.vertcat(a, b) first.)",
 }
-"""What to write instead of what CasADi refuses, by a part of its message."""
+"""Replacements for expressions that CasADi rejects, by a part of its message."""
 
 _WORDS: dict[str, Any] = {"true": True, "false": False, "none": None, "null": None}
 
@@ -346,7 +346,9 @@ def _blaming(path: Path, what: str) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What an error says, of what kind it is if not gnc_opt's own, and what to write instead of what CasADi refuses."""
+    """Return the error message, with the error's type if it is not from gnc_opt, and the replacement for a
+    rejected expression.
+    """
     if isinstance(error, GncOptError):
         return str(error)
     message = error.msg if isinstance(error, SyntaxError) else str(error)

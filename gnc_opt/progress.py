@@ -14,7 +14,7 @@ from rich.text import Text
 
 
 class RefinementRecord(Protocol):
-    """What is shown of an iteration of a refinement."""
+    """Progress data of a refinement iteration."""
 
     @property
     def segments(self) -> int: ...

@@ -1,4 +1,4 @@
-"""What counts as zero, as equal, as the same time, as at a limit and as a number, wherever it means the same."""
+"""Shared tolerances: zero, equal, same time, at a limit, finite."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 
 ROUNDING = 1e-12
-"""What is smaller than this, relative to the numbers that it is made of, is rounding (some thousand times that of
-double precision): singular values beside the largest, sums whose terms cancel, eigenvalues at zero, asymmetries."""
+"""Results below this share of their operands are rounding (some thousand times that of double precision):
+singular values relative to the largest, sums whose terms cancel, eigenvalues at zero, asymmetries.
+"""
 
 AT_LIMIT = 1e-6
 """A value this close to its limit, relative to its range or size, is on it: interior-point iterates are at

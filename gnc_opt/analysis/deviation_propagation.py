@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What makes a loop scatter: parameters, and the random numbers of every step.
+    """Sources of a loop's deviations: parameters, and the random numbers of every step.
 
     The numbers of the first step are in the first sample and in the step, so they count among the parameters.
 

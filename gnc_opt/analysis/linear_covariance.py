@@ -159,7 +159,7 @@ def _percent(share: float) -> str:
 
 
 class PlantModes:
-    """What the modes of a plant ask for along its nominal run.
+    """Requirements of a plant's modes along its nominal run.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Experiment: runs of a loop with chosen random numbers, and what is measured of them.
 
-All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the other, then
-those of the control steps. Whoever knows them can fly the run again, change some of them, or look for bad ones.
+All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the
+other, then those of the control steps. With these numbers a run can be repeated, varied or searched for the
+worst case.
 """
 
 from __future__ import annotations
@@ -93,12 +94,12 @@ class Experiment:
 
     @cached_property
     def flight(self) -> Flight:
-        """What is flown, numeric."""
+        """The flight, numeric."""
         return self.loop.flight(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
     @cached_property
     def criteria(self) -> Criteria:
-        """What runs are compared with, and one's own measures."""
+        """The targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.judge)
 
     def require(self, measure: str) -> None:

@@ -220,7 +220,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What every repetition needs."""
+    """Common data of all repetitions."""
 
     experiment: Experiment
     measure: str

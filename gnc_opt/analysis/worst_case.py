@@ -20,7 +20,7 @@ from gnc_opt.simulation.dispersions import Ball, Choice, Dispersion, Normal, Sph
 from gnc_opt.simulation.run import Run
 
 _FAILED = 1e150
-"""What a run that fails counts as: worse than any that does not."""
+"""Value of a failed run: worse than any successful one."""
 
 
 @dataclass(frozen=True, eq=False)

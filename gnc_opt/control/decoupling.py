@@ -1,8 +1,8 @@
 """Laws that invert a decoupling matrix, and what they do where they cannot: no division passes silently.
 
-Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the fallback,
-or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law itself goes back to
-work as soon as it can. What it does without a measurement is the business of `gnc_opt.control.dropout`.
+Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the
+fallback, or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law
+itself goes back to work as soon as it can. For lost measurements see `gnc_opt.control.dropout`.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
 
 @dataclass(frozen=True, eq=False)
 class GuardedLaw:
-    """What a law commands where it may invert a decoupling matrix, and where not.
+    """Command of a law for a regular decoupling matrix and for a nearly singular one.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a design can say about itself: facts with names, values and units."""
+"""Design report: facts of a design with names, values and units."""
 
 from __future__ import annotations
 

@@ -4,8 +4,8 @@ With output errors e of relative degrees r and :math:`e^{(r)} = a + E u`,
 
 .. math:: u = E^{-1}(v - a), \qquad v = -K \eta, \qquad \eta = (e,\ \dot e,\ \dots),
 
-makes every error follow the poles of K, exactly, wherever E can be inverted. What the outputs do not see, the zero
-dynamics, is left to itself and has to be stable.
+makes every error follow the poles of K, exactly, wherever E can be inverted. The unobserved zero dynamics are
+not controlled and have to be stable.
 """
 
 from __future__ import annotations

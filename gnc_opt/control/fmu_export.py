@@ -149,7 +149,7 @@ def _guid(sources: Path) -> str:
 
 
 def _law_header(controller: Controller, code: FlightCode, guid: str) -> str:
-    """What ``fmi2_cosimulation.c`` asks of a law."""
+    """Definitions that ``fmi2_cosimulation.c`` needs of a law."""
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
         [

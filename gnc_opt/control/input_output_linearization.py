@@ -30,8 +30,9 @@ from gnc_opt.model.variables import as_expression
 from gnc_opt.tolerances import ROUNDING, dependent
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
-"""What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or
-a mapping from names to expressions."""
+"""Controlled outputs: a name of a state or an output of the model, several of these, SX expressions of (t, x,
+p), or a mapping from names to expressions.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +335,7 @@ def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """What moves on while the outputs follow their reference exactly, linearised at one point.
+    """The zero dynamics (outputs exactly on their reference), linearised at one point.
 
     Attributes
     ----------

@@ -80,7 +80,8 @@ def design_integral_sliding_mode(
     bound : float or array (n_controls,)
         Largest disturbance of ds/dt; for `SuperTwisting` its largest rate.
     limits : (lower, upper), optional
-        Authority, checked along the reference. What limits cut from a command is not taken for a disturbance.
+        Authority, checked along the reference. The part of a command removed by limits does not count as a
+        disturbance.
     guard : float
         Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
     name : str

@@ -140,7 +140,7 @@ class _Relay:
 
     @property
     def gain(self) -> float:
-        """What is there against disturbances at every s, in units of s per second."""
+        """Gain available against disturbances at every s, in units of s per second."""
         return self.eta
 
     def band(self, boundary: Boundary, bound: float) -> float:
@@ -298,7 +298,7 @@ class SuperTwisting:
 
     @property
     def gain(self) -> float:
-        """What is there against the rate of disturbances, in units of s per second squared."""
+        """Gain available against the rate of disturbances, in units of s per second squared."""
         return self.k2
 
     def rate(self, s: Any, boundary: Boundary) -> Any:

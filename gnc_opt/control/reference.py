@@ -39,9 +39,10 @@ _TOLERANCE = 1e-3
 def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return which state is furthest from obeying the model, when and by how much; "" where all do.
 
-    At some times between ``edges`` (s), which no jump may lie between, the change of the states over short steps is
-    compared with the integral of f(t, x, u) over them. What several lengths of steps agree upon is the residual. It
-    counts relative to the terms that a rate is made of: itself and the sums of ``|df/dx| |x|`` and ``|df/du| |u|``.
+    At some times between ``edges`` (s), which no jump may lie between, the change of the states over short
+    steps is compared with the integral of f(t, x, u) over them. The residual is the value on which several
+    step lengths agree. It counts relative to the terms that a rate is made of: itself and the sums of
+    ``|df/dx| |x|`` and ``|df/du| |u|``.
     """
     times, longest = _looked_at(edges)
     left = np.min([_defect(model, x, u, times, share * longest) for share in _STEPS], axis=0)

@@ -90,7 +90,7 @@ _ROUNDING = float(np.finfo(float).eps)
 def continuous_poles(poles: Any, dt: float | None) -> Any:
     """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0.
 
-    What is as small as rounding beside the unit circle is zero: a plant that rests long before the next step.
+    Eigenvalues of the size of rounding count as zero: the plant settles long before the next step.
     """
     if dt is None:
         return poles

@@ -3,8 +3,8 @@ r"""Accessory problem: neighbouring extremals of a smooth extremal, and the feed
 Variations of an extremal whose controls are off their limits and whose H is strictly convex in them satisfy the
 accessory equations (`gnc_opt.planning.optimality.accessory`), a linear Hamiltonian system in (X, :math:`\Lambda`).
 
-What the end admits is a plane of :math:`(\delta x, \delta\lambda, dt_f)` with, for the cost :math:`\Phi(x_f, t_f)`
-beside the integral,
+The end conditions admit a plane of :math:`(\delta x, \delta\lambda, dt_f)` with, for the end cost
+:math:`\Phi(x_f, t_f)`,
 
 .. math::
    & \delta x_i + f_i \, dt_f = 0 && \text{of a state that is given there}, \\
@@ -153,7 +153,8 @@ _UNMOVED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """What neighbours of an extremal do, at times (k,) up to the one from which on the feedback stays.
+    """Variations of neighbouring extremals at times (k,), up to the time after which the feedback is
+    constant.
 
     Attributes
     ----------
@@ -202,7 +203,7 @@ class _Accessory:
 
     @cached_property
     def worth(self) -> float:
-        """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
+        """Scale of the costates: with H_uu equal to it over the duration, X and Lambda have similar size."""
         curvature = self.equations.slopes(self.times).by_uu
         return float(np.median(np.linalg.norm(curvature, axis=(1, 2)))) * self.plan.leg.duration
 

@@ -138,7 +138,7 @@ _PREDICTED = 4
 
 
 class Solver(Protocol):
-    """What solves variations of a problem again, see `gnc_opt.Resolver`."""
+    """Solver of variations of a problem, see `gnc_opt.Resolver`."""
 
     @property
     def solution(self) -> Solution:
@@ -224,7 +224,7 @@ class Replanner:
 
     @property
     def solver(self) -> Solver:
-        """What solves again, made when it is needed for the first time."""
+        """The resolver, created at first use."""
         if "_solver" not in vars(self):
             made = self.resolver()
             if not isinstance(getattr(made, "solution", None), Solution):
@@ -253,7 +253,7 @@ class Replanner:
 
     @property
     def description(self) -> str:
-        """What decides the plans that it makes, for the fingerprint of a flight."""
+        """The data that determine its plans, for the fingerprint of a flight."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
         return " ".join(
             (*about, repr((self.every, self.latency, self.last)), _named(self.follow), _named(self.when))

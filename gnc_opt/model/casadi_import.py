@@ -32,7 +32,7 @@ class Declared:
 
 @dataclass(frozen=True)
 class Given:
-    """What a model is made of that was written in CasADi first: its variables, values and units by name."""
+    """Components of a model from CasADi expressions: its variables, values and units by name."""
 
     states: list[Declared]
     controls: list[Declared]

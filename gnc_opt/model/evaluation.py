@@ -28,7 +28,7 @@ FEWEST = 60
 """Columns for which short programmes are quicker by NumPy."""
 
 CALL = 60
-"""What a call of CasADi takes, in operations on one column."""
+"""Overhead of a CasADi call, in operations on one column."""
 
 Operation: TypeAlias = Callable[..., Any]
 
@@ -79,7 +79,7 @@ _OPERATIONS: dict[int, Operation] = {
     ca.OP_FMAX: np.fmax,
     ca.OP_HYPOT: np.hypot,
 }
-"""What is read; functions with other operations are left to CasADi."""
+"""Supported operations; CasADi evaluates functions with others."""
 
 
 @dataclass(frozen=True)

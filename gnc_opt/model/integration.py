@@ -3,9 +3,9 @@
 Dormand and Prince's Runge-Kutta method of order 8, all stages of a step in one call of CasADi.
 
 The method and its control of the step are those of SciPy's DOP853 (Hairer, Nørsett & Wanner, Solving Ordinary
-Differential Equations I, sections II.4 and II.5), which calls Python for every stage: that takes several times as long
-as the dynamics of a usual model. What is out of the ordinary is not dealt with here but by
-`gnc_opt.model.integration.integrate`.
+Differential Equations I, sections II.4 and II.5), which calls Python for every stage: that takes several
+times as long as the dynamics of a usual model. `gnc_opt.model.integration.integrate` handles exceptional
+cases.
 """
 
 from __future__ import annotations

@@ -485,7 +485,7 @@ class Model(Strict):
 
     @property
     def composed_controls(self) -> Mapping[str, ComposedControl]:
-        """What `split_control` and `vector_control` declared, by name."""
+        """The controls that `split_control` and `vector_control` declared, by name."""
         return self._composed_controls
 
     @property

@@ -1,6 +1,6 @@
 """Sampling signals for drawing: dense, and with both limits wherever they may jump.
 
-What figures over time share: labels of components, their lines, axes that span all phases.
+Common elements of figures over time: labels of components, their lines, axes that span all phases.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def _pictures(shown: Motion, paths: Sequence[Array], view: View) -> tuple[Figure
 
 
 def _handles(view: View) -> list[Line2D]:
-    """What the lines mean."""
+    """Legend of the lines."""
     handles = [Line2D([], [], color="black", label="path")] if view.position is not None else []
     if view.attitude is not None:
         handles += [Line2D([], [], color=COLORS[i], label=f"$b_{name}$") for i, name in enumerate("xyz")]

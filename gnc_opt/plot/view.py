@@ -1,4 +1,4 @@
-"""What of a motion is seen in space: position, attitude and thrust of a vehicle, sampled from a solution or a run."""
+"""View of a motion in space: position, attitude and thrust of a vehicle, sampled from a solution or a run."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Thruster:
 
 @dataclass(frozen=True)
 class View:
-    """What of a motion is seen in space, by the names of states and controls.
+    """View of a motion in space, by the names of states and controls.
 
     A name stands for a whole variable (``"r"``) or for one component (``"q[3]"``); several make one quantity.
 

@@ -3,8 +3,8 @@
 OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: attitude ephemeris message, CCSDS 504.0-B
 (version 1.0); the quaternion from frame A to frame B, that is our ``q_BA``, with its scalar part last.
 
-What no number can tell (epoch, frames, centre, time system) is stated by who writes, never assumed. Within a file the
-clock runs evenly: in UTC no leap second may lie between its first and last time.
+The caller states epoch, frames, centre and time system; there are no defaults. Within a file the clock runs
+evenly: in UTC no leap second may lie between its first and last time.
 """
 
 from __future__ import annotations

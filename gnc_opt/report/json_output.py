@@ -1,6 +1,6 @@
 """The summary of a solution that a program reads; docs/reference/json_summary.md documents it.
 
-What a search from many starts found, as JSON.
+Result of a multistart search as JSON.
 """
 
 from __future__ import annotations

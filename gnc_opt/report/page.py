@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
 from gnc_opt.text import table
 
 _KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
-"""What browsers draw inside a page."""
+"""Content that browsers draw inside a page."""
 
 
 def report_folder(directory: str | Path) -> Path:

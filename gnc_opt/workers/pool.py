@@ -145,9 +145,9 @@ class WorkerPool(Generic[Object]):
     ) -> list[Done[Item, Answer]]:
         """Do a task with every item.
 
-        When a process of the pool's own dies, what was lost with it is done again, each item in a new process; an
-        item that kills that one, too, is split. What an executor that was given leaves undone because it broke is done
-        by processes of the pool's own.
+        When a process of the pool's own dies, what was lost with it is done again, each item in a new
+        process; an item that kills that one, too, is split. If a given executor breaks, the pool's own
+        processes do the remaining tasks.
 
         Parameters
         ----------
@@ -266,7 +266,7 @@ class WorkerPool(Generic[Object]):
 
 @dataclass(eq=False)
 class _Ledger(Generic[Item, Answer]):
-    """What is submitted and not done, and what is done, in one run."""
+    """Pending and completed tasks of one run."""
 
     items: Sequence[Item]
     show: Callable[[Done[Item, Answer]], None]

@@ -21,7 +21,7 @@ from gnc_opt.errors import GncOptError
 Object = TypeVar("Object")
 
 Parcel: TypeAlias = "Here[Object] | bytes"
-"""What a worker opens to get at the object: the object itself, or a pickled function that makes it."""
+"""The object for a worker: the object itself, or a pickled function that creates it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ class Box:
 
 @dataclass
 class SolveWatch:
-    """What the monitor must know about the solve under way, and what it has seen of it."""
+    """Input of the monitor for the current solve, and its record of it."""
 
     box_x: Box
     box_g: Box

@@ -1,4 +1,4 @@
-"""What to ask of a solver, and how `nlpsol` and its plugins want it said."""
+"""Options of a solver, and their form for `nlpsol` and its plugins."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """What to ask of the solver.
+    """Options of the solver.
 
     Parameters
     ----------

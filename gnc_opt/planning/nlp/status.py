@@ -40,7 +40,7 @@ class Status(Enum):
 
     @property
     def remedy(self) -> str:
-        """What this ending means and what the user should do about it."""
+        """Meaning of this status and the remedy for the user."""
         return _REMEDIES[self]
 
 

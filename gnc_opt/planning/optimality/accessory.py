@@ -57,7 +57,7 @@ class AccessoryEquations:
 
     @cached_property
     def state_size(self) -> Array:
-        """What states are measured in: their largest magnitudes; one that rests may be varied as any other."""
+        """Scales of the states: their largest magnitudes; a constant state may vary like any other."""
         return state_magnitudes(self.leg)
 
     def slopes(self, times: Array) -> Slopes:

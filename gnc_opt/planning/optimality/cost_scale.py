@@ -4,7 +4,7 @@ The value of a cost is no scale, since constants may be added to it; its change 
 is. It is the reference if the costates vanish (optimal cost zero, or a nonunique optimum), where relative
 violations would compare rounding errors.
 
-What is too brief to matter.
+Averaging of violations over a share of the phase.
 
 The unit of a cost, if its terms determine it.
 """
@@ -26,7 +26,9 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import magnitude
 
 BRIEF = 1e-2
-"""What lasts less than this share of a phase counts by its mean over it: loss of cost is size times duration."""
+"""Violations shorter than this share of a phase count by their mean over it: the loss of cost is size times
+duration.
+"""
 
 SMEARED = 1e-4
 """A control that is between its bounds for less than this share of a phase is on its way from one to the other."""

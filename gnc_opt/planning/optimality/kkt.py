@@ -300,7 +300,7 @@ class NullSpace:
 
     @property
     def projection(self) -> Callable[[Array], Array]:
-        """What projects variations to the null space."""
+        """Projection of variations to the null space."""
         return self._restricted(*self.of_identity)
 
     def _restricted(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:

@@ -383,7 +383,7 @@ def _state_rows(transcription: Transcription) -> Mask:
 def _ranges(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
-    """What variables vary by along the trajectory: no unit, origin or guess has a say in that."""
+    """Spans of the variables along the trajectory, which are independent of origin and guess."""
     scales = _or_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers

@@ -135,7 +135,7 @@ class Junction:
 
 @dataclass(frozen=True)
 class Held:
-    """What is held, rows of K kinds each; interior means free within the limits."""
+    """Prescribed arcs, rows of K kinds each; interior means free within the limits."""
 
     controls: Kinds
     paths: Kinds = ()

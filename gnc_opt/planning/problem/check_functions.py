@@ -49,7 +49,7 @@ _KINKS: dict[int, tuple[str, str]] = {
         ("a comparison (if_else), which switches", f"{_IN_PHASES}, or blend with tanh"),
     ),
 }
-"""What an operation does to a trajectory, and what to write instead."""
+"""Effect of an operation on a trajectory, and its replacement."""
 
 _EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
 _REMEDIES = {
@@ -60,7 +60,7 @@ _REMEDIES = {
     "integral": "it is not known to be convex in the cost: give bounds() that fix the signs of its factors, or use "
     "split_control() for a control, vector_control() for a norm, smooth_abs() for states",
 }
-"""What to write in place of a kink that is not reformulated, by the kind of its expression."""
+"""Replacement for a kink that is not reformulated, by the kind of its expression."""
 
 _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 

@@ -2,8 +2,8 @@
 
 Interval arithmetic: between which values expressions lie while their arguments lie in theirs.
 
-After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without rounding
-outwards. What occurs more than once counts as often: a range may be wider than need be.
+After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without
+rounding outwards. Repeated terms count as independent, so a range may be wider than necessary.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_COS: lambda _: (-1.0, 1.0),
     ca.OP_TANH: lambda a: (math.tanh(a[0]), math.tanh(a[1])),
 }
-"""What is known of the operations of CasADi."""
+"""Ranges of the CasADi operations."""
 
 
 _DRAWS = 6

@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 
 SIZES = np.logspace(-8, 12, 161)
-"""What is tried: eight to a decade."""
+"""Trial magnitudes: eight per decade."""
 
 
 def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Array:

@@ -43,7 +43,7 @@ from gnc_opt.planning.problem.restatement import Restatement
 
 @dataclass(frozen=True)
 class PhaseGuess:
-    """What the user knows about the trajectory beforehand: values by name and their times."""
+    """The user's guess of the trajectory: values by name and their times."""
 
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
@@ -98,7 +98,7 @@ class PhaseNumbers:
 
 
 class Owner(Protocol):
-    """What a phase asks of its problem."""
+    """Interface of a problem for its phases."""
 
     name: str
     phases: dict[str, Phase]

@@ -1,4 +1,4 @@
-"""What became of the controls of a phase that is solved in others than those it was stated in."""
+"""Map from the stated controls of a phase to the controls in which it is solved."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Costates:
-    """What the covector mapping yields for one phase.
+    """Result of the covector mapping for one phase.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is wrong with an iterate that is not a solution, by name and worst first."""
+"""Violations of an iterate that is not a solution, by name and worst first."""
 
 from __future__ import annotations
 

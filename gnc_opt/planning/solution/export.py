@@ -1,4 +1,4 @@
-"""What a phase has along time, for tables of other packages and files."""
+"""Time histories of a phase, for tables of other packages and files."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
 KEPT, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
-"""What is remembered of bases: so many sets of at most so many times, of so many grids; some 10 MB."""
+"""Cache of bases: number of sets, times per set and grids; some 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)

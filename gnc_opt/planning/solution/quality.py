@@ -10,10 +10,11 @@ km.
 
 Where a trajectory is beyond its limits: at the samples and between them.
 
-What a phase's functions are along controls that leave their bounds between nodes.
+Functions of a phase along controls that exceed their bounds between nodes.
 
-A polynomial through controls on their bounds swings past them, a lift below zero, say, of which the dynamics take the
-root. What has no value there has one on the bound. (How far the control is beyond it is an error of its own.)
+A polynomial through controls on their bounds swings past them, a lift below zero, say, of which the dynamics
+take the root. A function undefined there is evaluated on the bound. (The violation of the bound is a separate
+error.)
 """
 
 from __future__ import annotations

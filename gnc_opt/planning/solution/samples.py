@@ -44,7 +44,7 @@ MINOR = 1e-2
 """Smallest scale of a control's effect on H, as a share of the effect of all controls together."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
-"""What is kept of samples and depends on the cost magnitude."""
+"""Cached properties of samples that depend on the cost magnitude."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class PhaseSamples:
 
     @cached_property
     def end_scale(self) -> Array:
-        """What misses of the final state are measured against (n,): what controls move, at most the span."""
+        """Scale of errors of the final state (n,): the change that the controls cause, at most the span."""
         return end_spans(self.leg, self.functions, self.state_scale, self.control_scale)
 
     @cached_property
@@ -313,9 +313,9 @@ class PhaseSamples:
     def joint_worth(self) -> float:
         """Largest change of H along the phase for half the spans of all controls, cost per second.
 
-        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature; where
-        costates vanish, by the terms that cancel in their rates. What is constant, or drifts without the controls, does
-        not count.
+        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's
+        curvature; where costates vanish, by the terms that cancel in their rates. Constant states, and drift
+        without the controls, do not count.
         """
         return max(float(np.sum(self._single_worths)), self.least_worth)
 

@@ -228,8 +228,8 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     ----------
     problem : Problem
     solution : Solution
-        Phases go by their names, or, if both have a single one, together; states, controls and free parameters by
-        theirs and their sizes. What the solution does not have is guessed.
+        Phases go by their names, or, if both have a single one, together; states, controls and free
+        parameters by theirs and their sizes. Quantities that the solution lacks are guessed.
 
     Returns
     -------

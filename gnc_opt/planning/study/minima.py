@@ -35,7 +35,7 @@ Labels = frozenset[str]
 
 @dataclass(frozen=True)
 class Reflection:
-    """What is reflected: the labels of some states and controls along a solution, without its problem."""
+    """A reflection: the labels of the reflected states and controls along a solution, without its problem."""
 
     solution: Solution
     labels: Labels

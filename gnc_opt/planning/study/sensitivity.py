@@ -3,7 +3,7 @@
 They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), hence of the continuous
 problem up to the error of its mesh. They hold while the same limits stay active.
 
-What `Solution.sensitivity` returns: derivatives of an optimal solution with respect to one quantity.
+Result of `Solution.sensitivity`: derivatives of an optimal solution with respect to one quantity.
 """
 
 from __future__ import annotations

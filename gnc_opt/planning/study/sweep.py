@@ -31,7 +31,7 @@ NOT_REACHED = "not reached"
 """The ending of a point that an interrupt prevented."""
 
 MISTAKES = (NameError, AttributeError, TypeError, ImportError)
-"""What a function raises that is wrong at every point, and ends a sweep."""
+"""Exceptions of a function that is wrong at every point; they end a sweep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +295,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Functions:
-    """What the user defined."""
+    """The user's definition."""
 
     problem_of: Family
     outputs: Mapping[str, Output]

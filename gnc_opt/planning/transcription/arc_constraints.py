@@ -1,4 +1,6 @@
-"""What held arcs mean for the program: bounds of its variables and rows, and rows that keep controls smooth."""
+"""Constraints of prescribed arcs in the program: bounds of its variables and rows, and rows that keep
+controls smooth.
+"""
 
 from __future__ import annotations
 

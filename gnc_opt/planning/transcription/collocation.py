@@ -53,7 +53,7 @@ class PhaseCollocation:
 
     @property
     def family(self) -> Family:
-        """What distinguishes the scheme from others."""
+        """Properties of the scheme."""
         return family_of(self.scheme)
 
     @cached_property

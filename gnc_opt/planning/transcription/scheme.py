@@ -1,4 +1,4 @@
-"""What distinguishes the families of collocation points; everything that depends on the family asks it here."""
+"""Families of collocation points and their properties, used by all code that depends on the family."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Starting trajectories: what the user knows, and straight lines for the rest.
 
-What boundary constraints tell about the ends of phases, for the guess: a lift-off mass that is a sum of parts.
+End values of phases implied by boundary constraints, for the guess: a lift-off mass that is a sum of parts.
 
 The vector control that a guess of states asks for: of a lander, thrust that carries its weight.
 """

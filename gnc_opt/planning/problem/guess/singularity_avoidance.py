@@ -26,8 +26,8 @@ def bent(problem: P) -> P:
     """Return the problem with curved state guesses in phases where a function is not finite on the straight
     lines.
 
-    ``norm_2(r) >= c`` on a straight line through the centre, for one, has no derivative there. What the user guesses
-    stays, and so does all of a phase where the bend does not help.
+    ``norm_2(r) >= c`` on a straight line through the centre, for one, has no derivative there. User guesses
+    are unchanged, as are phases that the curved guess does not improve.
     """
     for name, leg in problem.phases.items():
         if not_finite_at_guess(problem, leg) is None:

@@ -399,7 +399,7 @@ class EndForm:
 
 @dataclass(frozen=True, eq=False)
 class Kinked:
-    """What kinks of a phase have to be put aside.
+    """Replacements for the kinks of a phase.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """The form of a phase in other controls: all of it but the numbers.
 
-What models that take the place of others need: names that are not taken, and the same numbers.
+Requirements of replacement models: unused names and the same numbers.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@ r"""The form of a phase whose norm is that of a vector control: all of it but th
 
 Detection of the explicit control norms of a phase.
 
-What constraints say of a norm: a range of numbers, or another control as its largest value.
+Limits of a norm by constraints: a range of numbers, or another control as its largest value.
 
 Upper limits of roots that may vanish, without the root.
 
@@ -397,7 +397,7 @@ def _composed(vector: Vector, control: VectorControl, rest: Symbol | None) -> li
 
 
 def _value(old: Model, control: ComposedControl, product: Any) -> Any:
-    """What a composed control is: in terms of the old controls if it was one of them."""
+    """Return a composed control, in terms of the old controls if it was one of them."""
     return old.symbol(control.name) if control.name in old.controls else product
 
 
@@ -431,7 +431,7 @@ def _values(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol |
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """What the path constraints of a phase say of a norm.
+    """Return the limits of a norm by the path constraints of a phase.
 
     Attributes
     ----------
