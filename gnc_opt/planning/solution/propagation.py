@@ -86,6 +86,25 @@ def propagate(
     return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
 
 
+def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
+    """Return the states (n_states, n_times) to which the applied control leads from the start of a phase.
+
+    Times do not decrease; NaN from where the trajectory ends early.
+    """
+    tolerance = Tolerance(1e-11, state_magnitudes(leg))
+    flight = _Flight(functions, tolerance, Budget(leg.states.labels))
+    edges = np.union1d(leg.flown.jumps, times)
+    states = np.full((leg.states.size, edges.size), np.nan)
+    states[:, 0] = leg.x(leg.breaks[0])
+    try:
+        for k, (left, right) in enumerate(itertools.pairwise(edges)):
+            controls = _controls(leg.flown, left, right, _degree(leg, left, right))
+            states[:, k + 1] = flight.end(controls, states[:, k], (left, right))
+    except EndedError:
+        pass
+    return np.asarray(states[:, np.searchsorted(edges, times)])
+
+
 def _larger(first: Array, second: Array) -> Array:
     """Return the larger of two errors; what is no number counts as larger."""
     return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))

@@ -27,6 +27,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
+from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.export import records
 from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus, Statistics
@@ -229,6 +230,14 @@ class Solution:
     def quality(self) -> Quality:
         """Between-node defect, bound violation and propagation error, computed from the model alone."""
         return measure_quality(self.samples().values())
+
+    @cached_property
+    def accuracy(self) -> Accuracy:
+        """Estimated error of the objective, violation of limits, and miss at the ends, in their units.
+
+        The applied control is integrated independently. Needs the problem.
+        """
+        return measure_accuracy(self.samples().values(), self.objective, self.objective_error.value)
 
     @cached_property
     def objective_error(self) -> ObjectiveError:

@@ -1,0 +1,91 @@
+"""Accuracy in the user's units: against SciPy's integration, closed forms and known optima."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+
+
+def cart(limit: float | None = None) -> go.Problem:
+    """Rest to rest over 1 m in 1 s with the least effort (12), perhaps below a speed."""
+    model = go.Model("cart")
+    q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    if limit is not None:
+        leg.path("speed", v, upper=limit)
+    problem.minimize(leg.integral(a**2))
+    return problem
+
+
+def minimum_time() -> go.Problem:
+    """Rest to rest over 1 m at 1 m/s^2 at most: 2 s, switching at 1 s."""
+    problem = cart()
+    model = problem.phases["leg"].model
+    timed = go.Problem("minimum time")
+    leg = timed.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    timed.minimize(leg.final_time)
+    return timed
+
+
+def flown(solution: go.Solution, times: np.ndarray) -> np.ndarray:
+    """States of the applied control by SciPy, restarted at its jumps."""
+    leg, x, found = solution.phase(), np.zeros(2), []
+    edges = np.union1d(leg.flown.jumps, times)
+    for left, right in itertools.pairwise(edges):
+        found.append(x)
+
+        def rate(t: float, y: np.ndarray, left: float = left, right: float = right) -> list[float]:
+            inside = np.clip(t, left + 1e-9 * (right - left), right - 1e-9 * (right - left))
+            return [y[1], float(leg.flown(inside)[0])]
+
+        x = solve_ivp(rate, (left, right), x, rtol=1e-10, atol=1e-12).y[:, -1]
+    found.append(x)
+    return np.array(found).T[:, np.searchsorted(edges, times)]
+
+
+def test_a_refined_answer_is_accurate_to_rounding() -> None:
+    accuracy = go.solve(minimum_time()).accuracy
+    assert accuracy.objective == pytest.approx(2.0, abs=1e-9)
+    assert accuracy.objective_error < 1e-9 and accuracy.miss < 1e-10 and accuracy.violation == 0.0
+    assert str(accuracy).endswith("limits kept")
+
+
+@pytest.mark.parametrize("mesh", ["5x3", "9x3"])
+def test_the_miss_is_that_of_another_integrator(mesh: str) -> None:
+    """A mesh boundary is not at the switch: the applied control misses the end."""
+    solution = go.solve(minimum_time(), mesh=mesh, tol=None)
+    end = flown(solution, np.array([0.0, solution.phase().final_time]))[:, -1]
+    accuracy = solution.accuracy
+    row = ("q", "v").index(accuracy.miss_where.rpartition(", ")[2].partition(" ")[0])
+    assert accuracy.miss > 1e-5
+    assert accuracy.miss == pytest.approx(abs(end[row] - [1.0, 0.0][row]), rel=1e-2)
+
+
+@pytest.mark.parametrize("mesh", ["3x4", "5x4"])
+def test_the_violation_is_that_along_another_integration(mesh: str) -> None:
+    """The speed is limited at the nodes, and exceeds the limit between them."""
+    solution = go.solve(cart(limit=1.2), mesh=mesh, tol=None)
+    speed = flown(solution, np.linspace(0.0, 1.0, 2001))[1]
+    accuracy = solution.accuracy
+    assert accuracy.violation == pytest.approx(np.max(speed) - 1.2, rel=1e-2)
+    assert accuracy.violation > 1e-5 and "speed" in accuracy.violation_where
+
+
+def test_the_objective_is_within_its_estimated_error() -> None:
+    for mesh in ("5x3", "11x3"):
+        solution = go.solve(minimum_time(), mesh=mesh, tol=None)
+        assert abs(solution.objective - 2.0) < 2 * solution.accuracy.objective_error
