@@ -205,7 +205,7 @@ class FileFormat:
         return _write_archive(path, header, arrays)
 
     def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
-        """Return the result in a file, and what was written with it.
+        """Return the result in a file, and the data stored with it.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Reading the arguments of calls: what cannot be meant is refused in one sentence.
+"""Reading the arguments of calls: invalid values raise a one-sentence error.
 
 Objects that refuse misspelt attributes instead of swallowing them.
 """
@@ -22,8 +22,8 @@ from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, di
 class Strict:
     """Base of the classes that a user's script talks to; they list their attributes in ``__slots__``.
 
-    Reading or assigning any other attribute raises `UnknownAttributeError`, which says what was probably
-    meant. A subclass without ``__slots__`` may assign what it likes.
+    Reading or assigning any other attribute raises `UnknownAttributeError`, which suggests the nearest valid
+    name. A subclass without ``__slots__`` may assign what it likes.
     """
 
     __slots__ = ()

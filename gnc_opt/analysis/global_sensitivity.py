@@ -253,13 +253,13 @@ class _Design:
 
 @dataclass(frozen=True, eq=False)
 class Correlations:
-    """Rank correlations of what was drawn with a measure; see `correlations`.
+    """Rank correlations of the drawn values with a measure; see `correlations`.
 
     Attributes
     ----------
     measure : str
     ranks : mapping of str to Share
-        Spearman's coefficient by component of what was dispersed, the strongest first.
+        Spearman's coefficient by dispersed component, the strongest first.
     confidence : float
         Of each interval.
     runs : int
@@ -287,10 +287,10 @@ class Correlations:
 
 
 def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFIDENCE) -> Correlations:
-    """Return how what was drawn is correlated with a measure, by rank, from the runs of a campaign.
+    """Return the rank correlations of the drawn values with a measure, from the runs of a campaign.
 
-    It sees what rises or falls with a dispersion; what is least in the middle (a norm of errors with the mean zero) it
-    does not: `sobol_indices` does.
+    It detects monotonic dependence only. For a measure with its minimum inside the range (a norm of errors
+    with mean zero) use `sobol_indices`.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ class Agreement:
 
 
 def magnitudes(values: Array) -> Array:
-    """Return what errors of integration are relative to, (n,), by values over time (n, n_times): 1 or their size."""
+    """Return the scale of integration errors (n,) from values over time (n, n_times): 1 or their size."""
     return np.asarray(np.maximum(1.0, np.max(np.abs(values), axis=1)))
 
 
@@ -203,7 +203,7 @@ _LOOKS = 10
 """Instants of the nominal run, about, at which the modes of the plant are looked at."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
-"""Signals beside the errors, and what they are called where they are logged."""
+"""Signals in addition to the errors, and their names in the log."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,7 +102,7 @@ class Linearization:
 
     @cached_property
     def state(self) -> Places:
-        """Names and sizes of what is differentiated of X."""
+        """Names and sizes of the differentiated entries of X."""
         parts = self.flight.kernel.state.parts
         held = {"memory": len(self.held)}
         return Places(
@@ -111,7 +111,7 @@ class Linearization:
 
     @property
     def output(self) -> Places:
-        """Names and sizes of what is differentiated of the log."""
+        """Names and sizes of the differentiated entries of the log."""
         sizes = dict(self.flight.kernel.log.parts)
         return Places(tuple((name, sizes[name]) for name in OUTPUTS))
 
@@ -183,13 +183,13 @@ class Linearization:
 
     @cached_property
     def carried(self) -> list[int]:
-        """Places in X of what is differentiated."""
+        """Indices in X of the differentiated entries."""
         held = set(self.held)
         return [int(i) for name, _ in self.state.parts for i in self._places[name] if i not in held]
 
     @cached_property
     def held(self) -> list[int]:
-        """Places in X of what is taken as it is on the nominal run."""
+        """Indices in X of the entries kept at their nominal values."""
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
@@ -237,7 +237,7 @@ class Linearization:
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
     def _rows(self) -> Iterator[Array]:
-        """Yield what is known for each step, without noise."""
+        """Yield the known inputs of each step, without noise."""
         for _, rows in self.flight.legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

@@ -1,7 +1,8 @@
-r"""Frequency domain: what a closed loop as a whole does to frequencies, at instants along its nominal run.
+r"""Frequency response of a complete closed loop, at instants along its nominal run.
 
-The loop is cut where the commands leave the controller. With v what the actuators get and u what the controller asks
-for, the linearized step (`Linearization`) of the closed loop, with d added to the command (v = u + d), is
+The loop is cut where the commands leave the controller. With v the input of the actuators and u the
+controller's command, the linearized step (`Linearization`) of the closed loop, with d added to the command (v
+= u + d), is
 
 .. math:: \delta X^+ = A\, \delta X + B\, d, \qquad u = C\, \delta X,
 
@@ -105,7 +106,7 @@ class LoopResponse(Strict):
         return _solved(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
-        """Return S, (n_omega, m, m) complex: what of d is left in what the actuators get."""
+        """Return the sensitivity S, (n_omega, m, m) complex, from d to the input of the actuators."""
         closed = self._closed(omega, index)
         return np.asarray(np.eye(closed.shape[1]) + closed)
 

@@ -1,4 +1,4 @@
-"""Experiment: runs of a loop with chosen random numbers, and what is measured of them.
+"""Experiment: runs of a loop with chosen random numbers, and their measures.
 
 All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the
 other, then those of the control steps. With these numbers a run can be repeated, varied or searched for the
@@ -103,7 +103,7 @@ class Experiment:
         return read_criteria(self.target, self.judge)
 
     def require(self, measure: str) -> None:
-        """Refuse what is no measure of the runs.
+        """Raise an error for a name that is not a measure of the runs.
 
         Raises
         ------

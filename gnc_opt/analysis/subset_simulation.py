@@ -117,7 +117,7 @@ def failure_probability(
     Parameters
     ----------
     experiment : Experiment
-        Noise is part of what is drawn.
+        The draws include the noise.
     measure : str
         As in `Campaign.measure`, or one of the experiment's ``judge``.
     limit : float

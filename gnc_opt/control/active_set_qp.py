@@ -207,7 +207,7 @@ class _Numbered:
 
 
 def _call(n: int, m: int) -> Any:
-    """Return what stands for the programme in the law; it has no numbers, only C."""
+    """Return the placeholder of the programme in the law; it has C code only, no numerical evaluation."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
     return ca.Function("programme", inputs, nothing, {"never_inline": True})

@@ -1,4 +1,4 @@
-"""Limits: of controls, read, kept, and what a reference leaves of them to the feedback; of states along it."""
+"""Limits of controls and of states, and the control authority margin that a reference leaves to the feedback."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
 
 
 def saturated(u: Any, limits: Authority | None) -> Any:
-    """Return what an actuator with these limits makes of a command, SX."""
+    """Return a command saturated at these limits, SX."""
     return u if limits is None else clip(u, *limits)
 
 

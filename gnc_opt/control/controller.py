@@ -20,8 +20,9 @@ from gnc_opt.model.variables import Layout, as_point
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
-"""``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that
-begin at ``times`` (n,) and last ``dt`` (s)."""
+"""``schedule(times, dt)`` returns the law's signals in advance, (n_signals, n_times), for control steps that
+begin at ``times`` (n,) and last ``dt`` (s).
+"""
 
 
 class SolverCode(Protocol):

@@ -1,4 +1,4 @@
-"""Laws that invert a decoupling matrix, and what they do where they cannot: no division passes silently.
+"""Laws that invert a decoupling matrix, and their alarm and command if it is nearly singular.
 
 Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the
 fallback, or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law

@@ -1,4 +1,4 @@
-r"""Dropouts: what a law does while its measurement is no measurement.
+r"""Dropouts: commands of a law during lost measurements.
 
 A sample is *lost* if any of its numbers is not finite or beyond `LARGEST`. A bridged law
 

@@ -1,4 +1,4 @@
-r"""Gain schedule: regulators designed at operating points, interpolated by what is measured.
+r"""Gain schedule: regulators designed at operating points, interpolated by measured scheduling variables.
 
 At operating points :math:`(x_i, u_i)`, one per point of a grid of scheduling variables, the linear-quadratic gain K of
 the frozen linear plant is found; in flight
@@ -216,7 +216,7 @@ def _given(model: Model, x: ca.SX, scheduling: ca.SX) -> tuple[str, ...]:
 def _facts(
     points: _Points, grids: dict[str, Array], corners: list[tuple[float, ...]], gains: list[Array]
 ) -> list[Fact]:
-    """Return what the frozen loops are like, at the points and half way between them."""
+    """Return the properties of the frozen loops at the points and half way between them."""
     shape = [grid.size for grid in grids.values()]
     table = np.reshape(gains, (*shape, *gains[0].shape))
     middles, between = [], []

@@ -399,7 +399,7 @@ def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCod
 
 
 def _error_scale(windows: _Windows) -> Array:
-    """Return what errors are measured in: a unit of each costs one."""
+    """Return the scales of the errors: an error of one scale costs one."""
     costs = np.diag(windows.gains.costs[-1])
     return np.asarray(1 / np.sqrt(np.where(costs > 0, costs, 1.0)))
 

@@ -100,9 +100,9 @@ _NEWTON = 1e-14
 class Reference(Strict):
     """States and controls over time, from a solution, from functions or constant.
 
-    Between ``initial_time`` and ``final_time`` it is what it was made from. After ``final_time`` it rests at its
-    final state with the ``tail`` control. Multi-phase solutions are followed phase by phase; all phases must have the
-    same states and controls.
+    Between ``initial_time`` and ``final_time`` it equals its source. After ``final_time`` it rests at its
+    final state with the ``tail`` control. Multi-phase solutions are followed phase by phase; all phases must
+    have the same states and controls.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Reference(Strict):
         Raises
         ------
         ArgumentError
-            The times do not increase, or a function returns what is no state or control.
+            The times do not increase, or a function returns an invalid state or control.
 
         Warns
         -----

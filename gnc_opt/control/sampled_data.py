@@ -36,7 +36,7 @@ from gnc_opt.tolerances import SAME_TIME
 
 
 def whole_steps(duration: float, step: float, what: str) -> int:
-    """Return how many steps make up a duration (s); refuse what is no multiple."""
+    """Return the number of steps in a duration (s); raise an error unless it is a multiple."""
     count = round(duration / step)
     if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):
         raise ArgumentError(

@@ -1,4 +1,4 @@
-r"""Super-twisting: convergence in finite time, and an observer of what a model leaves out.
+r"""Super-twisting: convergence in finite time, and an observer of unmodelled disturbances.
 
 .. math:: \dot s = -k_1 |s|^{1/2} \mathrm{sgn}\,s + z, \qquad \dot z = -k_2\,\mathrm{sgn}\,s + \dot d,
    \qquad |\dot d| \le L .

@@ -24,7 +24,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 
 _MOST_LATE = 200
-"""Components of late samples at most: what a filter takes grows with the cube of what it estimates."""
+"""Largest number of components of late samples: the filter's work grows with the cube of its states."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """Name of what is measured."""
+        """Name of the measurement."""
         return self.measurement.of
 
     @property
@@ -58,7 +58,7 @@ class Channel:
         return f"{self.name}_bias"
 
     def past(self, steps: int) -> str:
-        """Name of what was measured so many steps ago."""
+        """Name of the measurement delayed by so many steps."""
         return f"{self.name}_{steps}_ago"
 
     @property
@@ -164,7 +164,7 @@ class AugmentedModel:
         return slope
 
     def now(self, channel: Channel) -> Any:
-        """Return ``(t, x) -> y``: what the sensor would tell without noise if it had no delay."""
+        """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
         model = self.model
         time, xs, _, p = model.arguments()
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
@@ -179,7 +179,7 @@ class AugmentedModel:
         return ca.Function("now", [t, x], [y])
 
     def observed(self, channel: Channel) -> Any:
-        """Return ``(t, x) -> y``: what the sensor would tell at t (s) without noise."""
+        """Return ``(t, x) -> y``: the sensor's output at t (s) without noise."""
         if not channel.delay:
             return self.now(channel)
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
@@ -212,7 +212,9 @@ class AugmentedModel:
         return sigma
 
     def first(self, t: float, x: Array) -> Array:
-        """Return the augmented state (n_states,) at the beginning: no bias, all delay lines at what is seen then."""
+        """Return the augmented state (n_states,) at the beginning: zero bias, all delay lines at the initial
+        measurement.
+        """
         found = np.zeros(self.states.size)
         found[: x.size] = x
         for channel in self.channels:

@@ -1,4 +1,4 @@
-r"""Space: where a quantity lives, and what an error in it is.
+r"""Error space: the set of values of a quantity, and its error coordinates.
 
 An error e of x relative to :math:`x_r` is :math:`d(x, x_r)`, and :math:`r(x_r, e)` leads back. To first order
 :math:`dx = R\, e` and :math:`e = D\, dx` with

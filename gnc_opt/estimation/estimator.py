@@ -113,7 +113,8 @@ class Estimator:
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
-        (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
+        (n, n_errors, n_errors) of many (n_memory, n); biases and other estimated quantities are left out.
+        """
         column = self._memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
@@ -132,10 +133,10 @@ class Estimator:
 
 
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
-    """Return the controller that feeds back what an estimator makes of measurements.
+    """Return the controller that feeds back an estimate.
 
-    While nothing has been measured for longer than the estimator's ``hold``, the controller gets what is no number:
-    its own provision for lost samples acts, see `bridge_dropouts`.
+    While nothing has been measured for longer than the estimator's ``hold``, the controller gets NaN and its
+    own provision for lost samples acts, see `bridge_dropouts`.
 
     Parameters
     ----------

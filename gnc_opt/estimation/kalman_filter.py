@@ -110,14 +110,14 @@ class Tally:
         return taken
 
     def told(self, x: Any, hold: int) -> Any:
-        """Return the states x, or what is no number if samples have failed to come for longer than ``hold`` steps."""
+        """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
         lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
         self.entries[LOST] = lost
         return ca.if_else(lost < hold + 0.5, x, np.nan)
 
 
 COVARIANCE = "covariance"
-"""The entry of the memory with what of the lower triangle of P can differ from zero, column by column."""
+"""The entry of the memory with the structural nonzeros of the lower triangle of P, column by column."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class _Builder:
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _pattern(self) -> Any:
-        """Return the sparsity of the lower triangle of P: what can ever differ from zero.
+        """Return the sparsity of the lower triangle of P: the entries that can differ from zero.
 
         Errors that neither the dynamics nor a measurement connects stay uncorrelated.
         """

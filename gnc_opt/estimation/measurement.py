@@ -94,8 +94,8 @@ class Measurement:
     of : str
         The state or the output of the model that is measured; the sensor's signal in a loop has the same name.
     sigma : float or one per component
-        Standard deviation of the white noise of a sample, unit of what is measured, > 0. Attitudes have as many
-        components as their difference.
+        Standard deviation of the white noise of a sample, unit of the measurement, > 0. Attitudes have as
+        many components as their difference.
     period : float, optional
         Time between two new samples, s, a multiple of the control step; default every control step. In between, the old
         sample may be held (`Sampling`) or there may be none.
@@ -106,8 +106,8 @@ class Measurement:
     bias_walk : float or one per component
         Standard deviation by which that error changes, unit per square root of a second (`RandomWalk`).
     gate : float, optional
-        Probability with which a right sample passes, in (0, 1); what lies outside is refused as an outlier. Default:
-        all samples are taken.
+        Probability with which a valid sample passes, in (0, 1); samples outside are rejected as outliers.
+        Default: all samples are taken.
     difference : callable, optional
         ``difference(y, y_hat)`` of SX columns, where subtraction is not the answer (an angle that jumps by a turn);
         default that of the state, see `Model.difference`.

@@ -23,7 +23,7 @@ that is kept orthonormal, so that no end condition makes it infinite. X is singu
 end; X and Lambda being orthonormal, :math:`U = X + i\Lambda` is unitary, and the eigenvalues of :math:`U U^T` pass -1
 there, all in one direction (Arnold, Funct. Anal. Appl. 1(1), 1967).
 
-SmoothPlan: a solution whose controls lie between their limits, and what is given at its end.
+SmoothPlan: a solution with controls between their limits, and its end conditions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""SwitchingPlan: a bang-bang solution as what its controls are at first and when they jump.
+r"""SwitchingPlan: a bang-bang solution as initial controls and switch times.
 
 Prediction: where a switching plan leads from any state, and the flight that ends where it should.
 

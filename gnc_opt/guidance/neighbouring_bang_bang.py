@@ -1,4 +1,4 @@
-r"""Neighbouring-optimal guidance: a bang-bang plan whose switches and end follow what is measured.
+r"""Neighbouring-optimal guidance: a bang-bang plan with switches and end corrected by measurements.
 
 At each control step that begins at t with the state x, for the switches that are still to come (and the end),
 
@@ -247,7 +247,7 @@ def design_neighbouring_optimal(
         Holds the end and follows the last part; of a design that follows references, such as `design_lqr` about the
         final state.
     Q : weight
-        Of the errors at the end, 1 over the squares of what is accepted: `bryson` makes them.
+        Of the errors at the end, 1 over the squares of the accepted errors: see `bryson`.
     last : float
         Length of the last part, s; switches after its beginning are not corrected any more.
     dt : float, optional
@@ -266,8 +266,8 @@ def design_neighbouring_optimal(
     Raises
     ------
     DesignError
-        The plan is not bang-bang or not of least time, its switches cannot steer the end, or it fails the second-order
-        condition; the message names what to do.
+        The plan is not bang-bang or not of least time, its switches cannot steer the end, or it fails the
+        second-order condition; the message names the remedy.
     ArgumentError
         A regulator of another model or without a reference, or bad numbers.
 
@@ -427,7 +427,7 @@ class _Guidance:
     # --- what can be said -----------------------------------------------------------------------------------
 
     def facts(self) -> list[Fact]:
-        """Return what the design says of itself."""
+        """Return the facts of the design."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         if f"{best.tau[-1]:.6g}" != f"{max(best.tau[-1], plan.times[-1]):.6g}":  # faster than the fastest

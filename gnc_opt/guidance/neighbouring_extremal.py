@@ -1,4 +1,4 @@
-r"""Neighbouring-extremal feedback: a smooth plan whose controls and end follow what is measured.
+r"""Neighbouring-extremal feedback: a smooth plan with controls and end corrected by measurements.
 
 With K and g of `accessory` along the plan,
 
@@ -41,8 +41,8 @@ def design_neighbouring_extremal(
     solution : Solution
         Refined, of one phase in which no limit is active; states at the end are given, or free with a cost.
     last : float
-        Length of the last part, s, in which the gains stay as they are at its beginning: shorter is closer to the
-        optimum, and asks more of the controls for what is measured wrongly.
+        Length of the last part, s, in which the gains are constant: a shorter part is closer to the optimum,
+        and amplifies measurement errors more.
     dt : float, optional
         Control step, s; default any that is short beside ``last``.
     name : str
@@ -57,8 +57,8 @@ def design_neighbouring_extremal(
     Raises
     ------
     DesignError
-        A limit is active, H is not strictly convex in the controls, a time is conjugate to the end, or the controls do
-        not move all states; the message names what to do.
+        A limit is active, H is not strictly convex in the controls, a time is conjugate to the end, or the
+        controls do not affect all states; the message names the remedy.
     ArgumentError
         Bad numbers.
 

@@ -177,9 +177,9 @@ class Replanner:
     last : float
         Before the end of the plan in which it stays as it is, s.
     follow : callable
-        ``follow(plan) -> schedule``: what the controller's law needs to know of a plan. Default: states and controls of
-        the plan, for laws with constant gains; for others what their design makes of it, such as ``lambda plan:
-        design_tvlqr(model, Reference(plan), ...).schedule``.
+        ``follow(plan) -> schedule``: the schedule of the controller's law for a plan. Default: states and
+        controls of the plan, for laws with constant gains; for others the schedule of their design, such as
+        ``lambda plan: design_tvlqr(model, Reference(plan), ...).schedule``.
 
     Raises
     ------

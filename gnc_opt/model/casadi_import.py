@@ -94,7 +94,7 @@ def declared(given: Any, what: str) -> list[Declared]:
 
 
 def known_names(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
-    """Return what is given by name; raise `UnknownNameError` if a name is none of ``names``."""
+    """Return the values by name; raise `UnknownNameError` for a name not in ``names``."""
     for name in given or {}:
         if name not in names:
             raise unknown_name("variable", name, what, names)

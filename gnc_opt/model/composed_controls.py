@@ -64,7 +64,7 @@ class SplitControl(ComposedControl):
         return value + np.reshape(self.corners[0], (-1, *[1] * (np.ndim(first) - 1)))
 
     def decompose(self, u: Array) -> tuple[Array, ...]:
-        """Return what u has of each part."""
+        """Return the share of u in each part."""
         corners = np.array(self.corners or [(0.0,) * u.shape[0]])[:, :, None]
         ends = np.concatenate([corners[1:], np.full((1, *corners.shape[1:]), np.inf)])
         plus = (np.clip(u, start, end) - start for start, end in zip(corners, ends, strict=True))

@@ -1,7 +1,7 @@
 """Norms in expressions: numerical detection of nodes that depend on symbols by their Euclidean norm alone.
 
-A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``); what they
-share is that turning the vector changes nothing, and that a vector twice as long doubles them, or multiplies them by 4.
+A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``);
+all are invariant to rotations of the vector and scale with its length or the square of its length.
 
 The graph of a CasADi SX expression: its operations one by one.
 
@@ -37,7 +37,7 @@ def nodes_of(expression: Any) -> Iterator[Any]:
 
 
 def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
-    """Return a column in which nodes are replaced; what is built of none of those stays the node that it is.
+    """Return a column in which nodes are replaced; nodes that do not depend on these are unchanged.
 
     (So calls of tables, which are known by their nodes, are found again; ``casadi.substitute`` makes all nodes anew.)
 
@@ -46,7 +46,7 @@ def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     expression : casadi.SX
         A column.
     replacement : function
-        Returns what stands in place of a node, or None: then its operands are looked at.
+        Returns the replacement of a node, or None to visit its operands.
     """
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -204,7 +204,7 @@ def _smooth_nodes(expression: Any, vector: Any) -> list[Any]:
 
 
 def _operands_first(expression: Any) -> list[Any]:
-    """All nodes, operands before what is made of them."""
+    """All nodes, operands before their results."""
     nodes = {node.element_hash(): node for node in nodes_of(expression)}
     done: dict[int, Any] = {}
     for root in nodes.values():

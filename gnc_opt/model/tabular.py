@@ -29,7 +29,7 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
     path : Path
     needed : iterable of str
     others : iterable of str
-        Columns that may be missing; what is neither is not read.
+        Optional columns; all other columns are ignored.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def named(
     prefix : str
         Put before each name.
     length : int, optional
-        Of the axis, where the values end before it does: what is missing is not-a-number.
+        Of the axis; missing values at its end become NaN.
     """
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
     whole = np.hstack([values, missing])

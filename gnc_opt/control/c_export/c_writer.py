@@ -1,6 +1,6 @@
 """C statements of a CasADi function of scalar operations, one line for each operation.
 
-The numbers of flight code: their type in C, how they are written, and what they are good for.
+The numbers of flight code: their C type, notation and accuracy.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ def _read_options(options: CodeOptions | None) -> CodeOptions:
 
 
 def _remark(options: CodeOptions, missed: Array) -> str:
-    """Return what the header says of the comparison with the law."""
+    """Return the header's text on the comparison with the law."""
     count = np.size(options.samples[0]) if options.samples is not None else 0
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"

@@ -163,7 +163,7 @@ def sigint_stops(run: SolveWatch) -> Iterator[None]:
 
 
 def _view(buffer: Any, size: int) -> Array:
-    """View of a CasADi buffer, (size,); NaN for what the plugin does not tell."""
+    """View of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)
     return np.frombuffer(buffer, dtype=np.float64)

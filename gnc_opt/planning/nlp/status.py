@@ -11,7 +11,7 @@ __all__ = ["Status", "status_from_stats"]
 class Status(Enum):
     """How an NLP solve ended.
 
-    The value is a stable lower-case string for files; `remedy` says what the ending means and what to do.
+    The value is a stable lower-case string for files; `remedy` gives its meaning and what to do.
 
     Examples
     --------

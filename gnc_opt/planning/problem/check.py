@@ -52,7 +52,7 @@ def check_problem(problem: Statement) -> None:
 
 
 def check_numbers(problem: Statement) -> None:
-    """Raise `ProblemError` for what is missing and for times, bounds and end values that contradict each other.
+    """Raise `ProblemError` for missing declarations and for contradictory times, bounds and end values.
 
     That is all that may be wrong with a variation whose guess is not used.
     """

@@ -1,6 +1,6 @@
 """Trying every function of a problem, and its derivatives, at the guess: is everything finite there?
 
-Warnings of what a solver that needs two derivatives will stumble over: kinks, jumps and coarse tables.
+Warnings of functions without two continuous derivatives: kinks, jumps and coarse tables.
 
 Warnings of norms of controls that are not reformulated: their derivatives fail where the norm is zero.
 """
@@ -176,7 +176,7 @@ def _argument_of_norm(root: Any) -> Any | None:
 
 
 def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
-    """Return what is wrong with functions of controls, such as a norm, and what to write instead.
+    """Return the faults of functions of controls, such as a norm, and their replacements.
 
     Norms of controls that `restated` knows are none of these in a restated problem.
 
@@ -198,7 +198,7 @@ def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
 
 
 def _offences(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
-    """Yield rows, and what is wrong with them where all controls are zero, and at the guess."""
+    """Yield rows with their faults at zero controls and at the guess."""
     n = leg.model.states.size
     columns = slice(n, n + leg.model.controls.size)
     by_controls = tried.derivatives[:, columns]

@@ -206,5 +206,5 @@ def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
 
 
 def end_points(leg: Phase) -> list[Any]:
-    """Return the symbols of what is known at the ends of a phase: states at both, both times, integrals."""
+    """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
     return [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]

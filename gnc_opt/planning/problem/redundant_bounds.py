@@ -12,7 +12,7 @@ costates and switching functions. The bound at the one end says all that it says
 multiplier, and the costate stays what it is until then. In between there are loose bounds: they keep the solver
 where the dynamics mean something, and within them nothing may turn round.
 
-Controls of which a problem takes roots, powers or logarithms: what has no derivatives where they are zero.
+Controls in roots, powers or logarithms, whose derivatives do not exist at zero.
 
 A rotor's lift pays by its power 3/2, whose second derivative is infinite at lift 0. A solver that stays between the
 bounds does not see it. Where a control is held on the bound it does, and cannot begin: there it is held a trace inside.

@@ -45,7 +45,7 @@ class Restatement:
         return cls(model, none, none, model.symbols("control"), texts)
 
     def of(self, expression: Any) -> Any:
-        """Return an expression of what was stated in what is solved for."""
+        """Return an expression of the stated controls in the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
     def after(self, earlier: Restatement | None) -> Restatement:

@@ -153,7 +153,7 @@ def _flight(
     leg: Phase,
     stop: Callable[[float, Array], float] | None,
 ) -> Integration:
-    """Fly explicitly; what is too stiff for that, implicitly."""
+    """Integrate with an explicit method, or an implicit one for stiff dynamics."""
     labels = leg.model.states.labels
     try:
         explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)

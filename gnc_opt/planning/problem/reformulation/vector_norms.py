@@ -381,7 +381,7 @@ def _shown(vector: Vector) -> str:
 
 
 def _composed(vector: Vector, control: VectorControl, rest: Symbol | None) -> list[ComposedControl]:
-    """The vector, and what was stated where that is not the vector itself."""
+    """The vector, and the stated expression if it is not the vector itself."""
     if len(vector.stated) == 1 and rest is None:
         return [control]
     order = (*vector.places, *vector.rest)
@@ -515,7 +515,7 @@ def _restated_paths(
 
 
 def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
-    r"""Return a limit of what is proportional to the square of the magnitude as one of what is proportional to itself.
+    r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
 
     :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;
     but the square has no slope where the vector is zero, and H is linear in the magnitude.
@@ -531,7 +531,7 @@ def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
 
 
 def _is_cone(expression: Any, limits: Interval, magnitude: Any) -> bool:
-    """Whether the magnitude is a factor of what has to be above, below or at zero."""
+    """Whether the magnitude is a factor of the constrained expression."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     return bool(np.all((ends == 0) | ~np.isfinite(ends))) and degree_in(expression, magnitude) in (1, 2)
 
