@@ -20,10 +20,10 @@ from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, di
 
 
 class Strict:
-    """Base of the classes that a user's script talks to; they list their attributes in ``__slots__``.
+    """Base of the classes that user scripts access; they list their attributes in ``__slots__``.
 
     Reading or assigning any other attribute raises `UnknownAttributeError`, which suggests the nearest valid
-    name. A subclass without ``__slots__`` may assign what it likes.
+    name. A subclass without ``__slots__`` may assign any attribute.
     """
 
     __slots__ = ()

@@ -19,7 +19,7 @@ from gnc_opt.errors import GncOptError
 
 
 def imported(package: str, extra: str) -> Any:
-    """Return a package that an extra of gnc_opt brings; raise `GncOptError` that says how to get it."""
+    """Return a package that an extra of gnc_opt brings; raise `GncOptError` with the install command."""
     try:
         module = import_module(package)
     except ImportError:

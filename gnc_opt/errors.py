@@ -1,4 +1,4 @@
-"""The errors of gnc_opt: each message is one sentence that says what, where and how to mend it."""
+"""The errors of gnc_opt: each message is one sentence with the cause, its place and the remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""Consistency: whether an estimator's errors are as large as it says.
+r"""Consistency of an estimator's errors with its covariances.
 
 The normalised estimation error squared, :math:`\text{NEES} = e^T P^{-1} e`, of a right filter of a linear system is
 chi-square distributed with as many degrees of freedom as e has components, and so is the normalised innovation squared

@@ -153,7 +153,7 @@ def sobol_indices(
     ArgumentError, UnknownNameError
         Something does not fit, or the measure does not vary; the message names it.
     GncOptError
-        Runs could not be flown, or hardly a row is without a failed one.
+        Runs could not be simulated, or nearly every row contains a failed run.
 
     Examples
     --------

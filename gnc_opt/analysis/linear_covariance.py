@@ -210,8 +210,8 @@ _KINDS = {"command": "commands", "applied": "applied"}
 class LinearCovariance(Strict):
     """Covariances along a nominal run, by source; see `linear_covariance`.
 
-    A *signal* is the name of a state (its error, relative to the nominal run), or ``command(F)``, ``applied(F)``: what
-    the controller asks for, and the mean over the step of what arrives.
+    A *signal* is the name of a state (its error, relative to the nominal run), or ``command(F)``,
+    ``applied(F)``: the controller's command, and the mean of the applied control over the step.
 
     Attributes
     ----------
@@ -293,7 +293,7 @@ class LinearCovariance(Strict):
     def nonlinearity(self, signal: str) -> Array:
         """Return what runs differ by from their linear prediction, (size, n_times), in standard deviations.
 
-        Root mean square of the runs; infinite where only they deviate, not-a-number without runs to compare with.
+        Root mean square of the runs; infinite if only they deviate, NaN without runs to compare with.
         """
         kind, name = self._parse(signal)
         return self.bends[kind][self.layouts[kind].slice(name)]
@@ -386,7 +386,8 @@ def linear_covariance(
     every : int
         Of so many control steps one is kept; the end always is.
     checks : int
-        Runs that are flown beside their linear predictions, for `LinearCovariance.nonlinearity`; 0: none.
+        Runs simulated for comparison with their linear predictions, for `LinearCovariance.nonlinearity`; 0:
+        none.
 
     Returns
     -------

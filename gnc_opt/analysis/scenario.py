@@ -54,7 +54,7 @@ class Experiment:
     target : mapping, optional
         Final states for comparison, by name; default: the reference at the end.
     judge : mapping, optional
-        Measures of one's own: functions of the campaign that return a number per run, by name.
+        User-defined measures: functions of the campaign that return a number per run, by name.
     seed : int
 
     Raises

@@ -140,7 +140,7 @@ def failure_probability(
     ArgumentError, UnknownNameError
         Something does not fit; the message names it.
     GncOptError
-        Failures are rarer than one in 10^12 or there are none, or a repetition could not be flown.
+        Failures are rarer than one in 10^12 or there are none, or a repetition could not be simulated.
 
     Examples
     --------

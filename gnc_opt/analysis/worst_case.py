@@ -37,7 +37,7 @@ class WorstCase:
     parameters : mapping of str to array
         What the dispersed values are in the worst run.
     runs : int
-        That the search has flown.
+        Number of simulated runs.
     run : Run
         The worst run, with everything logged.
 

@@ -90,7 +90,7 @@ def require_reserve(
         Without them there is nothing to say.
     times : array (n_times,)
     gain : array (n_controls, n_times), optional
-        What a law switches beside the feedforward.
+        Switching gain of a law in addition to the feedforward.
     dt : float, optional
         Length of the steps (s) over which the feedforward is held; without it, it follows the reference.
 

@@ -58,7 +58,7 @@ class Inverse:
     ----------
     matrix : SX
     regular : SX
-        1 where E may be inverted, 0 where not (or where E is not a number).
+        1 if E may be inverted, 0 otherwise (also if E is NaN).
     scale : float
         The largest |det E| on the reference.
     lowest : float

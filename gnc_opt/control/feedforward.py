@@ -1,6 +1,6 @@
 """Open loop: fly the reference's controls, whatever happens.
 
-Schedules: what a tracking law knows beforehand, with names and units.
+Schedules: the precomputed signals of a tracking law, with names and units.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
 
 LOOKS = 101
-"""Times over a reference, beside its jumps, at which a design looks at it where nothing else is said."""
+"""Default number of times, in addition to its jumps, at which a design evaluates a reference."""
 
 
 def reference_signals(reference: Reference, *more: Variable) -> Layout:

@@ -10,8 +10,9 @@ zero; :math:`u = u_{nom} - E^{-1} \rho(s)`, with :math:`E = \partial\dot w / \pa
 keeps it there. :math:`\dot w` is the exact derivative along the model, nonlinear and with the movement of G; for linear
 dynamics and u = -K e this is :math:`s = G[e - e(0)] - G \int (A - BK)\,e\,d\tau` (A. Imani, M. Bahrami, eqs 22-31).
 
-**Sampled.** Between two steps the nominal command is held, as actuators hold it, and so it is in the integral: s sees
-disturbances, not the hold. The integral over a step is the trapezoid with end corrections,
+**Sampled.** Between two steps the nominal command is held, as actuators hold it, and so it is in the
+integral: s contains disturbances, not the hold. The integral over a step is the trapezoid with end
+corrections,
 
 .. math:: \int g\,d\tau = \tfrac{h}{2}(g_0 + g_1) + \tfrac{h^2}{12}(\dot g_0 - \dot g_1) + O(h^5),
 

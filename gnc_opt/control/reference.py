@@ -1,6 +1,6 @@
 """Reference: the states and controls that a controller follows.
 
-Residual of a reference: how far its states are from moving as its model says under its controls.
+Residual of a reference: deviation of its state rates from its model's dynamics under its controls.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ largest state if that is above 1."""
 
 _NODES, _WEIGHTS = leggauss(8)  # of the mean of a control over a step without a jump
 _NEWTON = 1e-14
-"""A step of Newton's method this small beside the control is rounding."""
+"""A step of Newton's method below this share of the control is rounding."""
 
 
 class Reference(Strict):
@@ -107,7 +107,7 @@ class Reference(Strict):
     Parameters
     ----------
     solution : Trajectory
-        A solved `gnc_opt.Solution`; its *flown* controls are followed, which respect their bounds.
+        A solved `gnc_opt.Solution`; its *applied* controls are followed, which respect their bounds.
     tail : {"trim", "hold", "none"}
         The control after the end: ``"trim"`` finds the one that keeps the final state at rest (least squares),
         ``"hold"`` keeps the final control, ``"none"`` refuses times after the end.
@@ -198,8 +198,8 @@ class Reference(Strict):
         tail : {"trim", "hold", "none"}
             As in the class.
         vectorized : bool
-            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n), which is faster by far
-            where a controller asks for many; else they are called time by time.
+            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n), which is much
+            faster for many times; otherwise they are called once per time.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class Reference(Strict):
         Warns
         -----
         ProblemWarning
-            The states do not move as the model says under the controls: with the largest residual that was found at 24
+            The states violate the model's dynamics under the controls: with the largest residual found at 24
             times. Such a reference may be meant; no controller follows it without an error.
         """
         reference = cls.__new__(cls)

@@ -89,7 +89,7 @@ def design_tvlqr(
         S of the errors at the end. By default the steady cost to go of the tail.
     dt : float, optional
         Control step, s: gains for commands held that long from the reference's beginning on. Without it, the
-        continuous gains, for any step that is short beside the closed loop's times.
+        continuous gains, for any step that is short compared with the closed loop's time constants.
     limits : (lower, upper), optional
         Of the controls, for the statement of the reserve. Commands are not clipped.
     name : str

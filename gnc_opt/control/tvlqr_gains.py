@@ -4,9 +4,10 @@
 
 Table: A(t) and B(t) along a reference, interpolated to rounding between its jumps.
 
-The Riccati equation asks for the linearization thousands of times. Between jumps it is smooth, so the Chebyshev
-interpolant of a few dozen values, all computed at once, is as good as the function; where it is not (by comparison
-halfway between its nodes), the piece is halved, and after some halvings the function itself is used.
+The Riccati equation evaluates the linearization thousands of times. Between jumps it is smooth, so the
+Chebyshev interpolant of a few dozen values, all computed at once, is as good as the function; where it is not
+(by comparison halfway between its nodes), the piece is halved, and after some halvings the function itself is
+used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Augmented model: what an estimator estimates beside the states of the vehicle.
+r"""Augmented model: estimated quantities in addition to the vehicle's states.
 
 1. *Biases*: constant or drifting errors of sensors, :math:`\dot b = w`.
 2. *Delay lines*: for a sample that arrives d control steps late, what was measured 1, ..., d steps ago; at the end of
@@ -148,7 +148,7 @@ class AugmentedModel:
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:
-        """Return the slope (m, n_errors) of a measurement that sees errors as they are, else ``None``."""
+        """Return the constant slope (m, n_errors) of a measurement linear in the errors, else ``None``."""
         biased, m = channel.measurement.biased, channel.space.errors
         if channel.measurement.difference is not None:
             return None

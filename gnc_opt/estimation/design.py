@@ -45,7 +45,7 @@ def design_ekf(
     Parameters
     ----------
     model : Model
-        Of the vehicle as the filter sees it.
+        Dynamics of the vehicle for the filter.
     x0 : array (n_states,) or mapping by name
         Expected state at the first control step.
     measurements : sequence of Measurement
@@ -103,7 +103,7 @@ def design_ukf(
     model, x0, measurements, sigma0, dt, process_noise
         As for `design_ekf`.
     options : FilterOptions or UnscentedOptions, optional
-        The latter for the unscented transform with a kappa of one's own.
+        The latter for the unscented transform with a user-defined kappa.
 
     Returns
     -------

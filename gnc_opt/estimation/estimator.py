@@ -29,8 +29,8 @@ class Estimator:
     ----------
     name : str
     update, predict : casadi.Function
-        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured
-        for longer than the estimator's ``hold``.
+        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is NaN without a sample for longer than the
+        estimator's ``hold``.
     first : array (n_memory,)
         The memory at the first step.
     states, errors : Layout
@@ -95,7 +95,7 @@ class Estimator:
         t : float
             Beginning of the step, s.
         y : array (n_measured,)
-            Samples; those that are missing are not-a-number.
+            Samples; NaN for missing ones.
         u : array (n_commands,)
             Applied from t to the next step.
         z : array (n_memory,), optional
@@ -135,8 +135,8 @@ class Estimator:
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     """Return the controller that feeds back an estimate.
 
-    While nothing has been measured for longer than the estimator's ``hold``, the controller gets NaN and its
-    own provision for lost samples acts, see `bridge_dropouts`.
+    Without a sample for longer than the estimator's ``hold``, the controller gets NaN and its own provision
+    for lost samples acts, see `bridge_dropouts`.
 
     Parameters
     ----------

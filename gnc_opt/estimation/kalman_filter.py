@@ -290,7 +290,7 @@ class _Builder:
 
 @dataclass(frozen=True)
 class _View:
-    """How a measurement sees the errors: its prediction y, its slope whitened by the root of its covariance."""
+    """Linearised measurement: its prediction y and its slope, whitened by the root of its covariance."""
 
     y: Any
     slope: Any

@@ -87,7 +87,7 @@ def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A sensor as an estimator sees it: ``y = h(x) + bias + noise``.
+    """Model of a sensor in an estimator: ``y = h(x) + bias + noise``.
 
     Parameters
     ----------

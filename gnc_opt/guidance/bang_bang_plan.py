@@ -47,7 +47,7 @@ class RegulatedEnd:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A switching plan as it is flown, symbolic.
+    """A switching plan during flight, symbolic.
 
     Attributes
     ----------

@@ -241,8 +241,8 @@ def design_neighbouring_optimal(
     Parameters
     ----------
     solution : Solution
-        Refined, of one phase without constraints beside limits of controls (limits of states are not watched), all
-        states given at the end, which is free.
+        Refined solution of one phase with free final time and all final states fixed, without constraints
+        except limits of controls (limits of states are not checked).
     regulator : Controller
         Holds the end and follows the last part; of a design that follows references, such as `design_lqr` about the
         final state.

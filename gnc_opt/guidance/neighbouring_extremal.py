@@ -44,7 +44,7 @@ def design_neighbouring_extremal(
         Length of the last part, s, in which the gains are constant: a shorter part is closer to the optimum,
         and amplifies measurement errors more.
     dt : float, optional
-        Control step, s; default any that is short beside ``last``.
+        Control step, s; default: any that is short compared with ``last``.
     name : str
         For messages and reports.
 

@@ -86,7 +86,7 @@ def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
 
 
 def check_remaining(problem: Problem) -> None:
-    """Raise `ArgumentError` if the rest of a problem of one phase does not ask for what the whole asks for."""
+    """Raise `ArgumentError` if the remaining problem of one phase differs from the whole in its conditions."""
     (leg,) = problem.phases.values()
     names = [n for n in problem.parameters.names if n in leg.model.parameters]
     if names:
@@ -184,8 +184,8 @@ class Replanner:
     Raises
     ------
     ArgumentError
-        Bad numbers, a plan of several phases, or one that does not begin at a fixed time; constraints on the whole
-        flight or a cost that does not add up, which the rest of it would be granted anew.
+        Bad numbers, a plan of several phases, or one that does not begin at a fixed time; constraints on the
+        whole flight or a cost that is not additive, which would apply again in full to the remainder.
 
     Examples
     --------

@@ -39,7 +39,8 @@ def nodes_of(expression: Any) -> Iterator[Any]:
 def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column in which nodes are replaced; nodes that do not depend on these are unchanged.
 
-    (So calls of tables, which are known by their nodes, are found again; ``casadi.substitute`` makes all nodes anew.)
+    (Table calls, identified by their nodes, are therefore preserved; ``casadi.substitute`` creates new
+    nodes.)
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def operations_in(expression: Any) -> set[int]:
 
 
 def holds_nan(expression: Any) -> bool:
-    """Whether a constant in an expression is not a number."""
+    """Whether a constant in an expression is NaN."""
     function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
     places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     return any(math.isnan(function.instruction_constant(i)) for i in places)

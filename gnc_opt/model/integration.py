@@ -1,4 +1,4 @@
-"""Integration of dynamics that always ends, and says where and why it ended early.
+"""Integration of dynamics with guaranteed termination, and the time and reason of an early end.
 
 Dormand and Prince's Runge-Kutta method of order 8, all stages of a step in one call of CasADi.
 
@@ -163,7 +163,7 @@ MOST_RATES = 500_000
 
 
 class EndedError(Exception):
-    """Integration cannot go on; the message says why and where."""
+    """Integration cannot continue; the message gives the reason and the time."""
 
 
 class SpentError(EndedError):

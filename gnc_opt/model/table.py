@@ -389,7 +389,7 @@ def table_from_csv(
     FileNotFoundError
         There is no such file.
     ArgumentError
-        A missing column, an entry that is no number, or a grid with gaps or double points.
+        A missing column, an entry that is not numeric, or a grid with gaps or double points.
 
     Examples
     --------

@@ -40,7 +40,7 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
     FileNotFoundError
         There is no such file.
     ArgumentError
-        A missing column, no rows, or an entry that is no number.
+        A missing column, no rows, or an entry that is not numeric.
     """
     needed = list(needed)
     with path.open(newline="", encoding="utf-8-sig") as file:

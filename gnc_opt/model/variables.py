@@ -2,7 +2,7 @@
 
 Named variables and their places in a stacked vector.
 
-The symbol that a declaration returns: a CasADi SX vector that knows its name.
+The symbol that a declaration returns: a CasADi SX vector with a name.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
         )
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        """Answer ``np.linalg.norm(v)`` and the like as CasADi does, which knows plain SX only."""
+        """Evaluate ``np.linalg.norm(v)`` and similar calls as CasADi does for plain SX."""
         return function(*map(_plain, args), **{name: _plain(value) for name, value in kwargs.items()})
 
     # Keys are compared by identity: CasADi's == builds an expression instead of answering.

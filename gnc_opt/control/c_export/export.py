@@ -3,9 +3,10 @@
 Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
 
 Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
-``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, and no memory is allocated. The
-order of operations is that of the symbolic law, so results agree to rounding, and no loop depends on data; but for the
-quadratic programme of `design_mpc`, which is solved by a method of its own with a bounded number of iterations.
+``<name>_main.c`` (a driver for tests). The code needs no library except the C mathematics and allocates no
+memory. The order of operations is that of the symbolic law, so results agree to rounding, and no loop depends
+on data; but for the quadratic programme of `design_mpc`, which is solved by a method of its own with a
+bounded number of iterations.
 
 Flight code compared with its law: compiled, and run over the samples of a flight.
 """

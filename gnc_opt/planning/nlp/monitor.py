@@ -144,7 +144,9 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def sigint_stops(run: SolveWatch) -> Iterator[None]:
-    """While open, the first Ctrl-C asks the run to stop and gives the next one back to the old handler."""
+    """While open, the first Ctrl-C requests a stop of the run and restores the previous handler for the next
+    one.
+    """
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)
     if ignored or threading.current_thread() is not threading.main_thread():

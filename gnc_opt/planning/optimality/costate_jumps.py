@@ -211,7 +211,7 @@ def _spare_pushes(s: PhaseSamples) -> Array:
 
 
 def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
-    """Integrate the costates anew in segments where a state constraint is reached or left."""
+    """Integrate the costates again in segments where a state constraint becomes active or inactive."""
     residual = s.adjoint_residual
     edges = []
     for k in np.flatnonzero(_reached_or_left(s)):

@@ -214,10 +214,10 @@ SLACK, REFINEMENTS = 1e-12, 1
 which the others are kept all the same."""
 
 SETTLED = 1e-4
-"""Residual of the eigenvectors, beside the largest eigenvalue, at which the method ends."""
+"""Residual of the eigenvectors, relative to the largest eigenvalue, at which the method ends."""
 
 FOUND = 1e-6
-"""Inverse curvatures below this, beside that of the shift, are rounding: nothing is left to vary there."""
+"""Inverse curvatures below this share of the shift's are rounding: no free direction remains."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,7 +126,7 @@ class Conditions:
     jacobian : array (k, n)
         By the unknowns, each measured by its scale.
     multipliers : array (k,)
-        What the solution says of them; zero where it says nothing that matters here.
+        Multipliers of the solution; zero for those without effect here.
     sizes : array (k,)
         What the flight's spans change them by.
     """

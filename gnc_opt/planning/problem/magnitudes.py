@@ -82,15 +82,16 @@ SAMPLES = np.linspace(0.0, 1.0, 9)
 """Where guess and dynamics are looked at, as fractions of a phase."""
 
 ROUNDING = 1e-12
-"""Share of what a state moves beside a guess below which its value, or rate, on the guess is what zero is rounded to: a
-latitude flown due east is 1e-17, which is no magnitude."""
+"""Share of a state's change near a guess below which its value, or rate, on the guess counts as zero: a
+latitude of 1e-17 on a flight due east is rounding.
+"""
 
 CANCELLED = 1e-3
 """Share of what one control does alone below which several, all at their bounds, cancel each other: so do redundant
 wheels and thrusters that are arranged evenly."""
 
 BESIDE = 0.01
-"""How far beside a guess that is, as a share of each state's own magnitude there."""
+"""Displacement from the guess, as a share of each state's magnitude there."""
 
 
 def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:

@@ -1,8 +1,9 @@
 """Vectors of states whose length the dynamics keep: unit quaternions, directions, spinning momenta.
 
-A bound that no vector of that length passes says nothing. Yet a quaternion that begins at rest, (1, 0, 0, 0), with
-bounds of 1 begins on a bound, whose gradient is that of the length: no step leads to the inside, and an interior point
-method, which lives there, wanders for thousands of iterations. Such bounds are dropped. (Wider ones leave an inside.)
+A bound that no vector of that length can exceed is redundant. Yet a quaternion that begins at rest, (1, 0, 0,
+0), with bounds of 1 begins on a bound, whose gradient is that of the length: no step points to the interior,
+and an interior-point method needs thousands of iterations. Such bounds are dropped. (Wider ones leave an
+inside.)
 
 States that only rise, or only fall, whatever the controls do: budgets of fuel, dose, heat.
 

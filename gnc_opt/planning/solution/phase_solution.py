@@ -187,7 +187,7 @@ class PhaseSolution:
 
     @cached_property
     def flown(self) -> FlownControl:
-        """The controls as a bounded signal that can be flown."""
+        """The applied controls: a signal within the bounds."""
         return FlownControl(self.u, self.control_bounds, self.rules)
 
     @cached_property
@@ -221,7 +221,7 @@ class PhaseSolution:
         return self._control(name, self.u)
 
     def flown_control(self, name: str) -> Signal:
-        """Return a control over time as the bounded signal that can be flown."""
+        """Return an applied control over time: a signal within its bounds."""
         return self._control(name, self.flown)
 
     def integral(self, name: str) -> float:

@@ -79,7 +79,7 @@ class PiecewisePolynomial:
         Raises
         ------
         ArgumentError
-            A time outside the span or not a number, or an unknown side.
+            A time outside the span or NaN, or an unknown side.
         """
         if not isinstance(side, str) or side not in ("left", "right"):
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")

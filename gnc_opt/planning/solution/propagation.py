@@ -56,11 +56,11 @@ def propagate(
     functions : PhaseFunctions
         Of the same phase.
     control : {"flown", "polynomial"}
-        The bounded signal that can be flown, or the collocation polynomial as it is.
+        The applied control within its bounds, or the unmodified collocation polynomial.
     rtol : float
         Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
     anew : sequence of float, s
-        Times at which the propagation starts anew from the solution's states.
+        Times at which the propagation restarts from the solution's states.
     """
     edges = leg.flown.jumps if control == "flown" else leg.breaks
     edges = np.union1d(edges, anew)
@@ -106,7 +106,7 @@ def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) ->
 
 
 def _larger(first: Array, second: Array) -> Array:
-    """Return the larger of two errors; what is no number counts as larger."""
+    """Return the larger of two errors; NaN counts as larger."""
     return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))
 
 

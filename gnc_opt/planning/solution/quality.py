@@ -226,7 +226,7 @@ class Limits:
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
     def excess(self, t: Array, x: Array, u: Array) -> Array:
-        """Return how far each quantity is beyond its limit (n, m); infinite if it is not a number."""
+        """Return the excess of each quantity beyond its limit (n, m); infinite for NaN."""
         values = self.quantities(t, x, u)[self.rows]
         excess = self.sides[:, None] * (values - self.values[:, None])
         return np.where(np.isnan(excess), np.inf, excess)

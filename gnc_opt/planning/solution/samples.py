@@ -163,7 +163,7 @@ class PhaseSamples:
 
     @cached_property
     def u(self) -> Array:
-        """Controls as flown, within bounds."""
+        """Applied controls, within bounds."""
         return self.sample(self.leg.flown)
 
     @cached_property
@@ -186,7 +186,7 @@ class PhaseSamples:
 
     @cached_property
     def lam(self) -> Array:
-        """Costates (n, n_samples), integrated anew in the edges."""
+        """Costates (n, n_samples), integrated again in the edge segments."""
         values = self.lam_polynomial.copy()
         for edge in self.edges:
             values[:, self.segments == edge.segment] = edge.costates

@@ -1,4 +1,4 @@
-"""The control that can be flown: between nodes it respects its bounds."""
+"""The applied (saturated) control: between nodes it respects its bounds."""
 
 from __future__ import annotations
 

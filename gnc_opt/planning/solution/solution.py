@@ -153,7 +153,7 @@ class Solution:
         return self.phase(phase).control(name)
 
     def flown_control(self, name: str, phase: str | None = None) -> Signal:
-        """Return a control over time as a signal within its bounds, which can be flown."""
+        """Return an applied control over time: a signal within its bounds."""
         return self.phase(phase).flown_control(name)
 
     def costate(self, name: str, phase: str | None = None) -> Signal:
@@ -269,7 +269,7 @@ class Solution:
         ----------
         phase : str, optional
         control : {"flown", "polynomial"}
-            The bounded signal that can be flown, or the collocation polynomial as it is.
+            The applied control within its bounds, or the unmodified collocation polynomial.
         rtol : float
             Relative tolerance of the integrator (DOP853).
 

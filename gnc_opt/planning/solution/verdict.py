@@ -39,7 +39,9 @@ class LowerBound:
 
     @property
     def certified(self) -> bool:
-        """Whether a theorem says that the value is a global minimum, up to the tolerances of verdict and solver."""
+        """Whether a theorem certifies the value as a global minimum, up to the tolerances of verdict and
+        solver.
+        """
         return bool(self.theorem)
 
     def __str__(self) -> str:
@@ -71,7 +73,7 @@ class Condition:
     where : str
         Phase, time and quantity of the worst violation.
     meaning : str
-        What the condition says and what its failure means, in one or two sentences.
+        The condition and the meaning of its failure, in one or two sentences.
     sufficient : bool
         False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient
         conditions of a strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means
@@ -199,7 +201,7 @@ class Verdict:
         raise unknown_name("condition", name, f"the verdict on '{self.problem_name}'", names)
 
     def explain(self) -> str:
-        """Return a paragraph per condition that does not pass, or one that says all do."""
+        """Return a paragraph per condition that does not pass, or the statement that all pass."""
         how = " (multipliers estimated)" if self.estimated else ""
         lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:

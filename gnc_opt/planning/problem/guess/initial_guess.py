@@ -1,10 +1,10 @@
 """Guessed ends of phases: when they begin and end, and the straight lines that states follow along linked phases.
 
-Starting trajectories: what the user knows, and straight lines for the rest.
+Initial guesses: the user's values, and straight lines for all other quantities.
 
 End values of phases implied by boundary constraints, for the guess: a lift-off mass that is a sum of parts.
 
-The vector control that a guess of states asks for: of a lander, thrust that carries its weight.
+The vector control that a guess of states requires: for a lander, thrust equal to its weight.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ A guess on a plane of symmetry can be a saddle of the problem (the planar rendez
 Newton's method cannot leave; the perturbation is smooth, deterministic and independent of the mesh."""
 
 SUSTAINED = 0.2
-"""Share of what a vector control can give from which on the straight line between the ends asks for it all along."""
+"""Share of a vector control's limit above which the straight line between the ends needs sustained control.
+"""
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,12 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.tolerances import magnitude
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
-"""Where guessed controls are looked at; they are flown with their means."""
+"""Number of samples of guessed controls; the simulation uses their means."""
 
 
 def with_flown_guess(problem: Problem) -> Problem | None:
-    """Return the problem with phase after phase flown from where the last one ends, its controls held as guessed.
+    """Return the problem with each phase simulated from the end of the previous one with its guessed
+    controls.
 
     Such a guess follows the dynamics, and misses the ends. Controls stay as guessed. None if a flight cannot go on.
     """
@@ -66,7 +67,8 @@ def simulate_guess(
     until: Any = None,
     n: int = 1001,
 ) -> Problem:
-    """Return the problem with a guess that follows its dynamics: those of one phase, flown by a control law.
+    """Return the problem with a guess that follows its dynamics: those of one phase, simulated with a control
+    law.
 
     Parameters
     ----------

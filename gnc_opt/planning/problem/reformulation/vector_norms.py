@@ -52,7 +52,7 @@ def stated_controls(leg: Phase) -> dict[int, int]:
 
 
 def guessed_controls(leg: Phase) -> frozenset[str]:
-    """Return the controls that the user's guess knows."""
+    """Return the controls in the user's guess."""
     return frozenset(name for name in leg.numbers.guess.values if name in leg.model.controls)
 
 
