@@ -283,7 +283,7 @@ def test_consistency_needs_the_estimator_of_the_loop(right, campaign):
     bare = go.ClosedLoop(model, regulator(model)).simulate([1.0, 0.0], tf=0.3)
     with pytest.raises(go.ArgumentError, match="remembers no 'q_hat'"):
         consistency(bare, right)
-    with pytest.raises(go.ArgumentError, match="give a number in"):
+    with pytest.raises(go.ArgumentError, match="give a number between"):
         consistency(campaign, right, confidence=1.5)
     with pytest.raises(go.ArgumentError, match="give a run or a campaign"):
         consistency(model, right)
