@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -196,27 +195,23 @@ def test_quiet_tells_why_there_is_no_solution(cart: Path, capsys: pytest.Capture
     assert not told.out and told.err.startswith("gnc-opt: no solution of 'cart'") and "infeasible" in told.err
 
 
-@pytest.mark.parametrize("asked", [(), ("--tol", "1e-8"), ("--structure", "none")])
-def test_refining_goes_the_way_of_solve(
-    cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
+@pytest.mark.parametrize(
+    ("asked", "tol", "check", "work"),
+    [((), 1e-8, True, 60.0), (("--tol", "1e-6", "--fast", "--limit", "5"), 1e-6, False, 5.0)],
+)
+def test_options_of_refining_are_passed_on(
+    cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...], tol: float, check: bool, work: float
 ) -> None:
-    """A solution that does not come to rest is compared with another one, as by solve(tol=...)."""
     module = importlib.import_module("gnc_opt.planning.solver")
-    refine, compared = module.refine, []
+    refine, seen = module.refine, []
 
-    def restless(solution: go.Solution, **more: Any) -> go.Solution:
-        assert more["tol"] == 1e-8
-        refined = refine(solution, **more)
-        return replace(refined, history=replace(refined.history, status=go.RefinementStatus.STALLED))
+    def noted(solution: go.Solution, **more: Any) -> Any:
+        seen.append((more["tol"], more["check"], more["limits"].max_work))
+        return refine(solution, **more)
 
-    def better_of_two(problem: go.Problem, first: go.Solution, refined: go.Solution, *_: Any) -> go.Solution:
-        compared.append(refined)
-        return refined
-
-    monkeypatch.setattr(module, "refine", restless)
-    monkeypatch.setattr(module, "better_of_two", better_of_two)
-    run("solve", cart, *asked, "--quiet")
-    assert len(compared) == 1
+    monkeypatch.setattr(module, "refine", noted)
+    assert run("solve", cart, *asked, "--quiet") == 0
+    assert seen == [(tol, check, work)]
 
 
 def test_exit_code_of_an_interrupted_solve(
