@@ -1,13 +1,13 @@
-"""Mission: what every worker of a campaign needs to fly any of its runs.
+"""Mission: data with which a worker of a campaign can simulate any of its runs.
 
 A batch is a range of run numbers. Whoever flies it gets the same flight and draws everything from the seed and the
 number of each run, so that it makes no difference who flies what.
 
 Checkpoint: the runs of a campaign that have ended, in a folder, one file per batch.
 
-Every file is a small `Campaign` that is there as a whole or not at all, whenever the process is killed. Whoever resumes
-flies the runs that are in no file; that a folder is of the same campaign is seen from the flight, the seed, and a run
-of each file, whose parameters are drawn again.
+Every file is a small `Campaign`, written atomically: it is complete even if the process is killed. A resumed
+campaign simulates the runs that are in no file. The flight, the seed and one run of each file, with its
+parameters drawn again, identify the campaign of a folder.
 
 Gathering: batches of runs as one campaign.
 """
@@ -248,7 +248,7 @@ def halves(batch: Batch) -> tuple[Batch, ...]:
 
 
 def flown_parts(done: Done[Batch, list[Flown]]) -> list[Flown]:
-    """Return what became of a batch, also of one that nobody could fly."""
+    """Return the results of a batch, also of one that could not be simulated."""
     if done.answer is not None:
         return done.answer
     assert done.error is not None

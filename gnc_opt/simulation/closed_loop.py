@@ -49,17 +49,18 @@ class ClosedLoop:
     Parameters
     ----------
     plant : Model
-        May differ from the one the controller was designed with, as long as it has what the controller measures
-        (states, or outputs that depend on no control) and the applied controls by name; its other controls are zero.
+        May differ from the one the controller was designed with, if it has the controller's measurements
+        (states, or outputs that depend on no control) and the applied controls by name; its other controls
+        are zero.
     controller : Controller
-        With an estimator between it and the sensors where `output_feedback` put one.
+        Includes the estimator of `output_feedback`, if any.
     actuators, sensors : sequence of Block
         In the order in which the signal passes them.
     disturbances : sequence of Disturbance
     events : sequence of Event
-        What ends a run, or changes the plant's states, at an instant of its own.
+        Events that end a run, or change the plant's states, at their own instants.
     quantities : sequence of Quantity
-        What campaigns keep of the way: extremes, integrals and envelopes of expressions of the plant.
+        Extremes, integrals and envelopes of expressions of the plant, stored by campaigns.
     replanner : Replanner, optional
         Solves the problem of the plan that the controller follows again in flight.
     dt : float, optional
@@ -67,11 +68,10 @@ class ClosedLoop:
     minor_steps : int
         Parts of a control step.
     accuracy : float
-        Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
-        are taken as the nominal run needs for a tenth of it (dispersed ones are less accurate) by the sum of its local
-        errors and their growth, a safe estimate: the true error is mostly a small share of it. A nominal run that ends
-        where it has begun, at rest, say, tells little: then as many as the plant's modes at its start need, moved by 1.
-        Runs that miss it are flagged.
+        Of the integration over a run, relative to max(1, \\|x\\|) per state: the number of integration steps
+        per minor step is chosen so that the nominal run's error estimate is at most a tenth of it (dispersed runs are
+        less accurate), and so that the plant's modes at the start are resolved. Runs that exceed it are
+        flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping

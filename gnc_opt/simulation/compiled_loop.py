@@ -52,7 +52,7 @@ class Flight:
     kernel, companion : Kernel
         The loop as compiled functions, the companion with twice as many integration steps: it shows the error of a run.
     schedule : array (n_signals, n_steps + 1)
-        Rows r of the controller, as planned before the flight; what stands at the end is for the errors there.
+        Rows r of the controller, as planned before the flight; the last row is for the errors at the end.
     dt : float
         Control step, s.
     states, measured, followed, commands, controls, memory : Layout
@@ -68,7 +68,7 @@ class Flight:
         Names of the events.
     replanner : PlanUpdater or None
     quantities : Quantities or None
-        What is kept of the way.
+        Quantities stored along the run.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
     libraries : tuple of two str
@@ -386,7 +386,7 @@ class Flight:
     def _consider(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
-        """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
+        """Re-plan at the first of the steps ``rows``, if a new plan is due, and write the new plan to them."""
         if self.replanner is None:
             return
         if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):

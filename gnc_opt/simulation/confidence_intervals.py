@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
 CONFIDENCE = 0.95
-"""Of all intervals, unless another one is asked for."""
+"""Default confidence of all intervals."""
 
 _ROUNDING = 1e-9
 """A number of values that exceeds a whole one by less is that one: 0.07 * 100 is 7.000000000000001."""

@@ -19,7 +19,7 @@ from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
 
 _LARGE = 1e300
-"""What is not below this in size counts as not finite."""
+"""Values of at least this size count as not finite."""
 
 
 class ControlStep:

@@ -1,8 +1,8 @@
 r"""Fixed-step integration by the Runge-Kutta pair of Dormand and Prince, as symbolic expressions.
 
-The fifth-order solution is carried on. Within a step the solution is a polynomial of degree four through both ends and
-their rates, of fourth order. The stability function, by which a step multiplies a mode :math:`e^{\lambda t}`,
-:math:`z = \lambda h`, is
+The fifth-order solution is propagated. Within a step the solution is a polynomial of degree four through both
+ends and their rates, of fourth order. The stability function, by which a step multiplies a mode
+:math:`e^{\lambda t}`, :math:`z = \lambda h`, is
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} .
 

@@ -1,4 +1,4 @@
-r"""Crossing: where events lie in the flight of a minor step, and the flight through them.
+r"""Crossing: location of events within a minor step, and integration through them.
 
 While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
 been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
@@ -8,10 +8,10 @@ through values and slopes or by the tangents of both ends, may have. Only then i
 anew from where the leg began to each instant tried, so that the state there is as accurate as any; then the resets;
 then on from there.
 
-Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
-before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
-rises, but falls through zero again within that time, would be followed by others without end: the run ends there. So
-it does where a reset leaves its row at rest on zero and the plant pulls it on through: a contact that nothing keeps.
+Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions
+are evaluated before all resets, which follow in the order of declaration until one ends the run. The run also
+ends if a row rises after its reset but falls through zero again within that time (infinitely many events), or
+if a reset leaves its row at zero and the plant then drives it through zero (an unsupported contact).
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ class _Passage:
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        """Return what there is at s, with what a leg until then has made."""
+        """Return the quantities at s, with those that the leg until then has added."""
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
 
     def _meet(self) -> Any:

@@ -10,7 +10,7 @@ from gnc_opt.simulation.outcome import Outcome
 
 @dataclass(frozen=True)
 class Ending:
-    """How n runs ended, and what they cost.
+    """Final values and figures of merit of n runs.
 
     Attributes
     ----------
@@ -21,7 +21,7 @@ class Ending:
     memory : array (n_memory, n)
         Of the controller.
     effort, energy : array (n_controls, n)
-        Integrals of \\|u\\| and u^2 of what the actuators applied (unit s, unit^2 s).
+        Integrals of \\|u\\| and u^2 of the applied controls (unit s, unit^2 s).
     saturation_time : array (n_commands, n)
         Time in which a limit acted on a command, s.
     variation : array (n_commands, n)
@@ -32,9 +32,9 @@ class Ending:
         The same of the states at one time: ``accuracy`` is asked of it.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
-        How often each event happened, and the first time (s), not-a-number where it did not.
+        Number of occurrences of each event, and the first time (s), NaN without an occurrence.
     replans : array (2, n)
-        How often was re-planned, and how often in vain.
+        Numbers of successful and of failed re-plans.
     sums : array (3 n_quantities, n) or None
         Largest values, least values and integrals of the loop's quantities.
     samples : array (n_quantities, n_samples, n) or None

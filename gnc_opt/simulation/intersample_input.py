@@ -151,7 +151,7 @@ class Wave:
 
 
 def stacked(waves: Sequence[Wave], h: float) -> Wave:
-    """Return several waves as one column; those that blocks without memory have bent are averaged."""
+    """Return several waves as one column; waves distorted by memoryless blocks are averaged."""
     if len(waves) == 1:
         return waves[0]
     if all(wave.held for wave in waves) or any(wave.after is not None for wave in waves):

@@ -50,7 +50,7 @@ def with_events(step: ControlStep, act: Any) -> Any:
 
 
 def until_the_end(control_step: ControlStep, step: Any, told: Any) -> Any:
-    """Return the step that does nothing once an event has ended the run; its second output then is ``told``."""
+    """Return the step that is inactive after an event has ended the run; its second output then is ``told``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, told])
     either = ca.Function.if_else("either", rest, step)

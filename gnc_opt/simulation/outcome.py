@@ -1,6 +1,6 @@
-"""Outcome: how a run ended, and when something first went wrong.
+"""Outcome: the status of a run, and the time of its first fault.
 
-Judge: what became of a run, from the state of its kernel at the end.
+Judge: the outcome of a run from the final state of its kernel.
 """
 
 from __future__ import annotations
@@ -84,20 +84,20 @@ class Judge:
 
 
 class RunStatus(Enum):
-    """What became of a run; each run has exactly one, the gravest.
+    """Status of a run; each run has exactly one, the most severe.
 
     Members
     -------
-    OK : everything stayed finite, no alarm, the integration as accurate as asked for.
-    INACCURATE : the integration's own error estimate exceeds the accuracy asked for.
-    ALARM : the controller reported that it could not keep its promise.
+    OK : everything stayed finite, no alarm, the integration within the required accuracy.
+    INACCURATE : the integration's own error estimate exceeds the required accuracy.
+    ALARM : the controller reported that it could not meet its guarantees.
     DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
-        condition of an event, or a quantity, is not-a-number.
+        condition of an event, or a quantity, is NaN.
     STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno),
         or a reset left its event at rest on zero and the plant would have gone on through.
-    REFUSED : a parameter is outside its permitted range; the run was not flown.
-    LOST : the process that flew it died, or the run raised an exception.
+    REFUSED : a parameter is outside its permitted range; the run was not simulated.
+    LOST : its process died, or the run raised an exception.
     """
 
     OK = "ok"
@@ -118,9 +118,9 @@ class Outcome:
     ----------
     status : RunStatus
     what : str
-        The culprit, e.g. ``"measured 'omega[1]'"`` or the name of the alarm; of a run that an event ended, its name.
+        The cause, e.g. ``"measured 'omega[1]'"`` or the name of the alarm or of the event that ended the run.
     time : float
-        Beginning of the control step at which it happened, s, or the instant of the event; not-a-number where it has no
+        Beginning of the control step at which it happened, s, or the instant of the event; NaN if it has no
         time.
 
     Examples

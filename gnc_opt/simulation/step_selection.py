@@ -1,9 +1,9 @@
-r"""How many integration steps a loop takes: as many as its nominal run needs by its error, and its modes at least.
+r"""Number of integration steps of a loop, from the error of its nominal run and from its modes.
 
-The error of the nominal run is that of its companion with steps half as long. At rest a run has no error, however few
-the steps, and what moves beside it may have a large one; a light mode of 20 rad/s even turns into a growing one with
-one step in 0.1 s. So the modes of the plant at the start count, too: n steps of the Runge-Kutta method in a time h make
-of :math:`e^{\lambda h}` the power :math:`R(\lambda h / n)^n`,
+The error of the nominal run is estimated with a companion run with half the step. A run at rest has no error
+for any step, but a dispersed run may: a lightly damped mode of 20 rad/s becomes unstable with one step in 0.1
+s. The modes of the plant at the start therefore count too. n steps of the Runge-Kutta method in a time h
+replace :math:`e^{\lambda h}` by the power :math:`R(\lambda h / n)^n`,
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} ,
 

@@ -31,7 +31,7 @@ INSTANT = 1e-12
 """A time constant below this (s) is none."""
 
 _TRIM = "trim"
-"""What an actuator is told that begins with the feedforward."""
+"""Value of ``initial`` for an actuator that begins with the feedforward."""
 
 
 @dataclass(frozen=True)
