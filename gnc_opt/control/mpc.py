@@ -295,9 +295,7 @@ def _law(
     *,
     easy: bool = False,
 ) -> tuple[Any, Any, Layout]:
-    """Return the law, the first memory and its layout; ``easy``: without the solver, with a flag that is 1 if
-    that suffices.
-    """
+    """Return the law, the first memory and its layout; ``easy``: without the solver, with a flag of validity."""
     states, m = deviation.model.states.size, rows.lower.size
     count, limited = schedule.windows.count, len(schedule.limited)
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)

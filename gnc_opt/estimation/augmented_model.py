@@ -212,9 +212,7 @@ class AugmentedModel:
         return sigma
 
     def first(self, t: float, x: Array) -> Array:
-        """Return the augmented state (n_states,) at the beginning: zero bias, all delay lines at the initial
-        measurement.
-        """
+        """Return the initial augmented state (n_states,): zero bias, delay lines at the initial measurement."""
         found = np.zeros(self.states.size)
         found[: x.size] = x
         for channel in self.channels:

@@ -144,9 +144,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def sigint_stops(run: SolveWatch) -> Iterator[None]:
-    """While open, the first Ctrl-C requests a stop of the run and restores the previous handler for the next
-    one.
-    """
+    """While open, the first Ctrl-C requests a stop of the run; the previous handler receives the next one."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)
     if ignored or threading.current_thread() is not threading.main_thread():

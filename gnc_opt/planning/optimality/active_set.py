@@ -197,9 +197,7 @@ class _HeldArc:
 
 
 def _arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
-    """Return the arc on this phase's mesh in a list; empty unless it is a state-constraint arc of order two
-    or more.
-    """
+    """Return [arc on this phase's mesh]; empty unless it is a state-constraint arc of order two or more."""
     leg = s.leg
     labels = (*leg.path_labels, *leg.states.labels)
     if arc.phase != leg.name or arc.channel not in labels or not arc.kind.at_limit:

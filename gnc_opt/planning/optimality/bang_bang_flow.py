@@ -115,9 +115,7 @@ class BangBangFlow:
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _worths(self, adjoint: Array) -> Array:
-        """Cost gradients with respect to the states before every step and, last row, the step widths; (n + 1,
-        n_steps + 1).
-        """
+        """Cost gradients in the states before every step and, last row, the step widths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:
             places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]

@@ -265,9 +265,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
 
 
 def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
-    """Costates (n, m) from the segment's start without multipliers, and the fundamental matrices (n, n, m) of
-    their ODE.
-    """
+    """Costates (n, m) from the segment's start without multipliers, and their fundamental matrices (n, n, m)."""
     leg, n = s.leg, s.leg.states.size
     rule = sampling_rule(leg.mesh.degrees[k])
     half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])

@@ -57,9 +57,7 @@ class Turns:
         )
 
     def within(self, u: Array) -> Array:
-        """Return controls (n_controls, ...) with angles moved into their range; values within rounding of it
-        are unchanged.
-        """
+        """Return controls (n_controls, ...) with angles moved into their range, except for rounding."""
         u = u.copy()
         for azimuth, elevation in self.pairs:
             period, upper = self.periods[elevation], self.upper[elevation]

@@ -94,9 +94,7 @@ def scale_rows(
 
 
 def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array, Array]:
-    """Largest magnitudes, at and near the guess, of objective gradient and Jacobian nonzeros, and the rows'
-    slack.
-    """
+    """Largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
     box = transcription.variable_interval(problem)
     usual = scale_variables(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)

@@ -225,9 +225,7 @@ def _is_told(time: Interval) -> bool:
 
 
 def _share(leg: Phase | None, start: float) -> float:
-    """Return the equal share per phase, s, of the time from the start before a given phase to the next
-    specified end.
-    """
+    """Return each phase's equal share, s, of the time from the previous start to the next specified end."""
     phases = 1
     while leg is not None:
         phases += 1
