@@ -30,7 +30,7 @@ ACTIVE = 1e-5
 CONVEX = 1e-6
 """Second derivative of H in controls, over their ranges and in shares of H, from which H is strictly convex in them."""
 
-BESIDE = 1e-4
+JUNCTION_OFFSET_SHARE = 1e-4
 """Distance from a switch or a junction over which a slope is taken, as a share of the adjacent segment."""
 
 SHORTEST = 1e-9

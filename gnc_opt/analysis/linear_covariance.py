@@ -147,7 +147,11 @@ def covariance_table(found: LinearCovariance) -> str:
         lines.append((line + ", ".join(f"{s} {_percent(share)}" for s, share in shares)).rstrip())
     if found.checked:
         bent = [name for name in layout.names if not found.linear(name)]
-        verdict = f"not linear: {', '.join(bent)}" if bent else f"all linear, to {_percent(LINEAR)} of sigma"
+        verdict = (
+            f"not linear: {', '.join(bent)}"
+            if bent
+            else f"all linear, to {_percent(LINEAR_MAX_ERROR_SIGMA)} of sigma"
+        )
         lines.append(
             f"  {verdict} ({found.checked} runs beside their predictions); sources: shares of the variance"
         )
@@ -187,10 +191,10 @@ class PlantModes:
         return steps_for_modes(np.linalg.eigvals(a).astype(complex), length, self._asked)
 
 
-LINEAR = 0.05
+LINEAR_MAX_ERROR_SIGMA = 0.05
 """Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
 
-_CHECKS = 30
+_NONLINEARITY_RUNS = 30
 """Default number of runs simulated to check the linear predictions."""
 
 FROZEN_GAINS_MAX_NIS = 1e-2
@@ -199,7 +203,7 @@ FROZEN_GAINS_MAX_NIS = 1e-2
 _FOLLOWED = 1e-3
 """Relative error of a mode over the run above which a warning is given."""
 
-_LOOKS = 10
+_MODE_SAMPLES = 10
 """Instants of the nominal run, about, at which the modes of the plant are looked at."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
@@ -298,7 +302,7 @@ class LinearCovariance(Strict):
         kind, name = self._parse(signal)
         return self.bends[kind][self.layouts[kind].slice(name)]
 
-    def linear(self, signal: str, tolerance: float = LINEAR) -> bool:
+    def linear(self, signal: str, tolerance: float = LINEAR_MAX_ERROR_SIGMA) -> bool:
         """Whether the standard deviations of a signal at the end are right to ``tolerance``, as far as runs tell.
 
         Raises
@@ -372,7 +376,7 @@ def linear_covariance(
     experiment: Experiment,
     *,
     every: int = 1,
-    checks: int = _CHECKS,
+    checks: int = _NONLINEARITY_RUNS,
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
@@ -451,7 +455,7 @@ class _Pass:
         n = next(numbers)
         scatter = Scatter.first(self.sources, g, h, n)
         flown, needed = self.flight.n_steps, 1
-        looks = max(1, flown // _LOOKS)
+        looks = max(1, flown // _MODE_SAMPLES)
         resolution = PlantModes(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0

@@ -30,7 +30,7 @@ from gnc_opt.simulation.outcome import RunStatus
 _FLOWN = (RunStatus.OK, RunStatus.INACCURATE)
 """How runs end that have not failed."""
 
-_LEAST = 1e-300
+_UNIFORM_MIN = 1e-300
 """Of uniform numbers whose normal quantile is taken."""
 
 
@@ -205,4 +205,4 @@ class GivenNumbers:
 
 def normal_numbers(uniform: Array) -> Array:
     """Return the standard normal numbers at which uniform ones are the quantiles."""
-    return np.asarray(scipy.special.ndtri(np.clip(uniform, _LEAST, 1 - np.finfo(float).epsneg)))
+    return np.asarray(scipy.special.ndtri(np.clip(uniform, _UNIFORM_MIN, 1 - np.finfo(float).epsneg)))

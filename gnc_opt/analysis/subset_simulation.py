@@ -37,7 +37,7 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
 from gnc_opt.workers import Shared, WorkerPool
 
-SHARE = 0.1
+LEVEL_EXCEEDANCE_SHARE = 0.1
 """Share of the runs of a level that exceed the next one."""
 
 MOST_LEVELS = 12
@@ -158,8 +158,10 @@ def failure_probability(
     if not np.isfinite(bound):
         raise ArgumentError(f"the limit of '{measure}' is {bound:g}: give a finite number.")
     count = read_integer(n, f"the number of runs of a level of {name}", 10)
-    if count % round(1 / SHARE):
-        raise ArgumentError(f"a level of {name} has {count} runs: give a multiple of {round(1 / SHARE)}.")
+    if count % round(1 / LEVEL_EXCEEDANCE_SHARE):
+        raise ArgumentError(
+            f"a level of {name} has {count} runs: give a multiple of {round(1 / LEVEL_EXCEEDANCE_SHARE)}."
+        )
     repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
     confidence = read_probability(confidence, f"the confidence of {name}")
     search = _Search(experiment, measure, bound, count)
@@ -263,7 +265,7 @@ def subset_simulation(
     probability, step, runs = 1.0, _STEP, count
     levels: list[float] = []
     for _ in range(MOST_LEVELS):
-        level = float(np.sort(y)[-round(SHARE * count)])
+        level = float(np.sort(y)[-round(LEVEL_EXCEEDANCE_SHARE * count)])
         if level > limit:
             break
         above = y >= level

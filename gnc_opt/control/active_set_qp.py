@@ -26,7 +26,7 @@ from gnc_opt.model.variables import Layout, Variable
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
 _NONE = 1e30
 """Value of an absent limit."""
-_MOST = 20
+_ITERATIONS_PER_UNKNOWN = 20
 """Iterations per unknown before a programme counts as unsolved; random ones took up to nine."""
 
 
@@ -141,7 +141,7 @@ class ProgrammeCode:
 
     @property
     def _most(self) -> int:
-        return _MOST * (self.unknowns + 1)
+        return _ITERATIONS_PER_UNKNOWN * (self.unknowns + 1)
 
     @property
     def _row_limits(self) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ Authority: TypeAlias = tuple[Array, Array]
 _BESIDE = 1e-6
 """A plan that was made within limits of states may be this much beyond them, relative to the largest of both."""
 
-_SAMPLES = 400
+_LIMIT_SAMPLES = 400
 """Times over a reference at which its shares are looked for."""
 
 
@@ -63,7 +63,7 @@ def reserve_shares(reference: Reference, limits: Authority | None) -> list[Fact]
     """Return the fact about the share of the limits that the feedforward leaves, one number per control."""
     if limits is None:
         return []
-    u = reference.u(reference_times(reference, _SAMPLES))
+    u = reference.u(reference_times(reference, _LIMIT_SAMPLES))
     if reference.tail_control is not None:
         u = np.hstack([u, reference.tail_control[:, None]])
     half = 0.5 * (limits[1] - limits[0])

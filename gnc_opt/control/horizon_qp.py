@@ -17,7 +17,7 @@ from gnc_opt.arrays import Array
 
 _LEAST_PRICE = 1e-6
 """Of a state that costs nothing; its limit must still cost something."""
-_FAR = 1e6
+_INACTIVE_ROW_DISTANCE = 1e6
 """A row this far from its limit, in ranges, is as good as without one."""
 
 
@@ -110,7 +110,10 @@ class Programme:
         unequal = ca.norm_inf(value[:k] - right) / ca.fmax(1, ca.norm_inf(right))
         value, high, low, lam = value[k:], self.high[k:], self.low[k:], lam_a[k:]
         outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
-        gap_high, gap_low = ca.fmin(high - value, _FAR), ca.fmin(value - low, _FAR)
+        gap_high, gap_low = (
+            ca.fmin(high - value, _INACTIVE_ROW_DISTANCE),
+            ca.fmin(value - low, _INACTIVE_ROW_DISTANCE),
+        )
         slack = ca.norm_inf(ca.fmax(lam, 0) * gap_high) + ca.norm_inf(ca.fmin(lam, 0) * gap_low)
         found = [stationary, unequal, outside, slack / size]
         if y.shape[0] > self.free:

@@ -37,7 +37,7 @@ _BESIDE = 1e-6
 """Distance of the nodes on either side of a resonance, relative to its frequency."""
 _ROOT = 1e-12
 """Crossings are found to this, relative to their frequency."""
-_ROUNDED = 1e-4
+_GAIN_ROUNDING_SHARE = 1e-4
 """A loop gain that rounding of A may change by more than this share is that of an integrator or undamped mode, and has
 no size: where it changes its sign it has gone through infinity and not through zero."""
 
@@ -161,13 +161,13 @@ def _met(
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
         at, change = _rounded(*system, _point(w, dt))
-        found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+        found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
         ends = [_rounded(*system, _point(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
             (w,) = _roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
             at, change = _rounded(*system, _point(w, dt))
-            found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+            found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 
 

@@ -81,7 +81,7 @@ def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Fac
     ]
 
 
-_CHECKS = 25
+_LINEARIZATION_SAMPLES = 25
 """Times along a reference at which A and B are compared."""
 
 
@@ -191,7 +191,7 @@ class _WithStep:
 
 def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are the same all along the reference, else raise `DesignError`."""
-    times = reference_times(reference, _CHECKS)
+    times = reference_times(reference, _LINEARIZATION_SAMPLES)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]

@@ -65,7 +65,7 @@ QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
 
-_MOST_STEPS = 2000
+_HORIZON_MAX_STEPS = 2000
 """Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
@@ -425,9 +425,9 @@ def _steps(horizon: float, dt: float) -> int:
         raise ArgumentError(
             f"a horizon of {horizon:g} s is no whole number of steps of {dt:g} s: give k * dt, k >= 1."
         )
-    if count > _MOST_STEPS:
+    if count > _HORIZON_MAX_STEPS:
         raise ArgumentError(
-            f"a horizon of {horizon:g} s has {count} steps of {dt:g} s: give {_MOST_STEPS} at most."
+            f"a horizon of {horizon:g} s has {count} steps of {dt:g} s: give {_HORIZON_MAX_STEPS} at most."
         )
     return count
 

@@ -24,7 +24,7 @@ from gnc_opt.tolerances import SAME_TIME
 Signal: TypeAlias = Callable[[Array], Array]
 """Of times (n,), columns (size, n)."""
 
-_TIMES = 24
+_DYNAMICS_CHECK_TIMES = 24
 """Times at which a reference is looked at, spread over its pieces."""
 _SPREAD = 0.618
 """They are multiples of this, modulo one: regular to no period."""
@@ -32,7 +32,7 @@ _STEPS = (1e-3, 1e-4, 1e-5)
 """Steps over which states are compared, relative to the piece: the shortest resolve what changes fast."""
 _RESIDUAL_NODES = 4
 _ROUNDED = 8 * np.finfo(float).eps
-_TOLERANCE = 1e-3
+_DYNAMICS_CHECK_TOLERANCE = 1e-3
 """Error of a rate, as a share of its terms, above which a warning is given."""
 
 
@@ -52,8 +52,8 @@ def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
 def _looked_at(edges: Array) -> tuple[Array, Array]:
     """Return times between the edges, and the lengths of the pieces that they lie in (s)."""
     lengths = np.diff(edges)
-    pieces = np.unique(np.linspace(0, lengths.size - 1, _TIMES).astype(int))
-    each = -(-_TIMES // pieces.size)
+    pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
+    each = -(-_DYNAMICS_CHECK_TIMES // pieces.size)
     share = 0.99 * (np.arange(1, each + 1) * _SPREAD % 1.0)  # the longest step ends within the piece
     times = edges[pieces, None] + lengths[pieces, None] * share
     return times.ravel(), np.repeat(lengths[pieces], each)
@@ -77,7 +77,7 @@ def _told(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
     scale = np.max(terms, axis=1, keepdims=True)
     share = np.nan_to_num(left / np.where(scale > 0, scale, 1.0))
     i, k = np.unravel_index(int(np.argmax(share)), share.shape)
-    if not share[i, k] > _TOLERANCE:
+    if not share[i, k] > _DYNAMICS_CHECK_TOLERANCE:
         return ""
     per_second = f"{model.states.units[i]} per second".strip()
     return (

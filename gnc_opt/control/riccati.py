@@ -29,13 +29,13 @@ from gnc_opt.control.design_report import number_text
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import TINY
 
-_REACH = 1e-10
+_REACHABILITY_MIN = 1e-10
 """A direction is reached if the reachability matrix has it above this, in balanced coordinates."""
 _BOUNDARY = 1e-9
 """Eigenvalues this near the stability boundary, relative to the fastest, count as on it."""
 _PART = 0.3
 """A state belongs to a mode if its share is above this times the largest."""
-_NEWTON_STEPS = 3
+_RICCATI_NEWTON_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,14 +168,14 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
-    reached = scipy.linalg.orth(inputs, rcond=_REACH) if inputs.size else np.zeros((size, 0))
+    reached = scipy.linalg.orth(inputs, rcond=_REACHABILITY_MIN) if inputs.size else np.zeros((size, 0))
     newest = reached
     while newest.shape[1] and reached.shape[1] < size:
         image = balanced @ newest
         image -= reached @ (reached.T @ image)
         image -= reached @ (reached.T @ image)  # twice is enough for orthogonality to rounding
         u, s, _ = np.linalg.svd(image, full_matrices=False)
-        newest = u[:, s > _REACH]
+        newest = u[:, s > _REACHABILITY_MIN]
         reached = np.hstack([reached, newest])
     if reached.shape[1] >= size:
         return []
@@ -213,7 +213,7 @@ def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
 def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sampled: bool) -> Array:
     """Newton's method on the Riccati equation (Kleinman): each step is a Lyapunov equation; kept while it helps."""
     best, error = p, residual(a, b, q, r, n, p, sampled=sampled)
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_RICCATI_NEWTON_STEPS):
         gain = gain_of(a, b, r, n, best, sampled=sampled)
         closed = a - b @ gain
         load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T

@@ -65,7 +65,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
 
-_SETTLED = 40.0
+_SETTLING_TIME_CONSTANTS = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""
 _RESPONSE_STEPS = 4000
 
@@ -208,7 +208,7 @@ def _peak_gain(c: Array) -> float:
     companion = np.zeros((c.size - 1, c.size - 1))
     companion[:-1, 1:] = np.eye(c.size - 2)
     companion[-1] = -c[:-1]
-    span, steps = _SETTLED / float(np.min(-poles.real)), _RESPONSE_STEPS
+    span, steps = _SETTLING_TIME_CONSTANTS / float(np.min(-poles.real)), _RESPONSE_STEPS
     forward = scipy.linalg.expm(companion * span / steps)
     state = scipy.linalg.expm(companion * 0.5 * span / steps)[:, -1]
     total = 0.0
@@ -218,7 +218,7 @@ def _peak_gain(c: Array) -> float:
     return total
 
 
-_FULL = 0.99
+_FULL_GAIN_SHARE = 0.99
 """Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
 
 
@@ -317,7 +317,7 @@ class Switching:
         Without ``stays`` s begins at zero, and what another law commands may throw it out of its layer for a while.
         """
         first = s if stays else ca.SX.zeros(s.shape)
-        edge = self.boundary.width(_FULL)
+        edge = self.boundary.width(_FULL_GAIN_SHARE)
         if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
             return []
         return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
@@ -390,7 +390,7 @@ def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: b
 OVERPOWERED = "overpowered"
 """The alarm."""
 
-PATIENCE = 10
+LAYER_EXIT_MIN_STEPS = 10
 """Control steps in a row outside the boundary layer after which that is no noise."""
 
 
@@ -409,7 +409,7 @@ def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memor
     # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
     growing = ca.if_else(size > distance, away - 1, -1)
     after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
-    raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > PATIENCE - 0.5)
+    raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > LAYER_EXIT_MIN_STEPS - 0.5)
     return [
         Memory("away", away, -ca.SX.ones(n), after),
         Memory("distance", distance, ca.fabs(first), size),

@@ -48,7 +48,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 
-_CHECKS = 40
+_GAIN_SAMPLES = 40
 """Times along a reference at which the largest gain and the eigenvalues of P are looked for."""
 
 
@@ -160,7 +160,7 @@ def _facts(
     gains: ContinuousGains | SampledGains,
     cost: QuadraticCost,
 ) -> list[Fact]:
-    times = reference_times(reference, _CHECKS)
+    times = reference_times(reference, _GAIN_SAMPLES)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

@@ -31,9 +31,9 @@ from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
 _NODES = 20
-_TOLERANCE = 1e-13
+_INTERPOLATION_TOLERANCE = 1e-13
 """Of the interpolant, relative to the largest entry of A or B along the piece."""
-_HALVINGS = 5
+_GAIN_GRID_HALVINGS = 5
 
 _ANGLES = (np.arange(_NODES) + 0.5) * np.pi / _NODES
 _POINTS = -np.cos(_ANGLES)  # first kind: none on an edge, where the controls jump
@@ -55,7 +55,9 @@ class LinearizationTable:
         start, end = reference.initial_time, reference.final_time
         edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
         pieces = [
-            p for left, right in itertools.pairwise(edges) for p in self._pieces(left, right, _HALVINGS)
+            p
+            for left, right in itertools.pairwise(edges)
+            for p in self._pieces(left, right, _GAIN_GRID_HALVINGS)
         ]
         self._starts = np.array([left for left, _, _ in pieces])
         self._parts = pieces
@@ -78,7 +80,7 @@ class LinearizationTable:
         off = np.abs(_interpolate(values, _CHECKS) - self._values(middle + half * _CHECKS)).max(axis=0)
         count = self.deviation.errors.size**2
         scales = [np.abs(part).max(initial=0.0) for part in (values[:, :count], values[:, count:])]
-        bounds = np.repeat(scales, [count, values.shape[1] - count]) * _TOLERANCE
+        bounds = np.repeat(scales, [count, values.shape[1] - count]) * _INTERPOLATION_TOLERANCE
         if np.all(off <= bounds):
             return [(left, right, values)]
         if halvings == 0 or not np.all(np.isfinite(values)):
@@ -103,9 +105,9 @@ def _interpolate(values: Array, points: Array) -> Array:
 _RTOL = 1e-11
 _ATOL = 1e-13
 """Relative to the size of P."""
-_SAMPLES = 40
+_RESIDUAL_SAMPLES = 40
 """Times along a reference at which P is put into its equation."""
-_DIFFERENCE = 2e-3
+_RICCATI_DIFFERENCE_STEP = 2e-3
 """Step of the difference quotient of P, relative to the distance of those times."""
 
 
@@ -325,7 +327,7 @@ def _sampled(
     return SampledGains(t_0, dt, (*steps, resting), *ordered, tail, regulator)
 
 
-def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _SAMPLES) -> float:
+def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _RESIDUAL_SAMPLES) -> float:
     """Return the largest defect of dense P(t) in its equation, relative to the largest term at that time.
 
     dP/dt is a central difference of fourth order: nothing of the integration is used but the values of P.
@@ -335,7 +337,7 @@ def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _
     span = reference.duration
     for left, right, _ in gains.pieces:
         count = max(int(np.ceil(samples * (right - left) / span)), 1)
-        h = _DIFFERENCE * (right - left) / count
+        h = _RICCATI_DIFFERENCE_STEP * (right - left) / count
         for t in left + (np.arange(count) + 0.5) * (right - left) / count:
             p = gains.P(t)
             near = [gains.P(t + k * h) for k in (-2, -1, 1, 2)]

@@ -141,7 +141,7 @@ def _given(solution: Solution, leg: PhaseSolution) -> Mask:
     return given
 
 
-_STEPS, _LEAST = 400, 4
+_ACCESSORY_STEPS, _MIN_STEPS_PER_SEGMENT = 400, 4
 """Steps over the plan, and at least so many in every segment of its mesh."""
 
 _CONVEX = 1e-8
@@ -193,7 +193,7 @@ class _Accessory:
 
     @cached_property
     def times(self) -> Array:
-        return fine_times(self.plan.leg, _STEPS, _LEAST)
+        return fine_times(self.plan.leg, _ACCESSORY_STEPS, _MIN_STEPS_PER_SEGMENT)
 
     @cached_property
     def equations(self) -> AccessoryEquations:

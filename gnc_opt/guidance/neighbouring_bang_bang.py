@@ -49,14 +49,14 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import RANK, TINY
 
-_DIFFERENCE = 4e-5
+_DIFFERENCE_STEP_SHARE = 4e-5
 """Step of the central differences, in shares of the duration: their errors are squares of it."""
 
-_STEPS = 20
+_PREDICTION_STEPS = 20
 _LARGEST = 0.02
 """Of a step, in shares of the duration."""
 
-_SETTLED = 1e-8
+_NEWTON_STEP_TOLERANCE = 1e-8
 """Step at which Newton's method has ended, in shares of the duration."""
 
 _MET = 1e-6
@@ -111,9 +111,9 @@ def find_optimum(prediction: Prediction) -> Optimum:
             "such a plan cannot be corrected by them; follow it by design_tvlqr()."
         )
     step = np.full(tau.size, np.inf)
-    for _ in range(_STEPS):
-        optimum, gradient, psi = _derivatives(prediction, tau, _DIFFERENCE * duration)
-        if not _steers(optimum.S) or np.max(np.abs(step)) <= _SETTLED * duration:
+    for _ in range(_PREDICTION_STEPS):
+        optimum, gradient, psi = _derivatives(prediction, tau, _DIFFERENCE_STEP_SHARE * duration)
+        if not _steers(optimum.S) or np.max(np.abs(step)) <= _NEWTON_STEP_TOLERANCE * duration:
             break
         kkt = np.block([[optimum.H, optimum.S.T], [optimum.S, np.zeros((errors, errors))]])
         step = np.linalg.lstsq(kkt, -np.concatenate([gradient, psi]), rcond=RANK)[0][: tau.size]
@@ -123,7 +123,11 @@ def find_optimum(prediction: Prediction) -> Optimum:
             f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
         )
     missed = np.max(np.abs(psi) / _lengths(optimum.S))  # steps vanish where the end cannot be met, too
-    if np.max(np.abs(step)) > _SETTLED * duration or missed > _MET * duration or not _steers(optimum.S):
+    if (
+        np.max(np.abs(step)) > _NEWTON_STEP_TOLERANCE * duration
+        or missed > _MET * duration
+        or not _steers(optimum.S)
+    ):
         raise DesignError(
             f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
             "smaller reserve or a shorter last part."
@@ -177,12 +181,12 @@ def _derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum,
 OFF = 0.1
 """Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
 
-_MOST_STEPS = 64
+_PREDICTION_MAX_STEPS = 64
 
 _TIME = 0.03
 """Weight of the flight time: this duration counts as one accepted error, squared, per flight."""
 
-_SHIFT = 0.04
+_CORRECTION_WEIGHT_SHARE = 0.04
 """A correction by this share of the flight weighs as much as an accepted error."""
 
 
@@ -357,7 +361,7 @@ def _accurate(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Predi
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
         if off <= OFF:
             return Prediction(plan, ending, steps)
-        if steps >= _MOST_STEPS:
+        if steps >= _PREDICTION_MAX_STEPS:
             raise DesignError(
                 f"the plan of '{plan.reference.model.name}', flown by its switch times, misses its end by {off:.2g} "
                 "of the accepted errors: refine the solution."
@@ -389,7 +393,9 @@ class _Guidance:
         system = best.S.T @ self.weight @ best.S + price * best.H
         right = (best.S.T @ self.weight) @ psi + price * (slope + ca.DM(np.eye(best.tau.size)[-1]))
         open_ = ca.vertcat(*[tau[k] > t + self.options.delay for k in range(best.tau.size - 1)], 1)
-        matrix = (open_ @ open_.T) * system + ca.diag(ca.if_else(open_, (_SHIFT * duration) ** -2, 1))
+        matrix = (open_ @ open_.T) * system + ca.diag(
+            ca.if_else(open_, (_CORRECTION_WEIGHT_SHARE * duration) ** -2, 1)
+        )
         step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
         miss = ca.sqrt(psi.T @ self.weight @ psi)
         return ca.Function("correct", [t, x, tau], [self._in_turn(t, tau, open_, tau + open_ * step), miss])

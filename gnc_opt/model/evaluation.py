@@ -21,10 +21,10 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
-MANY, LONGEST = 100, 2000
+NUMPY_MIN_COLUMNS_LONG, NUMPY_MAX_OPERATIONS = 100, 2000
 """Columns for which long programmes are quicker by NumPy, and operations of the longest that is read."""
 
-FEWEST = 60
+NUMPY_MIN_COLUMNS_SHORT = 60
 """Columns for which short programmes are quicker by NumPy."""
 
 CALL = 60
@@ -104,7 +104,7 @@ class Operations:
         """Read a function; None if it is too long, or has operations beyond those known here."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None
-        if function.n_instructions() > LONGEST:
+        if function.n_instructions() > NUMPY_MAX_OPERATIONS:
             return None
         steps: list[tuple[Operation, int, Sequence[Any]]] = []
         for k in range(function.n_instructions()):
@@ -128,7 +128,7 @@ class Operations:
 
     def pays(self, n: int) -> bool:
         """Whether it is quicker than CasADi for n columns."""
-        return n * (CALL + len(self.steps)) > MANY * len(self.steps)
+        return n * (CALL + len(self.steps)) > NUMPY_MIN_COLUMNS_LONG * len(self.steps)
 
     def __call__(self, n: int, *arguments: Array) -> Array:
         """Evaluate with arguments (rows,) or (rows, n), (rows of the output, n)."""
@@ -166,7 +166,12 @@ def evaluate(
     ``programme`` is the function as NumPy code, if available, for many times.
     """
     times, *columns = checked(function, t, x, *others)
-    if programme is not None and times.size >= FEWEST and (known := programme()) and known.pays(times.size):
+    if (
+        programme is not None
+        and times.size >= NUMPY_MIN_COLUMNS_SHORT
+        and (known := programme())
+        and known.pays(times.size)
+    ):
         return known(times.size, times.reshape(1, -1), *columns)
     found = evaluate_columns(function, times.size, times.reshape(1, -1), *columns)
     return found if times.ndim else found[:, 0]

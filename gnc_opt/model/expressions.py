@@ -133,7 +133,7 @@ _JUMPS = (
 """Operations of which a few numbers tell nothing."""
 
 _LENGTHS = np.array([0.7, 1.3, 2.1])
-_DIRECTIONS, _DRAWS, _SEED = 3, 3, 20
+_DIRECTIONS, _PROBE_DRAWS, _SEED = 3, 3, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,10 +232,12 @@ def _tried(nodes: Any, vector: Any) -> Array:
     turned = rng.normal(size=(_DIRECTIONS, vector.numel()))
     turned[:2] = [np.abs(turned[0]), -np.abs(turned[0])]  # both signs, of a single component, too
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    rest = rng.uniform(0.5, 1.5, (_DRAWS, len(others))) * rng.choice([-1.0, 1.0, 1.0], (_DRAWS, len(others)))
+    rest = rng.uniform(0.5, 1.5, (_PROBE_DRAWS, len(others))) * rng.choice(
+        [-1.0, 1.0, 1.0], (_PROBE_DRAWS, len(others))
+    )
     vectors = np.einsum("di,l->dli", turned, _LENGTHS).reshape(-1, vector.numel())
     columns = [function(vectors.T, np.tile(other[:, None], vectors.shape[0])).full() for other in rest]
-    return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _DRAWS)
+    return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _PROBE_DRAWS)
 
 
 def _degrees(values: Array) -> list[int]:

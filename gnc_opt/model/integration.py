@@ -25,10 +25,10 @@ STAGES = 12
 
 ORDER = 8
 
-SAFETY, LEAST, MOST = 0.9, 0.2, 10.0
+STEP_SAFETY_FACTOR, STEP_MIN_FACTOR, STEP_MAX_FACTOR = 0.9, 0.2, 10.0
 """A step is this share of what its error allows, and at least and at most so many times as long as the last one."""
 
-FEWEST = 10
+STEP_MIN_ROUNDINGS = 10
 """The shortest step, in units of rounding of the time."""
 
 Controls = Callable[[Array], Array]
@@ -100,12 +100,12 @@ def carried(
     """
     t, end = span
     places = np.asarray(scipy.integrate.DOP853.C[1:STAGES])
-    smallest, largest = tolerance.relative * tolerance.magnitude, DIVERGED * tolerance.magnitude
+    smallest, largest = tolerance.relative * tolerance.magnitude, GROWTH_LIMIT * tolerance.magnitude
     with np.errstate(all="ignore"):
         slope = rate(t, x)
         h, grows = _first_step(rate, x, slope, span, tolerance), True
         while t < end:
-            shortest = FEWEST * np.spacing(abs(t))
+            shortest = STEP_MIN_ROUNDINGS * np.spacing(abs(t))
             width = min(max(h, shortest), end - t)
             found = step(t, width, x, slope, controls(t + width * places).ravel("F"))
             budget.spend(t, STAGES)
@@ -114,13 +114,13 @@ def carried(
             error = width * _norm(errors[0] / scale, errors[1] / scale)
             if not np.isfinite(error) or not np.all(np.abs(new) < largest):
                 return None
-            growth = SAFETY * error ** (-1.0 / ORDER) if error > 0 else MOST
+            growth = STEP_SAFETY_FACTOR * error ** (-1.0 / ORDER) if error > 0 else STEP_MAX_FACTOR
             if error >= 1.0:
                 if width <= shortest:
                     return None
-                h, grows = width * max(LEAST, growth), False
+                h, grows = width * max(STEP_MIN_FACTOR, growth), False
                 continue
-            h, grows = width * min(MOST if grows else 1.0, max(LEAST, growth)), True
+            h, grows = width * min(STEP_MAX_FACTOR if grows else 1.0, max(STEP_MIN_FACTOR, growth)), True
             t, x, slope = (end if width == end - t else t + width), new, new_slope
     return x if np.all(np.isfinite(slope)) else None
 
@@ -151,7 +151,7 @@ def _first_step(rate: Rate, x: Array, slope: Array, span: tuple[float, float], t
 Rate: TypeAlias = Callable[[float, Array], Array]
 """dx/dt as a function of t and x."""
 
-DIVERGED = 1e8
+GROWTH_LIMIT = 1e8
 """Growth beyond the trajectory's own magnitude at which integration is given up."""
 
 MOST_NOT_FINITE = 1000
@@ -225,7 +225,7 @@ class Tolerance:
     relative : float
         The absolute tolerance is this times each state's magnitude.
     magnitude : array (n_states,)
-        Of the states; `DIVERGED` is measured in it.
+        Of the states; `GROWTH_LIMIT` is measured in it.
     stiff : bool
         Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
     """
@@ -289,7 +289,7 @@ def integrate(
     """
 
     def diverged(_: float, state: Array) -> float:
-        return float(DIVERGED - np.max(np.abs(state) / tolerance.magnitude))
+        return float(GROWTH_LIMIT - np.max(np.abs(state) / tolerance.magnitude))
 
     def stopped(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)

@@ -20,7 +20,12 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.refinement.arc_warm_start import WARM_ITERATIONS, Judged, KnownArcs, first_meshes
+from gnc_opt.planning.refinement.arc_warm_start import (
+    ARC_WARM_START_MAX_ITERATIONS,
+    Judged,
+    KnownArcs,
+    first_meshes,
+)
 from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import StructureChoice, refine
 from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
@@ -153,7 +158,11 @@ class Resolver:
             return solve_by_known_arcs(problem, arcs, tol, "changed")
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-        guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)
+        guess, scheme, limits = (
+            on_the_way(start, problem),
+            self.solution.scheme,
+            SolveLimits(ARC_WARM_START_MAX_ITERATIONS),
+        )
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -175,7 +184,7 @@ class Way(Enum):
     COLD = "from the start"
 
 
-TOLERANCE = 1e-6
+DEFAULT_TOLERANCE = 1e-6
 """What a solution is refined to where nobody says otherwise."""
 
 
@@ -220,7 +229,8 @@ def solve(
         Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
         does not come to rest is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
         one solve on the
-        given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`); with a ``guess`` that which a variation was refined
+        given mesh, not judged. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a
+        variation was refined
         to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
@@ -267,7 +277,7 @@ def solve(
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
-        tol = None if in_a_loop else TOLERANCE
+        tol = None if in_a_loop else DEFAULT_TOLERANCE
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
@@ -377,7 +387,7 @@ def _is_nearer(warm: Solution, cold: Solution) -> bool:
 
 def reached(known: Solution) -> float:
     """Return the tolerance that a solution was refined to."""
-    return TOLERANCE if known.history is None else known.history.tolerance
+    return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance
 
 
 def _stopped(refined: Solution) -> bool:

@@ -25,7 +25,7 @@ Labels = Mapping[str, Sequence[str]]
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
 """Look of a bound's line."""
 
-NEGLIGIBLE = 1e-7
+HAMILTONIAN_ROUNDING_SHARE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
 

@@ -31,7 +31,7 @@ from gnc_opt.plot.style import (
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
 
-SHARE = 0.95
+SHOWN_RUN_SHARE = 0.95
 """Of the runs."""
 _ROUND = 25
 """Points around the tube, the first one twice."""
@@ -39,7 +39,7 @@ _FLAT = 1e-6
 """Least half width, share of the extent of the mean path: motion in a plane has a tube as flat as this."""
 
 
-def tube(positions: Array, share: float = SHARE) -> Array:
+def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
     """Return points of the tube at each instant, (3, n_times, 25).
 
     Each section lies across the mean path and is the ellipse of the covariance of the runs' deviations there,
@@ -121,7 +121,7 @@ _NOTE: dict[str, Any] = {
     "bbox": {"facecolor": "white", "edgecolor": QUIET, "linewidth": 0.5, "pad": 2},
 }
 
-_FAR = 2.0
+_LIMIT_MAX_DISTANCE = 2.0
 """Limits farther from the values than so many times their range are named, not drawn, so that the values stay
 legible."""
 
@@ -164,7 +164,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     limit = campaign.limits.get(name)
     finite = np.all(np.isfinite(errors), axis=0)
     reach = 1.1 * max(float(np.max(np.abs(errors[:, finite]), initial=0.0)), np.finfo(float).tiny)
-    drawn = limit is not None and limit <= (1 + _FAR) * reach
+    drawn = limit is not None and limit <= (1 + _LIMIT_MAX_DISTANCE) * reach
     if limit is not None and drawn:
         reach = max(reach, 1.1 * limit)
     with style():
@@ -282,7 +282,7 @@ def _draw_limit(ax: Axes, limit: float | None, finite: Any, height: float) -> No
     if limit is None:
         return
     if finite.size:
-        far = _FAR * (finite[-1] - finite[0])
+        far = _LIMIT_MAX_DISTANCE * (finite[-1] - finite[0])
         if not finite[0] - far <= limit <= finite[-1] + far:
             above = limit > finite[-1]
             ax.annotate(

@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
-    NEGLIGIBLE,
+    HAMILTONIAN_ROUNDING_SHARE,
     Labels,
     chosen_names,
     chosen_phases,
@@ -47,7 +47,7 @@ _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle":
 _ON_BOUND = 1e-3
 """Shares of a control's range: nearer to a bound it counts as on it."""
 
-_ROOM = 1.25
+_CONTROL_AXIS_HALF_HEIGHT = 1.25
 """Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
 
 
@@ -151,7 +151,7 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
             ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
+        ax.set_ylim(middle - _CONTROL_AXIS_HALF_HEIGHT * half, middle + _CONTROL_AXIS_HALF_HEIGHT * half)
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 
@@ -218,7 +218,7 @@ def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: 
     reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):
         reach = float(np.max(np.abs(leg.u(t)[rows]))) or 1.0
-    return float(NEGLIGIBLE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
+    return float(HAMILTONIAN_ROUNDING_SHARE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
 
 
 def _control_legend(with_switching: bool) -> list[Any]:

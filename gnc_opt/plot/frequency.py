@@ -14,10 +14,10 @@ from gnc_opt.analysis.loop_response import LoopResponse
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import QUIET, axis_label, legend_on_top, line_look, name_text, new_figure, style
 
-_REACH = 2.5
+_NYQUIST_RADIUS = 2.5
 """How far from the origin a Nyquist plot shows at most: what matters happens about -1."""
 
-_MOST = 7
+_LINES_MAX = 7
 """Largest number of distinguishable lines."""
 
 
@@ -93,7 +93,11 @@ def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
             low, high = (alpha - 2) / (alpha + 2), (alpha + 2) / (alpha - 2)
             middle, radius = 0.5 * (low + high), 0.5 * (low - high)
             ax.add_patch(Circle((middle, 0.0), radius, facecolor="#eeeeee", edgecolor=QUIET, zorder=0))
-        ax.set(xlim=(-_REACH, _REACH / 2), ylim=(-0.75 * _REACH, 0.75 * _REACH), aspect="equal")
+        ax.set(
+            xlim=(-_NYQUIST_RADIUS, _NYQUIST_RADIUS / 2),
+            ylim=(-0.75 * _NYQUIST_RADIUS, 0.75 * _NYQUIST_RADIUS),
+            aspect="equal",
+        )
         ax.set_xlabel("real part")
         ax.set_ylabel("imaginary part")
         _legend(figure, response)
@@ -180,10 +184,10 @@ def _command(response: LoopResponse, command: str | None) -> str:
 
 
 def _instants(response: LoopResponse) -> range:
-    if response.times.size > _MOST:
+    if response.times.size > _LINES_MAX:
         raise ArgumentError(
-            f"{response.times.size} instants make too many lines: give loop_response() at= up to {_MOST} times, or use "
-            "plot_margins()."
+            f"{response.times.size} instants make too many lines: give loop_response() at= up to {_LINES_MAX} "
+            "times, or use plot_margins()."
         )
     return range(response.times.size)
 

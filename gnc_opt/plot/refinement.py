@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
-from gnc_opt.planning.verification.engine import TOLERANCE
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
 from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
 
 _LOOKS = {
@@ -76,11 +76,11 @@ def _offence(condition: Condition) -> float:
     if not np.isfinite(value):
         return _VERDICT_MOST if condition.result is Result.FAIL else 1.0
     missing = value if tolerance > 0 else value - tolerance
-    share = missing / (abs(tolerance) or TOLERANCE)
+    share = missing / (abs(tolerance) or CONDITION_TOLERANCE)
     return float(np.clip(share, _VERDICT_LEAST, _VERDICT_MOST))
 
 
-_LEAST, _MOST = 1e-16, 1e6
+_DRAWN_ERROR_MIN, _DRAWN_ERROR_MAX = 1e-16, 1e6
 """Errors beyond these are drawn there."""
 
 _COLORMAP = "viridis_r"
@@ -159,7 +159,7 @@ def plot_refinement(history: History) -> Figure:
 
 def _draw_errors(ax: Axes, history: History) -> None:
     points = [p.points for p in history.passes]
-    errors = [min(max(p.error, _LEAST), _MOST) for p in history.passes]
+    errors = [min(max(p.error, _DRAWN_ERROR_MIN), _DRAWN_ERROR_MAX) for p in history.passes]
     ax.plot(points, errors, zorder=2, **_PATH)
     ax.plot(points[history.chosen], errors[history.chosen], zorder=3, **_CHOSEN)
     unsolved = [i for i, p in enumerate(history.passes) if not p.solved]

@@ -19,16 +19,16 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.campaign import SHARE, tube
+from gnc_opt.plot.campaign import SHOWN_RUN_SHARE, tube
 from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere
 
 _INSTANTS = (41, 241)
 """Fewest and most instants of a motion."""
-_SAMPLES = 60_000
+_SCENE_MAX_SAMPLES = 60_000
 """Instants of all motions together: what keeps a page of a thousand runs below five megabytes."""
 _DIGITS = 4
 """Of positions, relative to the extent of what is drawn; of axes and plumes to the length of a unit vector."""
-_ROOM = 0.15
+_SCENE_MARGIN_SHARE = 0.15
 """Margin around the drawing for the vehicle, its axes and its plumes, as a share of its extent."""
 _FEWEST_OF_A_TUBE = 10
 """Runs below which dispersion is better shown by their paths."""
@@ -74,7 +74,7 @@ def _packed(data: bytes) -> str:
 
 def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
     spans = np.array([span(moved, view) for moved in shown.values()])
-    n = int(np.clip(_SAMPLES // len(shown), *_INSTANTS))
+    n = int(np.clip(_SCENE_MAX_SAMPLES // len(shown), *_INSTANTS))
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
     motions = {name: motion(moved, view, times) for name, moved in shown.items()}
     motions = {name: each for name, each in motions.items() if np.all(np.isfinite(each.position))}
@@ -100,7 +100,7 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
         "plume": PLUME * size,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
         "tube": None if around is None else np.round(around, digits).tolist(),
-        "tube_name": f"holds {SHARE:.0%} of the runs",
+        "tube_name": f"holds {SHOWN_RUN_SHARE:.0%} of the runs",
         "plumes": {
             name: {"nozzle": p.nozzle.tolist(), "basis": p.basis.tolist()} for name, p in first.plumes.items()
         },
@@ -124,4 +124,4 @@ def _extent(points: list[Array], view: View) -> tuple[Array, Array, float]:
     low, high = everything.min(axis=1), everything.max(axis=1)
     size = float(np.max(high - low)) if view.position is not None else 1.0
     size = size or 1.0
-    return low - _ROOM * size, high + _ROOM * size, size
+    return low - _SCENE_MARGIN_SHARE * size, high + _SCENE_MARGIN_SHARE * size, size

@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-WIDTH = 6.5
+FIGURE_WIDTH_INCHES = 6.5
 """Width of a figure, inches: the text width of a page."""
 
 DPI = 150
@@ -60,7 +60,7 @@ def style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
+def new_figure(height: float, width: float = FIGURE_WIDTH_INCHES) -> Figure:
     """Return an empty figure of the given size in inches; it belongs to no window."""
     return Figure(figsize=(width, height), layout="constrained")
 

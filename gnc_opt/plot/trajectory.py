@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
-    NEGLIGIBLE,
+    HAMILTONIAN_ROUNDING_SHARE,
     Labels,
     chosen_names,
     chosen_phases,
@@ -185,7 +185,7 @@ def plot_hamiltonian(
             ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
         if expected is not None:
             ax.axhline(expected, zorder=2.5, **_EXPECTED)
-        leave_room(ax, NEGLIGIBLE * max(abs(low), abs(high)))
+        leave_room(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
         span_phases(ax, legs)
         ax.set_xlabel("time (s)")
         ax.set_ylabel(axis_label("Hamiltonian", unit))

@@ -17,7 +17,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
-from gnc_opt.simulation.compiled_step import WORTH, Folded, native
+from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, Folded, native
 from gnc_opt.simulation.error_estimate import integration_errors
 from gnc_opt.simulation.events import Occurrence, occurrences
 from gnc_opt.simulation.final_values import Ending
@@ -145,7 +145,7 @@ class Flight:
 
     def natively(self, runs: int) -> Flight:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
-        if runs * self.n_steps < WORTH:
+        if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
         first, second = (native(folded.quick) for folded in self._folded)
         quick = replace(self, libraries=(first, second))

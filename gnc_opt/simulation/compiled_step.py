@@ -146,7 +146,7 @@ FLAGS = (
 """Higher levels take many times as long and gain little: a kernel is one long function without loops. That of absolute
 values and squares is not called, but put in its place."""
 
-WORTH = 100_000
+MIN_EVALUATIONS_TO_COMPILE = 100_000
 """Evaluations that cost the interpreter about four times what compiling costs; both grow with the operations."""
 
 

@@ -22,17 +22,17 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.simulation.dormand_prince import Taken
-from gnc_opt.simulation.events import MOST, Events
+from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import SAME_TIME
 
-_PASSES = 2 * MOST
+_PASSES = 2 * EVENTS_PER_STEP_MAX
 """Legs of a minor step at most: some end where a row sinks to zero and does not cross it."""
 
 _INSTANT = 1e-13
 """Of a minor step: how close Newton's method comes to the instant."""
 
-_ITERATIONS = 60
+_ROOT_ITERATIONS = 60
 """Of Newton's method and bisection; bisection alone would need 44."""
 
 _NARROWED = 12
@@ -42,7 +42,7 @@ it however closely it is looked at."""
 RATE_SHARE_OF_STEP = 1e-4
 """Of a minor step: over which rates are taken as differences."""
 
-_NEAR = 0.05
+_POSSIBLE_CROSSING_SHARE = 0.05
 """A row whose cubic sinks to this share of its values at the ends of the step may sink to zero."""
 
 
@@ -93,7 +93,7 @@ class Watch:
         rise = y1 - y0
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
-        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _NEAR * ca.fmax(y0, y1)
+        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _POSSIBLE_CROSSING_SHARE * ca.fmax(y0, y1)
         # what passes far faster than a step is no cubic; if it is convex, it stays above both tangents
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
@@ -121,10 +121,10 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
     """Return what is noted of the events of a control step: how many, which, when, and the states on both sides."""
     return (
         ("number", 1),
-        ("codes", MOST),
-        ("times", MOST),
-        ("before", MOST * n_states),
-        ("after", MOST * n_states),
+        ("codes", EVENTS_PER_STEP_MAX),
+        ("times", EVENTS_PER_STEP_MAX),
+        ("before", EVENTS_PER_STEP_MAX * n_states),
+        ("after", EVENTS_PER_STEP_MAX * n_states),
     )
 
 
@@ -191,7 +191,7 @@ class _Passage:
         for _ in range(_PASSES):
             after = one(after, t, p, *context)
         v = self.places.split(after)
-        lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= MOST))
+        lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX))
         v["stop"] = ca.if_else(lost, len(self.events) + 1, v["stop"])
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
         return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
@@ -264,7 +264,7 @@ class _Passage:
         improve = self._improve()
         # where to look, its bracket, the last step and whether it is found
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
-        for _ in range(_ITERATIONS):
+        for _ in range(_ROOT_ITERATIONS):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
         x, armed, y, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
@@ -359,12 +359,12 @@ class _Passage:
                 ca.logic_and(ca.mmax(ca.vertcat(*mine)), ca.fabs(holds[j]) > 0), v["stop"] < 0.5
             )
             before, x = x, ca.if_else(happens, self.events.effects(now, x, p)[1][:, j], x)
-            here = ca.logic_and(happens, ca.DM(range(MOST)) == v["number"])
+            here = ca.logic_and(happens, ca.DM(range(EVENTS_PER_STEP_MAX)) == v["number"])
             v["codes"] = ca.if_else(here, j + 1, v["codes"])
             v["times"] = ca.if_else(here, now, v["times"])
             spread = ca.kron(here, ca.DM.ones(n, 1))
-            v["before"] = ca.if_else(spread, ca.repmat(before, MOST, 1), v["before"])
-            v["after"] = ca.if_else(spread, ca.repmat(x, MOST, 1), v["after"])
+            v["before"] = ca.if_else(spread, ca.repmat(before, EVENTS_PER_STEP_MAX, 1), v["before"])
+            v["after"] = ca.if_else(spread, ca.repmat(x, EVENTS_PER_STEP_MAX, 1), v["after"])
             v["number"] += happens
             v["first"] = _at(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
             v["count"] = _at(v["count"], j, happens, v["count"][j] + 1)

@@ -44,7 +44,7 @@ def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, cont
     return expression
 
 
-MOST = 20
+EVENTS_PER_STEP_MAX = 20
 """Events in a control step at most; more are a sequence that time cannot follow (Zeno)."""
 
 _SIGNS = {"falling": (1.0,), "rising": (-1.0,), "either": (1.0, -1.0)}
@@ -151,7 +151,7 @@ def occurrences(
     told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
 ) -> list[Occurrence]:
     """Return the events in the logs, by columns, of the first steps of a leg."""
-    shape = (MOST, n_states)
+    shape = (EVENTS_PER_STEP_MAX, n_states)
     return [
         Occurrence(
             names[int(told["codes"][k, step]) - 1],
@@ -160,7 +160,7 @@ def occurrences(
             told["after"][:, step].reshape(shape)[k].copy(),
         )
         for step in np.flatnonzero(told["number"][0, :steps])
-        for k in range(int(min(told["number"][0, step], MOST)))
+        for k in range(int(min(told["number"][0, step], EVENTS_PER_STEP_MAX)))
     ]
 
 

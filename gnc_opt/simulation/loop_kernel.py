@@ -28,7 +28,7 @@ from gnc_opt.simulation.event_location import notes_of, passage
 from gnc_opt.simulation.signals import Places, take
 from gnc_opt.simulation.wiring import Wiring
 
-_SHORTEST = 1e-300
+_MIN_STEP_SHARE = 1e-300
 """Share of a minor step in which nothing was applied: a run that an event ends at once."""
 
 
@@ -148,7 +148,7 @@ class _EventfulStep:
         told = {
             "measured": y,
             "commands": u,
-            "applied": n["applied"] / ca.fmax(n["flown"], _SHORTEST * self.h),
+            "applied": n["applied"] / ca.fmax(n["flown"], _MIN_STEP_SHARE * self.h),
         }
         told |= {name: n[name] for name, _ in notes_of(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]

@@ -14,12 +14,15 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.events import MOST
+from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
 
 _LOST = ": no digit is right"
 """Said of runs whose states are off by more than their size; how far then is hard to tell."""
 
-_ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
+_ZENO = (
+    f"more than {EVENTS_PER_STEP_MAX - 1} events in a control step (Zeno: let what they follow come to rest by "
+    "another event)"
+)
 """What ended a run whose events do not let time pass."""
 
 _UNKEPT = (

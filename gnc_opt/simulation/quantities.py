@@ -35,7 +35,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.dormand_prince import Taken
-from gnc_opt.simulation.events import MOST, plant_expression
+from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, plant_expression
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.tolerances import SAME_TIME
@@ -173,23 +173,23 @@ def _pieces(
 ) -> Iterator[tuple[Array, float, float]]:
     """Yield state, beginning and end (s) of the pieces of a control step that begins at t, between its events."""
     begin = 0.0
-    for k in range(int(min(told["number"][0, step], MOST))):
+    for k in range(int(min(told["number"][0, step], EVENTS_PER_STEP_MAX))):
         instant = float(np.clip(told["times"][k, step] - t, begin, end))
         yield x, begin, instant
-        x, begin = told["after"][:, step].reshape(MOST, x.size)[k], instant
+        x, begin = told["after"][:, step].reshape(EVENTS_PER_STEP_MAX, x.size)[k], instant
     yield x, begin, end
 
 
-FINE = 1e-9
+PEAK_TOLERANCE = 1e-9
 """How far a peak may be above what is found, relative to max(1, |y|)."""
 
 AT_ONCE = 8
 """Intervals that are looked at together."""
 
-_ROUNDS = 2000
+_MAX_SUBDIVISIONS = 2000
 """For what has no end, as slopes that are infinite."""
 
-_SHORTEST = 1e-7
+_MIN_INTERVAL_SHARE = 1e-7
 """Of a control step: what a switch hides in less is not looked for."""
 
 
@@ -238,7 +238,7 @@ class Nodes:
                 side = [sign * array for array in (switch[0], tilt[0], switch[1], tilt[1])]
                 below = (side[0] < 0) & (side[2] < 0)
                 hidden |= np.any(below & (_highest(length, *side) > 0), axis=0)
-            found = np.where(hidden & (length > _SHORTEST * self.s.max()), np.inf, found)
+            found = np.where(hidden & (length > _MIN_INTERVAL_SHARE * self.s.max()), np.inf, found)
         return np.where(length > 0, found, -np.inf)
 
     def integrals(self) -> Array:
@@ -313,10 +313,10 @@ def climb(best: Array, nodes: Nodes, look: Callable[[Intervals], Nodes]) -> tupl
     """
     intervals = Intervals.of(np.arange(nodes.s.shape[1]), nodes)
     best, total = np.maximum(best, nodes.z.max(axis=(1, 2))), intervals.integral.sum(axis=1)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_SUBDIVISIONS):
         size = np.maximum(1.0, np.abs(best))[:, None]
         more = np.max((intervals.promise - best[:, None]) / size, axis=0, initial=-np.inf)
-        intervals, more = intervals.some(more > FINE), more[more > FINE]
+        intervals, more = intervals.some(more > PEAK_TOLERANCE), more[more > PEAK_TOLERANCE]
         if not more.size:
             break
         order = np.argsort(-more, kind="stable")
@@ -420,7 +420,7 @@ def sample_steps(n_steps: int) -> Array:
     return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)
 
 
-_LOOKS = 8
+_MIN_INTERVALS_PER_STEP = 8
 """Intervals of a control step that are looked at, at least; of an integration step one at least."""
 
 _OF_ONE = {ca.OP_FABS, ca.OP_SIGN}
@@ -446,7 +446,7 @@ def along(step: ControlStep, rows: Any) -> Any:
         step began), u the commands; times of the nodes (n_nodes, 1), and the rows there, (n_rows, n_nodes) by columns.
         Consecutive nodes of one time are of different integration steps, or of one that was not flown.
     """
-    count = -(-_LOOKS // (step.wiring.minor_steps * step.substeps))
+    count = -(-_MIN_INTERVALS_PER_STEP // (step.wiring.minor_steps * step.substeps))
     column, known, u, x = _symbols(step)
     begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
     look = _Look(step, rows, count)
@@ -492,7 +492,7 @@ def _fly(
         if looking is step and any(wave.tau is not None for wave in waves):
             # a decay is projected on parabolas in each integration step, and right at its ends
             looking, look.count = copy.copy(step), 2
-            looking.substeps = max(step.substeps, -(-_LOOKS // step.wiring.minor_steps))
+            looking.substeps = max(step.substeps, -(-_MIN_INTERVALS_PER_STEP // step.wiring.minor_steps))
         look.now = ca.fmin(
             ca.fmax(i * step.h, span[1]), span[2]
         )  # no time passes in minor steps that are not flown

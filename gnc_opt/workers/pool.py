@@ -30,7 +30,7 @@ MOST_CRASHES = 8
 MOST_PENDING = 32
 """Items handed to an executor and not done yet, at most, unless it has more than half as many threads."""
 
-PATIENCE = 10.0
+NO_WORKERS_MAX_WAIT_S = 10.0
 """A cluster that has no workers twice in so many seconds (s) is not waited for."""
 
 Item = TypeVar("Item")
@@ -212,7 +212,7 @@ class WorkerPool(Generic[Object]):
                     settle(number, _error(future))
                 else:
                     pending[future] = number
-            ended, _ = wait(pending, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+            ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
             idle = idle + 1 if pending and not ended and _deserted(self._executor) else 0
             if idle == 2:  # workers may have been on their way back
                 deserted, ended = True, set(pending)

@@ -333,7 +333,7 @@ class Deserted(Executor):
 
 
 def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Deserted()) as force:
         done = force.run(times, range(3), ignore)
     assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
@@ -362,7 +362,7 @@ class Returning(Deserted):
 
 
 def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Returning()) as force:
         done = force.run(times, range(3), ignore)
     assert [each.answer for each in done] == [0, 10, 20]
@@ -389,7 +389,7 @@ class Headless(Deserted):
 def test_a_cluster_without_a_scheduler_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], status: str
 ) -> None:
-    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Headless(known, status)) as force:
         done = force.run(times, range(3), ignore)
     assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3

@@ -21,7 +21,7 @@ from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.optimality.program_point import as_sparse
 from gnc_opt.planning.transcription.transcription import Transcription
 
-LARGE = 1e2
+LARGE_MULTIPLIER = 1e2
 """Scaled multipliers from which they may have drifted; most of well-scaled programs are smaller."""
 
 DRIFTED = 0.5
@@ -37,7 +37,7 @@ NULL = 1e-10
 def least_multipliers(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
     """Return a result without what dependent equality constraints leave open in its multipliers."""
     largest = np.max(np.abs(result.lam_g), initial=0.0)
-    if not LARGE < largest < np.inf:
+    if not LARGE_MULTIPLIER < largest < np.inf:
         return result
     rows, fixed = point.lbg == point.ubg, point.lbx == point.ubx
     jacobian = as_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()

@@ -6,7 +6,7 @@ This is the whole list; nothing else in gnc_opt solves a program twice for want 
 try                   after                                   how
 ====================  ======================================  ====================================================
 `CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
-`ADAPTIVE`            endings without a verdict, `MANY`       IPOPT's adaptive barrier, from the same start
+`ADAPTIVE`            endings without a verdict, limit of     IPOPT's adaptive barrier, from the same start
                       iterations of a cold start
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
@@ -61,7 +61,7 @@ ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.ST
 """Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
 solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
 
-MANY = 1000
+COLD_START_MAX_ITERATIONS = 1000
 """Iterations, SolverOptions' limit, after which a cold start has lost its way."""
 
 LOST = 300
@@ -84,12 +84,12 @@ too short are the usual trap, so longer ones are tried."""
 COLD_MU = 1e-2
 """First barrier parameter when only the trajectory is kept."""
 
-FINE, COARSER = 60, 6
+COARSE_FIRST_MIN_SEGMENTS, COARSER = 60, 6
 """Meshes of so many segments in a phase are solved on one of so many times fewer first: from a straight line the
 iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterations on 60x4, 21 from 10x4; on 300x3
 224 and 30.)"""
 
-BRIEF = 100
+FALLBACK_MAX_ITERATIONS = 100
 """Iterations that such a way gets on each mesh, and the adaptive barrier where the monotone one has lost its way: above
 the apex of a cone, for one, it takes 20 to 30 from lines from which the other finds nothing in 1000."""
 
@@ -102,7 +102,7 @@ SHOWN = 0.1
 STRETCHES = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times at which durations are held while constraints are met."""
 
-RANDOM, SEED = 2, 1
+FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
 """Random starts, with free durations, where the guess itself does not help to meet the constraints."""
 
 
@@ -234,7 +234,7 @@ class _Task:
 
 def _coarse_to_fine(task: _Task) -> Solution:
     """Solve without a guess; a fine mesh from solutions on coarser ones, as long as these show what happens."""
-    brief, found = task.brief(BRIEF), None
+    brief, found = task.brief(FALLBACK_MAX_ITERATIONS), None
     coarse = _coarser_meshes(task.problem, task.meshes)
     for meshes in (*coarse, task.meshes) if coarse else ():
         found = replace(brief, meshes=meshes).solve(found, after=found, retries=False)
@@ -252,9 +252,11 @@ def _coarser_meshes(problem: Problem, meshes: Mapping[str, Mesh]) -> list[Mappin
     if knows_trajectory(problem):
         return []
     levels = [meshes]
-    while any(mesh.segments >= FINE for mesh in levels[0].values()):
+    while any(mesh.segments >= COARSE_FIRST_MIN_SEGMENTS for mesh in levels[0].values()):
         finer = levels[0].items()
-        levels.insert(0, {k: m.coarsened(COARSER) if m.segments >= FINE else m for k, m in finer})
+        levels.insert(
+            0, {k: m.coarsened(COARSER) if m.segments >= COARSE_FIRST_MIN_SEGMENTS else m for k, m in finer}
+        )
     return levels[:-1]
 
 
@@ -282,7 +284,9 @@ def _solve_point(
         patience = _Patience(show, CAREFUL_ITERATIONS)
         again = solver.solve(there, "careful", callback=patience, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
-    wandered = result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= MANY
+    wandered = (
+        result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= COLD_START_MAX_ITERATIONS
+    )
     if result.status in ADAPTIVE or (wandered and point.way == "cold"):
         again = solver.solve(point.cold(), "adaptive", callback=show, deadline=deadline)
         worse = again.status in ADAPTIVE or (wandered and not again.status.solved)
@@ -334,13 +338,16 @@ def _solve_from_lines(
     attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback | None, deadline: float
 ) -> NlpResult:
     """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first in other ways."""
-    if solver.options.solver != "ipopt" or solver.options.max_iterations < MANY:
+    if solver.options.solver != "ipopt" or solver.options.max_iterations < COLD_START_MAX_ITERATIONS:
         return _solve_point(solver, point, show, deadline)
     patience = _Patience(show)
     first = solver.solve(point, callback=patience, deadline=deadline)
     if not patience.lost:
         return _solve_point(solver, point, show, deadline, first)
-    spent = [first, solver.solve(point, "adaptive", callback=_Patience(show, BRIEF), deadline=deadline)]
+    spent = [
+        first,
+        solver.solve(point, "adaptive", callback=_Patience(show, FALLBACK_MAX_ITERATIONS), deadline=deadline),
+    ]
     if not spent[-1].status.solved:
         spent += _from_flight(attempt, show, deadline)
     if not spent[-1].status.solved:
@@ -433,8 +440,8 @@ def feasibility_starts(
     flown = with_flown_guess(problem)
     if flown is not None:
         yield FeasibilityStart(start_from_guess(transcription, flown), times[:0])
-    for index in range(1, RANDOM + 1):
-        twin = with_random_guess(problem, SEED, index)
+    for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
+        twin = with_random_guess(problem, FEASIBILITY_SEED, index)
         yield FeasibilityStart(start_from_guess(transcription, twin), times[:0])
 
 

@@ -12,7 +12,7 @@ from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
 
-DIVERGED = 1e15
+DIVERGING_MAGNITUDE = 1e15
 """A variable beyond this magnitude, or an objective below minus this, counts as running off to infinity."""
 
 WARM_PUSH = 1e-9
@@ -33,7 +33,7 @@ _MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
 
 # From this many variables and constraints on MUMPS orders by METIS, which bears a dense row (a free final time) badly:
 # approximate minimum degree with quasi-dense rows needs half the time for the analysis and up to 40 % less afterwards.
-_LARGE = 10_000
+_LARGE_PROGRAM_VARIABLES = 10_000
 
 _MUMPS_LARGE = {"mumps_pivot_order": 6}
 
@@ -144,12 +144,12 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
         "compl_inf_tol": _complementarity(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
-        "diverging_iterates_tol": DIVERGED,
+        "diverging_iterates_tol": DIVERGING_MAGNITUDE,
     }
     if options.max_wall_time is not None:
         chosen["max_wall_time"] = float(options.max_wall_time)
     if options.linear_solver == "mumps":
-        chosen |= _MUMPS if size < _LARGE else _MUMPS | _MUMPS_LARGE
+        chosen |= _MUMPS if size < _LARGE_PROGRAM_VARIABLES else _MUMPS | _MUMPS_LARGE
         chosen |= _MUMPS_CAREFUL if options.careful_pivoting or start == "careful" else {}
     if options.mu_init is not None or start in ("warm", "careful"):
         chosen["mu_init"] = WARM_MU if options.mu_init is None else float(options.mu_init)

@@ -39,12 +39,12 @@ from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
-from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.scales import STILL
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
 
-MOST_ORDER = 3
+TOUCH_MAX_ORDER = 3
 """Orders of state constraints that are looked for."""
 
 
@@ -106,7 +106,7 @@ def _rows(s: PhaseSamples) -> Array:
         scale = np.where(s.path_scale > STILL * s.path_reach, s.path_scale, s.path_reach)
         near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
-    density = NEGLIGIBLE * s.cost_scale / s.span
+    density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
     on_state = _near(s.x, leg.state_bounds, s.state_scale)
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
@@ -142,7 +142,7 @@ def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
     gradients = []
     for i in chosen:
         value = values[int(i)]
-        for _ in range(MOST_ORDER):
+        for _ in range(TOUCH_MAX_ORDER):
             value = ca.jtimes(value, along, flow)
             if ca.depends_on(value, u):
                 break
@@ -150,7 +150,7 @@ def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
 
 
-LEVEL, BESIDE = 1e-2, 1e-3
+LEVEL, TOUCH_MAX_SHARE_OF_SCALE = 1e-2, 1e-3
 """A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
 (share of the segment) beside the boundary."""
 
@@ -327,6 +327,8 @@ def _given_up(rows: _Rows, row: int, boundary: int) -> int:
     if held[0] == held[1]:
         return 0
     side = 1 if held[0] else -1
-    times = breaks[boundary] + np.array([0.0, BESIDE]) * (breaks[boundary + side] - breaks[boundary])
+    times = breaks[boundary] + np.array([0.0, TOUCH_MAX_SHARE_OF_SCALE]) * (
+        breaks[boundary + side] - breaks[boundary]
+    )
     values = rows.values(times, s.leg.x(times), s.leg.flown(times))[row]
-    return side if abs(values[1] - values[0]) < LEVEL * BESIDE * rows.scales[row] else 0
+    return side if abs(values[1] - values[0]) < LEVEL * TOUCH_MAX_SHARE_OF_SCALE * rows.scales[row] else 0

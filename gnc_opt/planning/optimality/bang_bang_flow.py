@@ -34,7 +34,7 @@ from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-STEPS = 36
+FLOW_INITIAL_STEPS = 36
 """Default number of Runge-Kutta steps over the phase: accurate to 1e-4 for five revolutions of an oscillator.
 """
 
@@ -145,7 +145,7 @@ def bang_bang_flow(
     pieces: PiecewiseControl,
     free_start: Indices,
     refinement: int = 1,
-    steps: int = STEPS,
+    steps: int = FLOW_INITIAL_STEPS,
 ) -> BangBangFlow:
     """Fly a phase piece by piece.
 

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.scales import RESOLUTION
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import magnitude
 
-BRIEF = 1e-2
+AVERAGING_SHARE_OF_PHASE = 1e-2
 """Violations shorter than this share of a phase count by their mean over it: the loss of cost is size times
 duration.
 """
@@ -35,10 +35,11 @@ SMEARED = 1e-4
 
 
 def lasting(times: Array, offence: Array) -> Array:
-    """Violations (m, n_times) averaged over `BRIEF` of the phase, since a kink between two nodes hardly
+    """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE` of the phase, since a kink between
+    two nodes hardly
     affects the cost.
     """
-    half = 0.5 * BRIEF * (times[-1] - times[0])
+    half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
     areas = 0.5 * (offence[:, 1:] + offence[:, :-1]) * np.diff(times)
     total = np.concatenate([np.zeros((offence.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
     middle = np.clip(times, times[0] + half, times[-1] - half)

@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.cost_scale import BRIEF
+from gnc_opt.planning.optimality.cost_scale import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
@@ -191,13 +191,14 @@ def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
-    """Return the integral of multipliers (n, N) within half of `BRIEF` of inner segment boundaries (n, K -
+    """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of inner segment
+    boundaries (n, K -
     1).
 
     A mesh does not resolve how a measure divides between an atom and the adjacent density: both give the same
     costate elsewhere.
     """
-    offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * BRIEF * s.span
+    offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
     widths = np.minimum(np.diff(s.leg.breaks), near)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)

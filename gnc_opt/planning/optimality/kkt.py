@@ -46,7 +46,7 @@ LAST_DIGIT = 1e-15
 CONSISTENT, NOISE = 1e-7, 1e-13
 """Relative and absolute residual that the solution of a consistent system keeps below."""
 
-_SHIFT = 1e-9
+_SINGULAR_SHIFT = 1e-9
 """Relative shift under which a singular system is examined."""
 
 
@@ -94,7 +94,7 @@ class SaddlePoint:
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
         self._factors = scipy.sparse.linalg.splu(
-            scipy.sparse.csc_array(self._matrix + _SHIFT * scipy.sparse.diags_array(signs))
+            scipy.sparse.csc_array(self._matrix + _SINGULAR_SHIFT * scipy.sparse.diags_array(signs))
         )
         null = np.random.default_rng(0).standard_normal(n)
         for _ in range(SADDLE_REFINEMENTS):
@@ -209,11 +209,11 @@ def _stretched(matrix: Any, dense: Indices, others: Indices, stretches: Indices)
     return scipy.sparse.csc_array((values, at), shape=(size, size))
 
 
-SLACK, REFINEMENTS = 1e-12, 1
+DEPENDENT_ROW_SHIFT, REFINEMENTS = 1e-12, 1
 """Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
 which the others are kept all the same."""
 
-SETTLED = 1e-4
+LANCZOS_RESIDUAL_TOLERANCE = 1e-4
 """Residual of the eigenvectors, relative to the largest eigenvalue, at which the method ends."""
 
 FOUND = 1e-6
@@ -286,7 +286,7 @@ class NullSpace:
         """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
         n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
-        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, SLACK))
+        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, DEPENDENT_ROW_SHIFT))
         return matrix, factorised(matrix - slack)
 
     @cached_property
@@ -359,7 +359,9 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
 def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
     """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
-    return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= SETTLED * np.max(np.abs(values)))
+    return bool(
+        np.max(length * np.abs(vectors[-1, [0, -1]])) <= LANCZOS_RESIDUAL_TOLERANCE * np.max(np.abs(values))
+    )
 
 
 def _normed(rows: Any) -> tuple[Any, Array]:

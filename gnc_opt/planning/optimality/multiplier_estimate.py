@@ -198,7 +198,7 @@ STEADY_SHARE = 1e-7
 GROWTH, MOST_EXPONENT = 1e4, 20.0
 """Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
 
-_ROUNDS = 8
+_ACTIVE_SET_ITERATIONS = 8
 """Of sorting out which limits push."""
 
 
@@ -360,7 +360,7 @@ def _sort_out(
     imposed, pushing = ~limits.anywhere, row_limits.anywhere.copy()
     unknowns = np.zeros(form.matrix.shape[1])
     size = float(np.max(np.abs(form.right), initial=TINY))
-    for _ in range(_ROUNDS):
+    for _ in range(_ACTIVE_SET_ITERATIONS):
         unknowns = form.solve(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]

@@ -27,7 +27,7 @@ from gnc_opt.planning.transcription.scaling import Scaling, scale_rows, scale_va
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import RANK
 
-WEAK = 1e-5
+WEAKLY_ACTIVE_TOLERANCE = 1e-5
 """A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
 
 
@@ -72,7 +72,9 @@ class ProgramLimits:
 
     def weak(self, values: Array, multipliers: Array) -> Mask:
         """Which limits are as good as reached without being needed, or needed without being reached."""
-        return np.asarray((self.push(multipliers) < WEAK) | (self.room(values) < WEAK))
+        return np.asarray(
+            (self.push(multipliers) < WEAKLY_ACTIVE_TOLERANCE) | (self.room(values) < WEAKLY_ACTIVE_TOLERANCE)
+        )
 
 
 @dataclass(frozen=True, eq=False)

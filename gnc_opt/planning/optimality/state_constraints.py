@@ -11,14 +11,14 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate
-from gnc_opt.planning.optimality.active_set import MOST_ORDER
+from gnc_opt.planning.optimality.active_set import TOUCH_MAX_ORDER
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-NEAR = 1e-2
+ACTIVE_CONSTRAINT_SHARE = 1e-2
 """A constraint this close to its limit, as a share of its span, may be active between two points with
 multipliers.
 """
@@ -69,7 +69,7 @@ class StateConstraints:
         if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
             return 0
         order = self._found(row).order or 0
-        return order if order <= MOST_ORDER else 0
+        return order if order <= TOUCH_MAX_ORDER else 0
 
     def holders(self, row: int) -> tuple[int, ...]:
         """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
@@ -89,7 +89,7 @@ class StateConstraints:
         distance = np.min(
             [np.abs(self.values(s.times, s.x, s.u)[row] - at) for _, at in self.limits(row)], axis=0
         )
-        near = distance <= max(NEAR * self.scales[row], np.min(distance))
+        near = distance <= max(ACTIVE_CONSTRAINT_SHARE * self.scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
         moved = u.copy()
         moved[control] += PROBE * s.control_scale[control]

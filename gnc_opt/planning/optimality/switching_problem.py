@@ -26,7 +26,7 @@ from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.functions import EndGradients, end_function
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 
@@ -86,7 +86,7 @@ class Unknowns:
             start_scale, start_worth = _of_starts(s, starts[leg.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
-            least = TINY + NEGLIGIBLE * s.hamiltonian_scale
+            least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[leg.name].channels]
             worth += list(
                 s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])

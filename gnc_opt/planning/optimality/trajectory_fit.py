@@ -28,7 +28,7 @@ from gnc_opt.tolerances import TINY
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
 
-JUMP = 10.0
+JUMP_MIN_RATIO = 10.0
 """Smallest ratio of a control's change to the adjacent changes for which it is a jump."""
 
 VISIBLE = 1e-3
@@ -43,7 +43,7 @@ _KNOWN_BESIDE = 8
 _LOST = 1e3
 """A miss, relative to the state, beyond which nothing depends on how large it is."""
 
-_STEPS = 4
+_RUNGE_KUTTA_STEPS = 4
 """Runge-Kutta steps from a sample to a jump, and from one jump to the next."""
 
 Rates = Callable[[Array, Array, Array], Array]
@@ -149,7 +149,7 @@ def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     before, after = np.zeros_like(size), np.zeros_like(size)
     before[:, 1:], after[:, :-1] = size[:, :-1], size[:, 1:]
     visible = size > VISIBLE * np.ptp(u, axis=1, keepdims=True)
-    alone = visible & (size > JUMP * np.maximum(before, after))
+    alone = visible & (size > JUMP_MIN_RATIO * np.maximum(before, after))
     if t.size <= 3:  # nothing to compare with
         alone[:] = False
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
@@ -175,7 +175,7 @@ def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
         np.abs(slopes[5:] - slopes[4:-1]),
     )
     visible = turn[0] * np.diff(t)[3:-2] > VISIBLE * np.ptp(u)
-    at = 3 + np.flatnonzero(visible & (turn[0] > JUMP * np.maximum(turn[1], turn[2])))
+    at = 3 + np.flatnonzero(visible & (turn[0] > JUMP_MIN_RATIO * np.maximum(turn[1], turn[2])))
     at = at[
         np.append(np.diff(at) > 1, True)[: at.size]
     ]  # the second of two that have a kink at the sample between them
@@ -281,12 +281,12 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
 
 def _carried(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
     """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
-    h, middle = (b - a) / _STEPS, 0.5 * (a + b)
+    h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
 
     def f(t: Array, x: Array) -> Array:
         return rates(t, x, controls(t, middle))
 
-    for k in range(_STEPS):
+    for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
         k1 = f(t, x)
         k2 = f(t + 0.5 * h, x + 0.5 * h * k1)

@@ -228,7 +228,7 @@ def _offences(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, s
 _FRACTIONS = (np.arange(11) + 0.5) / 11
 """Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
 
-_PUSH = 1e-2
+_BOUND_OFFSET = 1e-2
 """How far (scaled) the guess is moved off bounds before functions are tried; IPOPT does the same."""
 
 _FEW = 12
@@ -380,7 +380,7 @@ def _check_ends(problem: Statement, ends: list[Any]) -> None:
 def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
     """Move values (n, N) into the bounds (n,), slightly inside them if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
-    push = _PUSH * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
+    push = _BOUND_OFFSET * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 

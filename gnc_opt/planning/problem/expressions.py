@@ -22,7 +22,7 @@ from gnc_opt.model.variables import Layout, foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
-SLACK = 1e-6
+TABLE_EDGE_TOLERANCE = 1e-6
 """Share of an axis by which a trajectory may be outside of a table: an optimum at its edge is there to rounding."""
 
 
@@ -100,7 +100,7 @@ def outside_tables(
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
             beyond = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
-            out = np.flatnonzero(beyond > SLACK * (grid[-1] - grid[0]))
+            out = np.flatnonzero(beyond > TABLE_EDGE_TOLERANCE * (grid[-1] - grid[0]))
             if out.size:
                 worst = int(np.argmax(beyond))
                 span = (float(times[out[0]]), float(times[out[-1]]))

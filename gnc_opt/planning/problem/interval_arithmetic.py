@@ -140,7 +140,7 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
 """Ranges of the CasADi operations."""
 
 
-_DRAWS = 6
+_RANGE_DRAWS = 6
 
 _QUOTIENTS = (ca.OP_DIV, ca.OP_INV, ca.OP_LOG)
 _FACTORS = (ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_NEG)
@@ -249,11 +249,11 @@ def drawn(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
     symbols = ca.vertcat(*ca.symvar(column))
     rng = np.random.default_rng(20)
-    size = (symbols.numel(), _DRAWS)
+    size = (symbols.numel(), _RANGE_DRAWS)
     values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
     function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
     return np.asarray(
-        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
+        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _RANGE_DRAWS)
     )
 
 

@@ -75,7 +75,7 @@ def _rows(leg: Phase) -> Any:
     return ca.Function("paths", [*arguments], [ca.densify(expression)])
 
 
-FARTHEST = 10.0
+UNBOUNDED_STATE_MAX_RATIO = 10.0
 """How much larger than its guess a state without bounds may be taken to be."""
 
 SAMPLES = np.linspace(0.0, 1.0, 9)
@@ -86,11 +86,11 @@ ROUNDING = 1e-12
 latitude of 1e-17 on a flight due east is rounding.
 """
 
-CANCELLED = 1e-3
+CANCELLATION_SHARE = 1e-3
 """Share of what one control does alone below which several, all at their bounds, cancel each other: so do redundant
 wheels and thrusters that are arranged evenly."""
 
-BESIDE = 0.01
+GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of each state's magnitude there."""
 
 
@@ -99,7 +99,8 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
 
     In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for controls, what path
     constraints leave them; for states, what the dynamics do to them over the phase: all of it where the guess is zero
-    but for rounding, at most `FARTHEST` times the guess elsewhere (stiff dynamics at a poor guess point far beyond
+    but for rounding, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess elsewhere (stiff dynamics at a
+    poor guess point far beyond
     where the state will ever go).
     """
     start = start_phase(leg, SAMPLES, perturbed=False)
@@ -109,9 +110,11 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
         _override(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
     drift = _drift(leg, start, controls)
-    beside = _drift(leg, replace(start, states=start.states + BESIDE * reach[:, None]), controls)
+    beside = _drift(leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls)
     drift = np.where(drift > ROUNDING * beside, drift, beside)
-    reach = np.where(reach > ROUNDING * beside, np.clip(drift, reach, FARTHEST * reach), drift)
+    reach = np.where(
+        reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
+    )
     states = magnitude_within(numbers.states, reach)
     if overridden:
         _override(states, leg.model.states, numbers.scales)
@@ -138,7 +141,7 @@ def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
         f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
     together, alone = np.max(rates, axis=0), _moved_alone(leg, start, times, magnitudes)
-    rate = np.where(together > CANCELLED * alone, together, alone)
+    rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 

@@ -137,14 +137,14 @@ def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
     return found
 
 
-PLACES, SEED = 8, 5
+PLACES, NORM_RATE_SEED = 8, 5
 """Points at random on the sphere, with other states and controls at random, at which the length has no rate: what
 vanishes at them vanishes everywhere, but for functions made to deceive."""
 
 ROUNDING = 1e-12
 """Share of its terms within which a rate is none, and of a length by which a bound may fall short of it."""
 
-ROOM = 1e-2
+NORM_BOUND_SLACK_SHARE = 1e-2
 """Share of a length by which a bound of it may exceed it."""
 
 
@@ -157,7 +157,7 @@ def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     bounds = leg.numbers.states
     for places in _vectors(leg):
         length = _first_length(leg, places)
-        least, most = length * (1.0 - ROUNDING), length * (1.0 + ROOM)
+        least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
         if length > 0 and np.any(lower | upper) and _kept(problem, leg, places, length):
@@ -200,7 +200,7 @@ def _kept(problem: Statement, leg: Phase, places: Indices, length: float) -> boo
     terms = problem.once(
         ("rate along itself", leg.name, places.tobytes()), lambda: _terms(problem, leg, places)
     )
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(NORM_RATE_SEED)
     free = problem.parameter_interval().lower.size
     for _ in range(PLACES):
         x = random.uniform(0.5, 1.5, leg.model.states.size)

@@ -20,7 +20,7 @@ import casadi as ca
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
 
-MOST_ORDER = 4
+STATE_CONSTRAINT_MAX_ORDER = 4
 """Orders that are looked for."""
 
 
@@ -32,7 +32,7 @@ class ConstraintOrder:
     ----------
     label : str
     order : int or None
-        q; 0 if a control enters the constraint itself, None if none appears up to `MOST_ORDER`.
+        q; 0 if a control enters the constraint itself, None if none appears up to `STATE_CONSTRAINT_MAX_ORDER`.
     derivatives : tuple of casadi.SX
         S and its derivatives up to the q-th (all that were taken if q is None).
     controls : tuple of int
@@ -63,7 +63,7 @@ def _order(label: str, value: Any, t: Any, x: Any, u: Any, rates: Any) -> Constr
         controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))
         if controls:
             return ConstraintOrder(label, len(derivatives) - 1, tuple(derivatives), controls)
-        if len(derivatives) > MOST_ORDER:
+        if len(derivatives) > STATE_CONSTRAINT_MAX_ORDER:
             return ConstraintOrder(label, None, tuple(derivatives), ())
         last = derivatives[-1]
         derivatives.append(ca.simplify(ca.jacobian(last, t) + ca.jacobian(last, x) @ rates))

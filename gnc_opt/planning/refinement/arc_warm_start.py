@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 
-WARM_ITERATIONS = 50
+ARC_WARM_START_MAX_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
 
 PASSES = 6
@@ -38,7 +38,7 @@ PASSES = 6
 NEARBY = SolverOptions(tolerance=TIGHT, max_iterations=30)
 """For solves with known arcs: where these have a solution nearby, it takes fewer iterations."""
 
-LEAST_WORK = 1e4
+WARM_START_MIN_WORK = 1e4
 """What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
 
 WRONG = 0.1
@@ -116,7 +116,9 @@ class KnownArcs:
     def _by_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         scheme = next(iter(start.phases.values())).scheme
-        found = solve_mesh(problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(WARM_ITERATIONS))
+        found = solve_mesh(
+            problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(ARC_WARM_START_MAX_ITERATIONS)
+        )
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return refine_mesh(found, tol=tol, limits=self._limits) if found.status.solved else None
@@ -131,7 +133,7 @@ class KnownArcs:
     def _limits(self) -> PassLimits:
         history = self.solution.history
         taken = 0.0 if history is None else sum(p.work for p in history.passes)
-        return PassLimits(PASSES, work=max(taken, LEAST_WORK))
+        return PassLimits(PASSES, work=max(taken, WARM_START_MIN_WORK))
 
 
 def first_meshes(known: Solution) -> dict[str, Mesh]:

@@ -23,7 +23,7 @@ LOCAL_ERROR_RATIO = 1e3
 """The estimated error of the objective counts where local errors are at most so many tolerances: it is of first order
 in them."""
 
-MARGIN = 3.0
+CANDIDATE_ERROR_MARGIN = 3.0
 """Estimates within this factor of the true error are usual: an objective that is lower by more than so many estimates
 belongs to another minimum."""
 
@@ -137,7 +137,10 @@ class Candidate:
         """
         ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
         least = LOSS_MIN_SHARE * abs(other.cost) if other.passes and not self.passes else 0.0
-        return self.cost + max(MARGIN * ours, least) < other.cost - MARGIN * theirs
+        return (
+            self.cost + max(CANDIDATE_ERROR_MARGIN * ours, least)
+            < other.cost - CANDIDATE_ERROR_MARGIN * theirs
+        )
 
 
 def best_of(candidates: Sequence[Candidate]) -> int:

@@ -14,11 +14,11 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-WORTH = 20.0
+COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2: an error of the costates affects the cost in second order only. With
 errors below 1e-8 the residual is below 5e-6, half of what `verify` forgives."""
 
-PUSHING = 1e-6
+ACTIVE_MULTIPLIER_SHARE = 1e-6
 """A multiplier of this share of H, or an impulse of this share of the cost, says that a constraint is active."""
 
 
@@ -59,8 +59,10 @@ def unconstrained(samples: PhaseSamples, pure_paths: Array) -> Mask:
             np.abs(leg.path_multipliers) * pure_paths[:, None],
         ]
     )
-    pushed = np.any(forces > PUSHING * samples.hamiltonian_scale, axis=0)
-    jumps = np.any(np.abs(leg.state_impulses) * costate_worth(samples)[:, None] > PUSHING, axis=0)
+    pushed = np.any(forces > ACTIVE_MULTIPLIER_SHARE * samples.hamiltonian_scale, axis=0)
+    jumps = np.any(
+        np.abs(leg.state_impulses) * costate_worth(samples)[:, None] > ACTIVE_MULTIPLIER_SHARE, axis=0
+    )
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
     held = np.logical_or.reduceat(pushed, leg.mesh.offsets[:-1])
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))

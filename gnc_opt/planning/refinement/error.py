@@ -25,13 +25,13 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.refinement.costate_error import WORTH, adjoint_density
+from gnc_opt.planning.refinement.costate_error import COSTATE_ERROR_WEIGHT, adjoint_density
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import defined
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 
-NEGLIGIBLE = 1e-6
+ABSOLUTE_ERROR_MAGNITUDE = 1e-6
 """An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
 
 
@@ -140,8 +140,8 @@ class Yardstick:
             functions,
             samples.state_scale,
             samples.control_scale,
-            np.where(integral > NEGLIGIBLE, integral, 1.0),
-            np.where(path > NEGLIGIBLE, path, 1.0),
+            np.where(integral > ABSOLUTE_ERROR_MAGNITUDE, integral, 1.0),
+            np.where(path > ABSOLUTE_ERROR_MAGNITUDE, path, 1.0),
             has_control,
             samples.hamiltonian_scale,
         )
@@ -176,7 +176,7 @@ class Yardstick:
             mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
             peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
-        costates = (WORTH * pieces.total(adjoint)) ** 2
+        costates = (COSTATE_ERROR_WEIGHT * pieces.total(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
     def stationarity(self, pieces: SampledPieces, lam: Array) -> Array:

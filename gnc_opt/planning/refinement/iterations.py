@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.history import Actions, Pass, iterations_for
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
-PATIENCE = 6
+CONVERGENCE_WINDOW = 6
 """So many passes tell how fast the error falls."""
 
 HORIZON = 10
@@ -28,7 +28,7 @@ PROMISING, EXTENDED = 0.3, 2.0
 LEFT = 0.5
 """Share of all that is allowed that a pass may take in any case, ..."""
 
-FEWEST = 25
+BUDGET_MIN_ITERATIONS = 25
 """... and iterations: a warm start near its end takes no more, on however fine a mesh."""
 
 
@@ -70,7 +70,7 @@ class PassLimits:
         if math.isinf(self.work):
             return SolveLimits(deadline=self.deadline)
         left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
-        most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
+        most = max(BUDGET_MIN_ITERATIONS, iterations_for(left, sum(mesh.size for mesh in meshes)))
         return SolveLimits(iterations=most, deadline=self.deadline)
 
 
@@ -107,13 +107,13 @@ def crawls(errors: Sequence[float], tol: float) -> bool:
     Parameters
     ----------
     errors : sequence of float
-        Of all passes so far. Fewer than `PATIENCE` after the first tell nothing.
+        Of all passes so far. Fewer than `CONVERGENCE_WINDOW` after the first tell nothing.
     tol : float
         What the error should come down to.
     """
-    if len(errors) <= PATIENCE:
+    if len(errors) <= CONVERGENCE_WINDOW:
         return False
-    before, now = min(errors[:-PATIENCE]), min(errors[-PATIENCE:])
+    before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])
     if now <= tol:
         return False
-    return now >= before or PATIENCE * math.log(now / tol) > HORIZON * math.log(before / now)
+    return now >= before or CONVERGENCE_WINDOW * math.log(now / tol) > HORIZON * math.log(before / now)

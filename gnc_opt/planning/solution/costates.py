@@ -108,7 +108,7 @@ def _fit(directions: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
 
-_PUSH = 1e-6
+_COSTATE_JUMP_MIN_SHARE = 1e-6
 """A push on a costate counts if it would move it by this share of its size over the segment."""
 
 _TURNED = 1e-3
@@ -245,7 +245,9 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
         return paths
     settled = paths.copy()
     lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
-    pushed = np.abs(paths) * lengths > _PUSH * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
+    pushed = np.abs(paths) * lengths > _COSTATE_JUMP_MIN_SHARE * np.max(
+        np.abs(paths) * lengths, axis=1, keepdims=True
+    )
     shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
     shared |= np.append(shared[1:], False)
     held = _held_segments(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
@@ -309,8 +311,10 @@ class _CostatePieces:
         start, end = _boundary_costates(collocation, lam_g, weights * pull)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
         lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
-        bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _PUSH * size
-        pushed = bounded | (np.abs(path_push) * lengths > _PUSH * size)
+        bounded = (
+            np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _COSTATE_JUMP_MIN_SHARE * size
+        )
+        pushed = bounded | (np.abs(path_push) * lengths > _COSTATE_JUMP_MIN_SHARE * size)
         held, still = _held_segments(collocation, pushed, shared), _still_segments(collocation, x)
         return cls(
             collocation, weights, lam, start, end, densities,

@@ -15,7 +15,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.transcription.scaling import Scaling
 from gnc_opt.planning.transcription.transcription import Transcription
 
-_MOST = 10
+_LISTED_VIOLATIONS = 10
 _NEGLIGIBLE = 1e-9
 _RUNNING_OFF = 1e6
 """Scaled variables beyond this are named when a problem is unbounded."""
@@ -63,7 +63,7 @@ def find_violations(
         special = _running_off(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
         special = _not_finite(problem, phases, parameters)
-    return (*special, *_broken(transcription, problem, result, scaling))[:_MOST]
+    return (*special, *_broken(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
 
 
 def _broken(
@@ -75,7 +75,7 @@ def _broken(
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
     amounts = np.concatenate([_excess(result.g, scaled_rows), _excess(result.x, scaled_box)])
     labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
-    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_MOST]
+    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= _NEGLIGIBLE]
 
 

@@ -26,7 +26,7 @@ Side: TypeAlias = Literal["left", "right"]
 END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
-KEPT, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
+CACHED_BASES, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
 """Cache of bases: number of sets, times per set and grids; some 10 MB."""
 
 
@@ -202,7 +202,7 @@ class _Grid:
         Nodes and their barycentric weights (m,), and the place of each segment (K,) in its group, -1 for those of
         others.
     kept : function
-        `bases`, which remembers those of the last `KEPT` sets of times.
+        `bases`, which remembers those of the last `CACHED_BASES` sets of times.
     """
 
     def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
@@ -215,7 +215,7 @@ class _Grid:
         self.places = [np.full(len(nodes), -1) for _ in groups]
         for places, segments in zip(self.places, groups.values(), strict=True):
             places[segments] = np.arange(len(segments))
-        self.kept = lru_cache(maxsize=KEPT)(self.bases)
+        self.kept = lru_cache(maxsize=CACHED_BASES)(self.bases)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _grid, self._given

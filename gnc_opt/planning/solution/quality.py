@@ -35,7 +35,7 @@ WIDTHS = 100.0
 to the same share of a far smaller feature.
 """
 
-FINEST = 1e-3
+DISTANCE_MIN_SCALE_SHARE = 1e-3
 """Smallest scale, as a share of the trajectory's size: below it, the solver's rounding would count as a
 violation.
 """
@@ -43,13 +43,14 @@ violation.
 PINNED = 1e-5
 """A range narrower than this share of the flight's size fixes a value; it is no feature with a width of its own."""
 
-REACH = 64.0
+DISTANCE_SEARCH_RADIUS = 64.0
 """How far off the allowed set is looked for, in sizes of the flight."""
 
-_STEPS = REACH * 4.0 ** np.arange(-22.0, 1.0)
-"""Places on a line where it is looked at first; what lies between two is then cut in `_PARTS`, `_ROUNDS` times."""
+_STEPS = DISTANCE_SEARCH_RADIUS * 4.0 ** np.arange(-22.0, 1.0)
+"""Places on a line where it is looked at first; what lies between two is then cut in `_PARTS`,
+`_DISTANCE_SEARCH_ITERATIONS` times."""
 
-_PARTS, _ROUNDS = 16, 6
+_PARTS, _DISTANCE_SEARCH_ITERATIONS = 16, 6
 
 
 def bound_offences(found: Violations, bounds: Interval, scale: Array) -> Array:
@@ -101,7 +102,7 @@ def _width(line: _Line, depth: Array) -> Array:
 
 def _shares(depth: Array, width: Array) -> Array:
     """Return depths in shares of the flight's size, or of `WIDTHS` widths where these are less."""
-    return np.asarray(depth / np.clip(WIDTHS * width, FINEST, 1.0))
+    return np.asarray(depth / np.clip(WIDTHS * width, DISTANCE_MIN_SCALE_SHARE, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class _Line:
     def first(self, limits: Limits, start: Array, sense: float, *, allowed: bool) -> Array:
         """Return the first place beyond ``start`` where limits hold, or do not; infinite if there is none."""
         inside, outside, found = self._bracket(limits, start, start + sense * _STEPS[:, None], allowed)
-        for _ in range(_ROUNDS):
+        for _ in range(_DISTANCE_SEARCH_ITERATIONS):
             cuts = inside + (outside - inside) * (np.arange(1, _PARTS + 1) / _PARTS)[:, None]
             inside, outside, _ = self._bracket(limits, inside, cuts, allowed)
         return np.where(found, outside, sense * np.inf)
@@ -182,7 +183,7 @@ SWINGS = 10.0
 """A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
 to the neighbouring samples."""
 
-FLAT = 1e-9
+PEAK_NOISE_SHARE = 1e-9
 """Changes between samples below this share of the usual distance to the limit are noise, not a peak."""
 
 _TRIED = np.linspace(-7 / 8, 7 / 8, 15)
@@ -190,7 +191,7 @@ _TRIED = np.linspace(-7 / 8, 7 / 8, 15)
 
 _LIMITS_ROUNDS = 6
 
-MOST = 5
+PEAKS_PER_LIMIT = 5
 """So many peaks per limit are looked for, the most promising ones, and so many violations per limit are returned."""
 
 
@@ -278,7 +279,7 @@ def violations(samples: PhaseSamples, limits: Limits) -> Violations:
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], samples.u_polynomial[:, j]
     promise = excess + SWINGS * tops.swing
-    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > FLAT * tops.room))
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > PEAK_NOISE_SHARE * tops.room))
     hidden = hidden[_highest(k[hidden], promise[hidden])]
     if hidden.size:
         peaks, heights = _narrowed(samples, limits.some(k[hidden]), tops.left[hidden], tops.right[hidden])
@@ -292,10 +293,10 @@ def violations(samples: PhaseSamples, limits: Limits) -> Violations:
 
 
 def _highest(groups: Indices, values: Array) -> Indices:
-    """Return where the `MOST` highest values of each group are."""
+    """Return where the `PEAKS_PER_LIMIT` highest values of each group are."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
-    return np.asarray(order[np.arange(order.size) - starts < MOST])
+    return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
 
 
 @dataclass(frozen=True, eq=False)

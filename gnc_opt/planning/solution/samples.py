@@ -37,7 +37,7 @@ FINER = 32
 EDGE = 1e-7
 """Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
 
-NEGLIGIBLE = 1e-4
+COSTATE_MIN_SHARE_OF_COST = 1e-4
 """Costates below this share of the cost scale are rounding and do not set the scale."""
 
 MINOR = 1e-2
@@ -305,7 +305,7 @@ class PhaseSamples:
                 break
             costates, before = np.maximum(size, balanced[:, None]), balanced
             terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
-            balanced = np.where(np.isfinite(terms) & (flown <= NEGLIGIBLE * terms), terms, 0.0)
+            balanced = np.where(np.isfinite(terms) & (flown <= COSTATE_MIN_SHARE_OF_COST * terms), terms, 0.0)
         slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
         return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
 
@@ -327,7 +327,9 @@ class PhaseSamples:
     @property
     def least_worth(self) -> float:
         """Cost per second below which differences of H are rounding."""
-        return NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+        return (
+            COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+        )
 
     @cached_property
     def control_scale(self) -> Array:
@@ -341,7 +343,7 @@ class PhaseSamples:
     def cost_scale(self) -> float:
         """Largest |lambda_i| x_i along the phase: the states' sizes in units of the cost."""
         worth = float(np.max(np.abs(self.lam_polynomial) * self.state_scale[:, None], initial=0.0))
-        worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
+        worth = max(worth, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
         return worth if worth > 0 else 1.0
 
     @cached_property

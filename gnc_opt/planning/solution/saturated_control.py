@@ -15,7 +15,7 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
 from gnc_opt.tolerances import magnitude
 
-_SAMPLES = 33
+_SATURATION_SAMPLES = 33
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class FlownControl:
     @cached_property
     def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
-        values = self.polynomial.within(np.linspace(-1.0, 1.0, _SAMPLES))
+        values = self.polynomial.within(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
         slack = self.tolerance * _width(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]

@@ -32,7 +32,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING, magnitude
 
-_KEPT = 10.0
+_CURVATURE_MAX_RATIO = 10.0
 """Times what H bends by over half of a control's span its curvature there may amount to."""
 
 
@@ -58,7 +58,7 @@ class Bending:
     def lasting(self, i: int, at: Indices, span: float) -> Array:
         """Share of its curvature in a control that H may keep over half of a span to either side, at some samples."""
         kept = self._kept(i, at, span)
-        return np.asarray(np.where(np.isfinite(kept), np.minimum(_KEPT * kept, 1.0), 1.0))
+        return np.asarray(np.where(np.isfinite(kept), np.minimum(_CURVATURE_MAX_RATIO * kept, 1.0), 1.0))
 
     def rounding(self, spans: Array) -> Indices:
         """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""

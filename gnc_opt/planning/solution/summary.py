@@ -17,11 +17,11 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 
-WIDTH = 13
+LABEL_WIDTH = 13
 WORST = 3
 """How many broken constraints, or overshooting controls, are named."""
 
-NEGLIGIBLE = 1e-9
+ROUNDING_VIOLATION = 1e-9
 """Relative bound violations below this are rounding."""
 
 _UNKEPT = {
@@ -222,7 +222,7 @@ def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
         yield _line(
             "defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_where}"
         )
-    if quality.max_bound_violation <= NEGLIGIBLE:
+    if quality.max_bound_violation <= ROUNDING_VIOLATION:
         if not brief:
             yield _line("bounds", "kept at and between nodes")
     else:
@@ -261,4 +261,4 @@ def _words(value: str) -> str:
 
 
 def _line(label: str, text: str) -> str:
-    return f"  {label:<{WIDTH}}{text}"
+    return f"  {label:<{LABEL_WIDTH}}{text}"

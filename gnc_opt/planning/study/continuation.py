@@ -31,13 +31,13 @@ Family: TypeAlias = Callable[[float], Problem]
 SMALLEST = 1e-4
 """The smallest step, as a share of the whole way."""
 
-JUMP = 0.3
+PREDICTION_ERROR_MAX = 0.3
 """Error of a prediction, in scales of the variables, beyond which a step is taken again in halves."""
 
 GOOD = 0.05
 """Error of a prediction below which the next step is twice as long."""
 
-MOST_ITERATIONS = 300
+CONTINUATION_MAX_ITERATIONS = 300
 """Of a step's solve; one that needs more is taken again in halves."""
 
 
@@ -236,7 +236,7 @@ class _Walk:
                     value = float(target)
                 taken = abs(value - values[-1])
                 found, miss = self._step(value, values[branch:], solutions[branch:])
-                smooth = found.status.solved and miss <= JUMP
+                smooth = found.status.solved and miss <= PREDICTION_ERROR_MAX
                 if found.status is Status.INTERRUPTED:
                     status = ContinuationStatus.INTERRUPTED
                     break
@@ -275,7 +275,7 @@ class _Walk:
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])
         prediction = predict(problem, last, before, ratio)
-        options = self.options or SolverOptions(max_iterations=MOST_ITERATIONS)
+        options = self.options or SolverOptions(max_iterations=CONTINUATION_MAX_ITERATIONS)
         found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
         if not found.status.solved:
             return found, np.inf

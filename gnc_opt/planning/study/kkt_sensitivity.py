@@ -33,7 +33,12 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import with_contacts
 from gnc_opt.planning.optimality.kkt import SaddlePoint
-from gnc_opt.planning.optimality.program_point import WEAK, ProgramLimits, ProgramPoint, saddle_matrix
+from gnc_opt.planning.optimality.program_point import (
+    WEAKLY_ACTIVE_TOLERANCE,
+    ProgramLimits,
+    ProgramPoint,
+    saddle_matrix,
+)
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.costates import Iterate
@@ -43,7 +48,7 @@ from gnc_opt.planning.solution.warm_start import ProgramStart, program_start
 from gnc_opt.planning.transcription.scaling import Scaling, scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 
-SHARP = 1e-12
+SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that tells active limits from others."""
 
 
@@ -144,10 +149,10 @@ def _difference(transcription: Transcription, old: Problem, new: Problem) -> Cha
 _RESIDUAL = 1e-10
 """Residual of the scaled conditions to which Newton's method must bring them."""
 
-_ROUNDED = 1e-13
+_KKT_ROUNDING_RESIDUAL = 1e-13
 """Residual at which only rounding is left."""
 
-_NEWTON_STEPS = 8
+_KKT_REFINEMENT_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -212,11 +217,11 @@ class KktPoint:
         Returns what is wrong if it fails, else nothing.
         """
         best = np.inf
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_KKT_REFINEMENT_STEPS):
             self._factorise()
             residual = self._point.residual
             size = float(np.max(np.abs(residual), initial=0.0))
-            if size <= _ROUNDED or (size <= _RESIDUAL and size > 0.1 * best):
+            if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
             self._point = self._point.moved(self._system.solve(-residual))
@@ -243,7 +248,10 @@ class KktPoint:
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._sides()
-            for i in np.flatnonzero((limits.push(multipliers) < -WEAK) | (limits.room(values) < -WEAK))
+            for i in np.flatnonzero(
+                (limits.push(multipliers) < -WEAKLY_ACTIVE_TOLERANCE)
+                | (limits.room(values) < -WEAKLY_ACTIVE_TOLERANCE)
+            )
         ]
         if not culprits:
             return ""
@@ -346,6 +354,6 @@ def _derivatives(transcription: Transcription) -> Any:
 def sharper(solution: Solution) -> Solution:
     """Return the solution on its own mesh, sharp enough to tell active limits from others; itself if that fails."""
     problem = solution.need_problem("solve")
-    options = SolverOptions(tolerance=SHARP)
+    options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)
     again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)
     return again if again.status.solved else solution

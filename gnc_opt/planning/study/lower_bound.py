@@ -40,7 +40,7 @@ from gnc_opt.planning.verification.engine import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
-_TIMES = 201
+_RELAXATION_GUESS_TIMES = 201
 """Number of times at which the trajectory is sampled as the guess of a relaxation."""
 
 
@@ -119,7 +119,7 @@ def _guessed(relaxation: Relaxation, solution: Solution) -> Problem:
     problem = relaxation.problem
     for name, leg in problem.phases.items():
         flown = solution.phase(name)
-        times = np.linspace(flown.initial_time, flown.final_time, _TIMES)
+        times = np.linspace(flown.initial_time, flown.final_time, _RELAXATION_GUESS_TIMES)
         states = flown.x(times, "right")[relaxation.states[name]]
         controls = flown.flown(times, "right")[relaxation.controls[name]]
         values = {n: states[leg.model.states.slice(n)] for n in leg.model.states.names}

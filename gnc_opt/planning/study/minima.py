@@ -154,7 +154,7 @@ def _mean(leg: PhaseSolution) -> Array:
     return np.asarray(np.concatenate(leg.u.values, axis=1).mean(axis=1))
 
 
-SAME = 1e-6
+SAME_MINIMUM_TOLERANCE = 1e-6
 """Relative difference of the objective below which two minima are one."""
 
 SAME_TRAJECTORY = 1e-2
@@ -226,8 +226,8 @@ def _rank(minimum: Minimum) -> tuple[float, int]:
 
 
 def equal(a: float, b: float) -> bool:
-    """Whether two objectives are one within `SAME`."""
-    return abs(a - b) <= SAME * max(abs(a), abs(b), SAME)
+    """Whether two objectives are one within `SAME_MINIMUM_TOLERANCE`."""
+    return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
 
 
 def _one(group: Sequence[Minimum]) -> Minimum:

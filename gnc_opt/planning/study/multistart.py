@@ -178,13 +178,13 @@ minimum, and it finds little else. With a small one the solver stays near the gu
 second start has the smallest, full bangs and large turns, and about the duration of the best solution that the others
 lead to: of what is tried these find most."""
 
-RANDOM = 0.6
+RANDOM_START_SHARE = 0.6
 """Share of the starts that are random; the others are reflections of what these find, if there are as many."""
 
 REFLECTED = 1e-5
 """First barrier parameter of a reflection."""
 
-MOST_ITERATIONS = 400
+COARSE_MAX_ITERATIONS = 400
 """Of a coarse solve; a start that needs more is worth less than another start."""
 
 
@@ -311,7 +311,8 @@ def multistart(
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
     options : SolverOptions, optional
-        For the coarse solves. Default: at most `MOST_ITERATIONS` iterations. Without a ``mu_init`` of theirs, most
+        For the coarse solves. Default: at most `COARSE_MAX_ITERATIONS` iterations. Without a ``mu_init``
+        of theirs, most
         starts use a small one; see `BARRIERS`.
     progress : bool
         Show how many starts have ended and the best objective.
@@ -348,7 +349,7 @@ def multistart(
         )
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
-    chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
+    chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
     shared = _shared(problem)
     stated = shared.value
     with WorkerPool(shared, executor, "multistart()") as pool:
@@ -403,7 +404,7 @@ class _Search:
         endings: Sequence[_StartEnding],
         run: Callable[[_Coarse, Iterable[_Start]], None],
     ) -> None:
-        random = math.ceil(RANDOM * n)
+        random = math.ceil(RANDOM_START_SHARE * n)
         run(coarse, map(_Start, range(0, random, 2)))
         coarse = replace(coarse, durations=_durations(endings))
         run(coarse, map(_Start, range(1, random, 2)))

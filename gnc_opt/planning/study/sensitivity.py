@@ -142,7 +142,7 @@ def _named(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> Si
     return signals[name]
 
 
-FLAT = 1e-10
+FREE_CONTROL_CURVATURE_MIN_SHARE = 1e-10
 """Curvature of H in a free control, relative to the largest, that counts as none."""
 
 _POINTS: WeakKeyDictionary[Solution, KktPoint] = WeakKeyDictionary()
@@ -266,7 +266,7 @@ def _warn_of_singular_controls(point: KktPoint, solution: Solution) -> None:
         for j in np.flatnonzero(free.any(axis=0)):
             rows = np.flatnonzero(free[:, j])
             values, vectors = np.linalg.eigh(curvature[np.ix_(rows, rows, [j])][:, :, 0])
-            if np.min(np.abs(values)) > FLAT * largest:
+            if np.min(np.abs(values)) > FREE_CONTROL_CURVATURE_MIN_SHARE * largest:
                 continue
             label = leg.controls.labels[rows[int(np.argmax(np.abs(vectors[:, np.argmin(np.abs(values))])))]]
             warn_user(

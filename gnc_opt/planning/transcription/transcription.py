@@ -57,7 +57,7 @@ class _Symbols:
     objective_scale: Any
 
 
-KEPT = 8
+CACHED_PROGRAMS = 8
 """Programs that a problem keeps for re-use: refining makes many, each with a solver of many megabytes."""
 
 
@@ -425,7 +425,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
     builds[key] = built  # the last one used is the last in the order
     programs = [k for k, value in builds.items() if isinstance(value, Transcription)]
-    for old in programs[:-KEPT]:
+    for old in programs[:-CACHED_PROGRAMS]:
         del builds[old]
     return built
 

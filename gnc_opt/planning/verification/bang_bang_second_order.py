@@ -41,7 +41,7 @@ from gnc_opt.planning.solution.verdict import Condition, Result
 from gnc_opt.planning.verification.critical_cone import aimed_gradient
 from gnc_opt.planning.verification.goh import straight
 from gnc_opt.planning.verification.normality import normality_of_switches
-from gnc_opt.tolerances import AT_LIMIT, BESIDE, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, JUNCTION_OFFSET_SHARE, RANK, TINY
 
 OWN = 1e-4
 """Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
@@ -52,13 +52,13 @@ ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
 EXACT = 1e-9
 """Share of the terms that the Hessian is made of below which its eigenvalues are rounding."""
 
-WEAK = 1e-6
+WEAK_MULTIPLIER_SHARE = 1e-6
 """Multipliers below this share of the cost may be zero: their conditions restrict directions to a half-space only."""
 
 MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
 
-SLACK = 1e-6
+HALF_SPACE_SLACK = 1e-6
 """A direction may break a half-space condition by this share and still counts as keeping it."""
 
 
@@ -111,7 +111,9 @@ def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
     if not times.size:
         return None
     neighbours = np.searchsorted(leg.breaks, times)
-    steps = BESIDE * np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
+    steps = JUNCTION_OFFSET_SHARE * np.minimum(
+        times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times
+    )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
     at = beside, leg.x(beside), leg.flown(beside), leg.lam(beside), leg.path_multiplier(beside)
     values = aimed_gradient(s, *at)
@@ -309,9 +311,11 @@ def _judge(
     gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
     offence_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
     # A condition without a multiplier, or an order without one, only restricts directions to one side.
-    strong = (sides == 0) | (np.abs(multipliers) > WEAK * cost)
-    kept = np.vstack([rows[strong], precedences[pushes > WEAK * cost]])
-    sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK * cost]])
+    strong = (sides == 0) | (np.abs(multipliers) > WEAK_MULTIPLIER_SHARE * cost)
+    kept = np.vstack([rows[strong], precedences[pushes > WEAK_MULTIPLIER_SHARE * cost]])
+    sided = np.vstack(
+        [-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK_MULTIPLIER_SHARE * cost]]
+    )
     null = _null_space(kept)
     if not null.shape[1]:
         return SecondOrder(
@@ -324,7 +328,7 @@ def _judge(
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
     error += EXACT + offence
     keeps = sided @ (null @ vectors[:, 0])
-    attained = bool(np.all(keeps >= -SLACK) or np.all(keeps <= SLACK))
+    attained = bool(np.all(keeps >= -HALF_SPACE_SLACK) or np.all(keeps <= HALF_SPACE_SLACK))
     least = float(eigenvalues[0]) / (size + cost)
     return SecondOrder(offence, offence_error, labels[place], least, error, null.shape[1], attained)
 

@@ -40,10 +40,10 @@ from gnc_opt.tolerances import AT_LIMIT, CONVEX, RANK, TINY
 
 START, END = 0, 1
 
-STEPS, LEAST = 300, 4
+CONJUGATE_STEPS_PER_PHASE, CONJUGATE_MIN_STEPS_PER_SEGMENT = 300, 4
 """Steps over a phase, and at least so many in every segment."""
 
-REACHED = 1e-10
+CONTROLLABILITY_MIN_ANGLE = 1e-10
 """Angle from which a direction counts as reached by the controls."""
 
 UNREACHABLE, REACHABLE = 1e-10, 1e-8
@@ -52,10 +52,10 @@ UNREACHABLE, REACHABLE = 1e-10, 1e-8
 AGREED = 1e-2
 """Share of a phase within which conjugate times by different steps agree."""
 
-CLOSE = 1e-6
+CONJUGATE_END_TOLERANCE = 1e-6
 """Share of a phase: a conjugate time this close to the other end is told from it by rounding only."""
 
-EARLY = 0.2
+CONTROLLABILITY_SHARE_OF_PHASE = 0.2
 """Share of a phase within which the controls must reach all directions."""
 
 
@@ -80,7 +80,7 @@ def conjugate_points(solution: Solution, samples: list[PhaseSamples]) -> list[Co
             f"phase {s.leg.name}, t = {time:.6g} s is conjugate to its {'start' if end == START else 'end'}"
         )
         value = _beyond((s, end, time))
-        result = Result.FAIL if value > CLOSE else Result.CANNOT_TELL
+        result = Result.FAIL if value > CONJUGATE_END_TOLERANCE else Result.CANNOT_TELL
     return [
         Condition(
             "conjugate points",
@@ -193,13 +193,15 @@ def _free(s: PhaseSamples, u: Array) -> Mask:
 
 def _conjugate_times(solution: Solution, s: PhaseSamples) -> list[tuple[int, float | None]]:
     """The first time conjugate to each end: infinite if there is none, None if that cannot be told."""
-    system = functools.cache(lambda steps: _system(s, fine_times(s.leg, steps, LEAST)))
+    system = functools.cache(
+        lambda steps: _system(s, fine_times(s.leg, steps, CONJUGATE_MIN_STEPS_PER_SEGMENT))
+    )
 
     def first(frame: Array, end: int) -> float | None:
-        found = _first_crossing(s, system(STEPS), frame, end)
+        found = _first_crossing(s, system(CONJUGATE_STEPS_PER_PHASE), frame, end)
         if found is None or np.isinf(found):
             return found
-        again = _first_crossing(s, system(2 * STEPS), frame, end)
+        again = _first_crossing(s, system(2 * CONJUGATE_STEPS_PER_PHASE), frame, end)
         return again if again is not None and abs(again - found) <= AGREED * s.leg.duration else None
 
     frames = [_end_frame(solution, s, end) for end in (START, END)]
@@ -225,8 +227,13 @@ def _first_crossing(s: PhaseSamples, system: tuple[Array, Array], frame: Array, 
             return None
     if not angles.shape[1]:
         return None
-    reached = np.flatnonzero(np.min(np.minimum(angles, 2 * np.pi - angles), axis=1) > REACHED)
-    if not reached.size or abs(times[reached[0]] - times[0]) > EARLY * s.leg.duration:
+    reached = np.flatnonzero(
+        np.min(np.minimum(angles, 2 * np.pi - angles), axis=1) > CONTROLLABILITY_MIN_ANGLE
+    )
+    if (
+        not reached.size
+        or abs(times[reached[0]] - times[0]) > CONTROLLABILITY_SHARE_OF_PHASE * s.leg.duration
+    ):
         return None
     angles, times = angles[reached[0] :], times[reached[0] :]
     total = np.sum(angles, axis=1)

@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.feasibility import judge
@@ -331,7 +331,7 @@ def parameters(
     scale = parameter_scale(solution)
     # The end terms cancel at a minimum, hence what the cost amounts to is the yardstick, not their sum.
     amount = max((s.cost_magnitude for s in samples), default=0.0)
-    gradient, size = ends.parameters.copy(), np.maximum(amounts, NEGLIGIBLE * amount / scale)
+    gradient, size = ends.parameters.copy(), np.maximum(amounts, COSTATE_MIN_SHARE_OF_COST * amount / scale)
     for s in samples:
         if gradient.size:
             density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)

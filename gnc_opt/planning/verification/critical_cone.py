@@ -25,7 +25,7 @@ import scipy
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
-from gnc_opt.planning.optimality.program_point import WEAK, ProgramLimits, ProgramPoint
+from gnc_opt.planning.optimality.program_point import WEAKLY_ACTIVE_TOLERANCE, ProgramLimits, ProgramPoint
 from gnc_opt.planning.solution.phase_solution import piecewise
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -135,7 +135,7 @@ def _begins(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
     return np.asarray(along[:, 1:] & ~along[:, :-1])
 
 
-BEYOND = 1e-2
+CONE_EXIT_SHARE = 1e-2
 """A variation beyond an active limit by more than this share of its own largest leaves it."""
 
 
@@ -192,7 +192,7 @@ class CriticalCone:
         )
         outwards = np.where(values - lower < upper - values, -changes, changes)
         between = [self._outwards_between(s, direction) for s in samples]
-        return bool(np.all(np.concatenate([outwards, *between]) <= BEYOND))
+        return bool(np.all(np.concatenate([outwards, *between]) <= CONE_EXIT_SHARE))
 
     def _outwards_between(self, s: PhaseSamples, direction: Array) -> Array:
         """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
@@ -250,7 +250,10 @@ def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, d
         if not (np.any(pushed[line]) and np.any(doubtful[line])):
             continue
         limits = values[line[pushed[line]]]
-        same = np.any(np.abs(values[line][:, None] - limits) <= 2 * WEAK, axis=1) & doubtful[line]
+        same = (
+            np.any(np.abs(values[line][:, None] - limits) <= 2 * WEAKLY_ACTIVE_TOLERANCE, axis=1)
+            & doubtful[line]
+        )
         held[line[same]], doubtful[line[same]] = True, False
 
 

@@ -61,7 +61,7 @@ from gnc_opt.planning.verification.sufficiency import (
     reaches_least_cost,
 )
 
-TOLERANCE = 1e-5
+CONDITION_TOLERANCE = 1e-5
 
 MOST_UNKNOWNS = 4000
 """Of a mesh, states and controls at its points, whose second order is looked at though a first condition fails already:
@@ -74,7 +74,7 @@ _CANNOT_VARY = "Costates or other numbers are missing, so that what variations c
 
 
 @one_thread()
-def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
+def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     """Judge a solution's trajectory and costates against its problem, densely in time.
 
     Nothing of the solver's residuals is used, and everything but times, states, controls, free parameters, costates
@@ -115,10 +115,10 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
-    known = solution.verdict if tol == TOLERANCE and solution.problem is not None else None
+    known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
     if known is None:
         known = _judge(solution, tol)
-        if tol == TOLERANCE:  # the one field of a solution that is set after its construction
+        if tol == CONDITION_TOLERANCE:  # the one field of a solution that is set after its construction
             object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 

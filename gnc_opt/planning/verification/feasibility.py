@@ -56,10 +56,10 @@ def worst_of_parts(problem: Problem, s: PhaseSamples) -> Worst:
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
 
-HOPELESS = 1e12
+PROPAGATION_MAX_GROWTH = 1e12
 """Growth beyond which no propagation in one go arrives: it is not tried."""
 
-PART = 1e3
+PROPAGATION_RESTART_GROWTH = 1e3
 """Growth of errors after which a propagation in parts starts anew: samples are interpolated to 1e-9 or so."""
 
 SCANNED, SCANNED_PATHS = 4096, 32768
@@ -96,7 +96,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """Flying the bounded control from the initial state arrives at the final state."""
     gaps = [_missing_number(s) for s in samples]
     told = [s for s, gap in zip(samples, gaps, strict=True) if not gap]
-    worst, hopeless = NOTHING, any(_may_grow(s) and _growth(s) >= HOPELESS for s in told)
+    worst, hopeless = NOTHING, any(_may_grow(s) and _growth(s) >= PROPAGATION_MAX_GROWTH for s in told)
     for s, gap in zip(samples, gaps, strict=True) if not hopeless else ():
         worst = worst.or_worse(gap or worst_terminal_error(s))
     condition = judge(
@@ -120,8 +120,9 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         value=parts.value,
         where=f"{parts.where}, in parts",
         meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
-        f"says nothing about the solution: it starts anew wherever they have grown {PART:.0e} times. Where such "
-        "a part misses, the condition 'dynamics' judges segment by segment.",
+        f"says nothing about the solution: it starts anew wherever they have grown "
+        f"{PROPAGATION_RESTART_GROWTH:.0e} times. Where such a part misses, "
+        "the condition 'dynamics' judges segment by segment.",
         sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
     )
 
@@ -140,18 +141,19 @@ def _growth(samples: PhaseSamples) -> float:
     for step in _transitions(samples):
         transition = step @ transition
         largest = max(largest, float(np.linalg.norm(transition, 2)))
-        if not largest < HOPELESS:
+        if not largest < PROPAGATION_MAX_GROWTH:
             break
     return largest
 
 
 def _may_grow(samples: PhaseSamples) -> bool:
-    """Whether errors may grow `HOPELESS` times, by the logarithmic norm of the dynamics, which bounds their growth."""
+    """Whether errors may grow `PROPAGATION_MAX_GROWTH` times, by the logarithmic norm of the dynamics,
+    which bounds their growth."""
     jacobians, widths = _jacobians(samples)
     if not np.all(np.isfinite(jacobians)):
         return False
     steepest = np.linalg.eigvalsh(0.5 * (jacobians + jacobians.transpose(0, 2, 1)))[:, -1]
-    return bool(np.sum(np.maximum(steepest * widths, 0.0)) >= np.log(HOPELESS))
+    return bool(np.sum(np.maximum(steepest * widths, 0.0)) >= np.log(PROPAGATION_MAX_GROWTH))
 
 
 def _jacobians(samples: PhaseSamples) -> tuple[Array, Array]:
@@ -172,11 +174,12 @@ def _transitions(samples: PhaseSamples) -> Iterator[Array]:
 
 
 def _restarts(samples: PhaseSamples) -> list[float]:
-    """Times before which errors have grown by `PART` since the start, or since the last of these times."""
+    """Times before which errors have grown by `PROPAGATION_RESTART_GROWTH` since the start, or since the
+    last of these times."""
     transition, times = np.eye(samples.state_scale.size), []
     for time, step in zip(samples.leg.breaks, _transitions(samples), strict=False):
         transition = step @ transition
-        if np.linalg.norm(transition, 2) > PART:
+        if np.linalg.norm(transition, 2) > PROPAGATION_RESTART_GROWTH:
             times.append(float(time))
             transition = step
     return [time for time in times if time > samples.leg.breaks[0]]

@@ -45,7 +45,7 @@ from gnc_opt.tolerances import AT_LIMIT, RANK
 CUTS = (1e-2, 0.1), (0.9, 0.99)
 """Where the first and the last segment of a singular arc are cut, in shares of their widths."""
 
-LEAST_DEGREE = 6
+SINGULAR_SEGMENT_MIN_POINTS = 6
 """Collocation points that a segment of a singular arc has at least."""
 
 OMITTED = 2
@@ -90,7 +90,7 @@ def cut(mesh: Mesh, singular: Mask) -> Mesh:
         begins, ends = singular[k] and not beside[k], singular[k] and not beside[k + 2]
         inner = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
         breaks += [mesh.breaks[k] + share * mesh.widths[k] for share in inner] + [mesh.breaks[k + 1]]
-        degrees += [max(degree, LEAST_DEGREE) if singular[k] else degree] * (len(inner) + 1)
+        degrees += [max(degree, SINGULAR_SEGMENT_MIN_POINTS) if singular[k] else degree] * (len(inner) + 1)
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))
 
 

@@ -33,8 +33,8 @@ _BEYOND = 0.05
 _LEAST_BEND = 1e-3
 """Curvature, as a share of the slope, below which a step goes across the range."""
 
-_KEPT = 8
-_NEWTON_STEPS = 12
+_STARTS_REFINED = 8
+_HAMILTONIAN_NEWTON_STEPS = 12
 _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
 _QUADRATIC = 1e-9
 """Share of H's terms by which a quadratic function may be missed."""
@@ -285,7 +285,7 @@ class _Search:
                 np.maximum.at(row, when, values)
             return Gain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: max(1, when.size // 4)]
-        kept = found[:, order[:: max(1, order.size // _KEPT)]]
+        kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
         return self.lasting(self._followed(kept, shares[:, best]))
 
     def _points(self) -> tuple[Array, Indices]:
@@ -347,7 +347,7 @@ class _Search:
         shares = self._restored(shares.copy(), at)
         value = self.value(shares, at)
         active = np.arange(at.size)
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             step, here = self._step(shares[:, active], at[active]), np.tile(at[active], len(_STEP_LENGTHS))
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
             trials = self._restored(np.clip(trials, 0.0, 1.0), here)

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.verdict import Condition, Result
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.tolerances import RANK, ROUNDING, TINY
 
-MOST = 1e4
+DEGENERACY_MAX_RATIO = 1e4
 """Second order of the constraints beside the first from which they are degenerate: the linearised ones hold for
 variations of less than 1e-4 of the magnitudes."""
 
@@ -39,7 +39,7 @@ DEPENDENT = 1e-4
 """Gradients of conditions whose combination changes by less than this, in shares of their sizes, may depend on each
 other."""
 
-_ITERATIONS, _STEPS = 6, 30
+_NORMALITY_ITERATIONS, _NORMALITY_STEPS = 6, 30
 
 _MEANING = (
     "The constraints must leave the cost a say (value: what their second order amounts to beside the first, for "
@@ -67,9 +67,9 @@ def normality(cone: CriticalCone) -> Condition:
                 value, where = alone, cone.point.rows.labels[row]
     return Condition(
         "normality",
-        Result.FAIL if value > MOST else Result.PASS,
+        Result.FAIL if value > DEGENERACY_MAX_RATIO else Result.PASS,
         value,
-        MOST,
+        DEGENERACY_MAX_RATIO,
         where,
         _MEANING,
     )
@@ -105,7 +105,7 @@ def normality_of_switches(induced: InducedProblem) -> Condition:
     """
     conditions, free = induced.conditions, induced.unknowns.free
     if not induced.finite:
-        return Condition("normality", Result.CANNOT_TELL, np.nan, MOST, NOT_FLOWN, _MEANING)
+        return Condition("normality", Result.CANNOT_TELL, np.nan, DEGENERACY_MAX_RATIO, NOT_FLOWN, _MEANING)
     at_lower, at_upper = conditions.active
     rows = conditions.jacobian / conditions.sizes[:, None]
     own, every = np.linalg.norm(rows[:, free], axis=1), np.linalg.norm(rows, axis=1)
@@ -130,8 +130,8 @@ def normality_of_switches(induced: InducedProblem) -> Condition:
                 value, where = found, conditions.labels[active[int(np.argmax(np.abs(combination)))]]
     if not value and np.any(slopes <= RANK):
         where = f"nowhere; {active.size} conditions on {sizes.size} unknowns: multipliers are not unique"
-    result = Result.FAIL if value > MOST else Result.PASS
-    return Condition("normality", result, value, MOST, where, _MEANING)
+    result = Result.FAIL if value > DEGENERACY_MAX_RATIO else Result.PASS
+    return Condition("normality", result, value, DEGENERACY_MAX_RATIO, where, _MEANING)
 
 
 def _bend(cone: CriticalCone, space: NullSpace, row: int) -> float:
@@ -163,7 +163,7 @@ def _least_dependent(space: NullSpace) -> tuple[Array, float]:
     n, m = space.size, space.rows.size
     _, solve = space.of_identity
     y = np.random.default_rng(0).standard_normal(m)
-    for _ in range(_ITERATIONS):
+    for _ in range(_NORMALITY_ITERATIONS):
         # Of scaled rows, not of unit gradients: one that vanishes must count for nothing.
         unit = -solve(np.concatenate([np.zeros(n), y / space.norms]))[n:]
         y = unit / space.norms
@@ -177,7 +177,7 @@ def _curvature(cone: CriticalCone, space: NullSpace, multipliers: Array) -> floa
     hessian = space.in_shares(cone.point.hessian_of(0.0, multipliers))
     project = space.projection
     start = project(np.random.default_rng(1).standard_normal(n))
-    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, _STEPS)
+    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, _NORMALITY_STEPS)
     if not values.size:
         return 0.0
     direction = project(vectors[:, np.argmax(np.abs(values))])

@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.extract import model_parameters
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.feasibility import judge
@@ -158,7 +158,7 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
     if not all(np.all(np.isfinite(v)) for v in values):
         return False
     weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
-    return weighed or all(_worth_of_ends(s, ends) <= NEGLIGIBLE * amount for s in samples)
+    return weighed or all(_worth_of_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples)
 
 
 def _worth_of_ends(s: PhaseSamples, ends: EndGradients) -> float:

@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.cost_scale import state_variations
 from gnc_opt.planning.optimality.kkt import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, Result
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -58,7 +58,7 @@ from gnc_opt.planning.verification.goh import (
 )
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, VANISHED, magnitude
 
-POINTS = 30
+PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
 
 UPWARDS, DOWNWARDS = 1e-6, 1e-4
@@ -69,7 +69,7 @@ DOWNWARDS_SINGULAR = 1e-2
 """The same where a control is singular: there quadrature may take a control that alternates from node to node for one
 that gains something."""
 
-CANCELLED = 1e-6
+CURVATURE_ROUNDING_SHARE = 1e-6
 """Curvature that is less than this share of its own terms is what they leave when they cancel."""
 
 SHIFT = 0.1
@@ -78,10 +78,10 @@ SHIFT = 0.1
 STEEP = 1e4
 """Curvatures beyond this, in shares of the middle row, are looked for by themselves: their inverses vanish."""
 
-STEPS = 80
+LANCZOS_STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
 
-STEP = 0.1
+GAIN_STEP_SHARE = 0.1
 """Step, in shares of the magnitudes, for which the gain is told."""
 
 LEAST_GAIN = 1e-9
@@ -102,7 +102,7 @@ class Curvature:
     direction : array (n_variables,)
         Scaled, its largest component 1.
     gain : float
-        What a step of `STEP` along it takes from the minimised cost, physical.
+        What a step of `GAIN_STEP_SHARE` along it takes from the minimised cost, physical.
     least_gain : float
         What that is at least if it is no rounding, physical.
     """
@@ -116,11 +116,11 @@ class Curvature:
     @property
     def upwards(self) -> bool:
         """Whether it is told to be positive."""
-        return self.value > UPWARDS and self.share > CANCELLED
+        return self.value > UPWARDS and self.share > CURVATURE_ROUNDING_SHARE
 
     def downwards(self, steep: float) -> bool:
         """Whether it is told to be negative, by more than ``steep`` and by what gains something."""
-        return self.value < -steep and self.share < -CANCELLED and self.gain >= self.least_gain
+        return self.value < -steep and self.share < -CURVATURE_ROUNDING_SHARE and self.gain >= self.least_gain
 
 
 def critical_cone(
@@ -180,8 +180,9 @@ def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
-    """Return the cost below which differences are rounding: the share `NEGLIGIBLE` of what it amounts to."""
-    return NEGLIGIBLE * max((s.cost_magnitude for s in samples), default=0.0)
+    """Return the cost below which differences are rounding: the share `COSTATE_MIN_SHARE_OF_COST` of what
+    it amounts to."""
+    return COSTATE_MIN_SHARE_OF_COST * max((s.cost_magnitude for s in samples), default=0.0)
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
@@ -221,7 +222,9 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
 
 
 def _gained(curvature: Curvature) -> str:
-    return f": a step of {100 * STEP:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
+    return (
+        f": a step of {100 * GAIN_STEP_SHARE:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
+    )
 
 
 def _doubt(curvature: Curvature, steep: float) -> str:
@@ -234,7 +237,7 @@ def _doubt(curvature: Curvature, steep: float) -> str:
 
 def _rich(mesh: Mesh) -> Mesh:
     """Return a mesh with room for variations, where that of a solution that is simple has none."""
-    least = -(-POINTS // mesh.segments)
+    least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
@@ -313,8 +316,8 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: 
     largest = float(np.max(peaks[single], initial=0.0))
     if largest <= ROUNDING * np.max(peaks):
         largest = float(np.max(peaks))
-    gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
-    least = LEAST_GAIN / NEGLIGIBLE * point.rounding / point.scaling.objective
+    gain = -0.5 * curvature * (GAIN_STEP_SHARE / largest) ** 2 / point.scaling.objective
+    least = LEAST_GAIN / COSTATE_MIN_SHARE_OF_COST * point.rounding / point.scaling.objective
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
@@ -330,7 +333,7 @@ def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Arra
         return found
     inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
-    values, vectors = lanczos(inverse, start, STEPS)
+    values, vectors = lanczos(inverse, start, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
         return None
     # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
@@ -344,7 +347,7 @@ def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
     project = space.projection
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
-    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, STEPS)
+    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, FOUND * float(np.max(np.abs(values)))):
         return None
     direction = project(vectors[:, 0])

@@ -33,7 +33,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, Result
 from gnc_opt.tolerances import TINY
 
-MOST_ORDER = 3
+SINGULAR_ARC_MAX_ORDER = 3
 """Orders of singular arcs that are looked for."""
 
 MOST_INSTRUCTIONS = 200_000
@@ -171,7 +171,7 @@ def _judge(
         )
         return arc(0, least, COUPLED + (bends if least < -CROSS else ""))
     flat = 0.0
-    for j in range(2 * MOST_ORDER + 1):
+    for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
         function = derivatives.by_controls(j)
         if function is None:
             return arc(0, 0.0, f"{TOO_LARGE} {j}")
@@ -187,7 +187,7 @@ def _judge(
         signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
         least = float(np.min(np.linalg.eigvalsh(signed)))
         return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
-    return arc(0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
+    return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
 def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:

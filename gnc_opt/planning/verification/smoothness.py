@@ -31,7 +31,7 @@ _MEANING = (
     "constraint."
 )
 
-_NEAR = 1e-9
+_JUMP_OFFSET_SHARE = 1e-9
 """Share of a phase by which both sides of a jump are looked at."""
 
 _BISECTIONS = 60
@@ -104,11 +104,14 @@ def _jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: floa
         times = np.array([time])
         return float(_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
 
-    rising = at(right - _NEAR * s.span) > at(left + _NEAR * s.span)
+    rising = at(right - _JUMP_OFFSET_SHARE * s.span) > at(left + _JUMP_OFFSET_SHARE * s.span)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (left + right)
         left, right = (left, middle) if (at(middle) > 0) == rising else (middle, right)
-    sides = np.clip(np.array([left - _NEAR * s.span, right + _NEAR * s.span]), *s.leg.breaks[[0, -1]])
+    sides = np.clip(
+        np.array([left - _JUMP_OFFSET_SHARE * s.span, right + _JUMP_OFFSET_SHARE * s.span]),
+        *s.leg.breaks[[0, -1]],
+    )
     x, u = s.leg.x(sides), np.repeat(s.leg.flown(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span

@@ -43,7 +43,12 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.cost_scale import BRIEF, SMEARED, Magnitudes, lasting_longer
+from gnc_opt.planning.optimality.cost_scale import (
+    AVERAGING_SHARE_OF_PHASE,
+    SMEARED,
+    Magnitudes,
+    lasting_longer,
+)
 from gnc_opt.planning.optimality.switches import GRAZES
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.expressions import parameter_arguments
@@ -57,7 +62,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
-_FULL = 1e-9
+_FULL_RANK_MIN_SINGULAR_VALUE = 1e-9
 """Least singular value of matrices of full rank, rows and columns scaled to one."""
 
 _ANYWHERE = 0.73 + 0.41j
@@ -124,13 +129,14 @@ def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
 
 
 def determined_by_slope(s: PhaseSamples) -> Mask:
-    """Which controls are on their bounds all along, with switching functions that vanish for `BRIEF` at most (m,).
+    """Which controls are on their bounds all along, with switching functions that vanish for
+    `AVERAGING_SHARE_OF_PHASE` at most (m,).
 
     A zero of any order at one time is no longer; one that lasts leaves a control open there.
     """
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = lasting_longer(s.times, ~(worth > GRAZES), BRIEF)
+    opens = lasting_longer(s.times, ~(worth > GRAZES), AVERAGING_SHARE_OF_PHASE)
     between = lasting_longer(s.times, ~(at_lower | at_upper), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
@@ -164,7 +170,7 @@ def _full_column_rank(matrix: Array) -> bool:
         matrix = matrix / np.where(sizes > 0, sizes, 1.0)
     if matrix.shape[0] < matrix.shape[1]:
         return False
-    return bool(scipy.linalg.svdvals(matrix)[-1] > _FULL)
+    return bool(scipy.linalg.svdvals(matrix)[-1] > _FULL_RANK_MIN_SINGULAR_VALUE)
 
 
 def _numbers(expression: Any) -> Array | None:

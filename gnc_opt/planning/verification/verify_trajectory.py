@@ -39,7 +39,7 @@ from gnc_opt.planning.solution.unwrap import unwound
 from gnc_opt.planning.solution.verdict import Result, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
-from gnc_opt.planning.verification.engine import TOLERANCE, verify
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME
 
 
@@ -109,7 +109,7 @@ Values = Any
 
 @one_thread()
 def verify_trajectory(
-    problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = TOLERANCE
+    problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
 ) -> Verdict:
     """Judge a trajectory from any tool, known at samples and without multipliers, by all that `verify` asks.
 

@@ -27,7 +27,7 @@ from gnc_opt.simulation.block import (
 from gnc_opt.simulation.intersample_input import Part, Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
-INSTANT = 1e-12
+MIN_TIME_CONSTANT_S = 1e-12
 """A time constant below this (s) is none."""
 
 _TRIM = "trim"
@@ -95,7 +95,7 @@ class Lag(_Following):
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
         wave = wave if wave.straight else wave.averaged()
-        tau, y = ca.fmax(p["tau"], INSTANT), state
+        tau, y = ca.fmax(p["tau"], MIN_TIME_CONSTANT_S), state
         parts, impulse = [], ca.SX.zeros(state.shape[0])
         for part, end in wave.pieces(tick.h):
             length, settled = end - part.begin, part.value - part.slope * tau

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.actuators.dynamic import INSTANT
+from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
 from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, scalar, values
 
 
@@ -168,7 +168,7 @@ class Pwpf(Block):
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"tau": (INSTANT, math.inf)}
+        return {"tau": (MIN_TIME_CONSTANT_S, math.inf)}
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.SX.zeros(2 * signal.shape[0])

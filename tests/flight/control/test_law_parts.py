@@ -739,7 +739,7 @@ def test_operations_of_a_programme_by_hand():
     limits = Rows(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
     code = ProgrammeCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, True, 1, 2)
     assert code.unknowns == code.limits == 1
-    sweep, tries = 2 * 3**2 + 6 * 4, programme_code._MOST * 2
+    sweep, tries = 2 * 3**2 + 6 * 4, programme_code._ITERATIONS_PER_UNKNOWN * 2
     row = 2 * sweep + 4
     assert code.operations == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3
     assert code.stack == (3 + 5 * 2 + 1) + 4 + 6 * 2 + 4 + 3

@@ -125,7 +125,7 @@ def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
-        monkeypatch.setattr(pool, "PATIENCE", 0.3)
+        monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.3)
         client.retire_workers()
         cluster.scale(0)
         with pytest.raises(GncOptError, match="no workers left"):

@@ -37,7 +37,7 @@ needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C com
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(flight_module, "WORTH", 100)
+    monkeypatch.setattr(flight_module, "MIN_EVALUATIONS_TO_COMPILE", 100)
     return tmp_path / "gnc_opt"
 
 
@@ -225,7 +225,7 @@ def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
     mission: dict[str, Any] = {"x0": [1.0, 0.0], "tf": 5.0, "seed": 3, "executor": "serial"}
     quick = monte_carlo(loop(), 4, **mission)
     assert quick.flight is not None and all(quick.flight.libraries)
-    monkeypatch.setattr(flight_module, "WORTH", 10_000)
+    monkeypatch.setattr(flight_module, "MIN_EVALUATIONS_TO_COMPILE", 10_000)
     plain = monte_carlo(loop(), 4, **mission)
     assert plain.flight is not None and not any(plain.flight.libraries)
     assert quick.states.tobytes() == plain.states.tobytes()

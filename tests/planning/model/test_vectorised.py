@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.model.evaluation import LONGEST, Operations, evaluate, evaluate_columns
+from gnc_opt.model.evaluation import NUMPY_MAX_OPERATIONS, Operations, evaluate, evaluate_columns
 
 COLUMNS = 200
 
@@ -56,7 +56,7 @@ def test_registers_that_serve_twice_and_derivatives() -> None:
 def test_what_is_not_read_is_left_to_casadi() -> None:
     kinked = function(ca.if_else(A > 0, A, B), of=(T, X, P))
     endless = A
-    for _ in range(LONGEST):
+    for _ in range(NUMPY_MAX_OPERATIONS):
         endless = ca.sin(endless)
     assert Operations.of(kinked) is None and Operations.of(function(endless, of=(T, X, P))) is None
     t, x, p = arguments(np.random.default_rng(3))

@@ -14,7 +14,7 @@ from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.refinement.arcs import loop as switching
 from gnc_opt.planning.refinement.budget import WORK_PER_SECOND
-from gnc_opt.planning.refinement.iterations import FEWEST, PassLimits
+from gnc_opt.planning.refinement.iterations import BUDGET_MIN_ITERATIONS, PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 
 CRAWLING = go.SolverOptions(
@@ -73,7 +73,7 @@ def test_a_solve_may_cost_what_is_left_half_of_all_and_some_iterations_on_howeve
     limits = PassLimits(work=4000.0)
     assert limits.of_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
     assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 2000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == FEWEST
+    assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == BUDGET_MIN_ITERATIONS
     assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
 
 

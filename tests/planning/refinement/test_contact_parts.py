@@ -269,7 +269,9 @@ def test_a_junction_moves_to_where_the_derivative_of_the_interior_arc_vanishes(
     )
     assert j.junction_time(here, structure, 1, 3) == pytest.approx(time, abs=1e-9)
     short = structure.at((1.9, 2.0, 4.0))
-    assert j.junction_time(here, short, 1, 3) == pytest.approx(2.0 + np.sign(time - 2.0) * j.FARTHEST * 0.1)
+    assert j.junction_time(here, short, 1, 3) == pytest.approx(
+        2.0 + np.sign(time - 2.0) * j.KINK_MAX_MOVE_SHARE * 0.1
+    )
     settled = constraints(falling, lambda t, k: [0 * t], jumping)
     assert j.junction_time(settled, structure, 1, 3) == 2.0
 
@@ -333,7 +335,7 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     counted = found.times[found.worth > 0]
     assert np.all(np.abs(counted - 2.0) < 0.1) and np.all(found.worth >= 0)
     assert np.max(found.worth) == pytest.approx(here.scales[1] / here.samples.cost_scale)
-    assert np.all(falling(found.times, 0)[0] > 4 - sc.NEAR * here.scales[1])
+    assert np.all(falling(found.times, 0)[0] > 4 - sc.ACTIVE_CONSTRAINT_SHARE * here.scales[1])
     structure, what = c.pushed_contact(here, base)
     assert structure is not None and what.startswith("contact of h added at ")
     (touch,) = structure.touching(2, UP)

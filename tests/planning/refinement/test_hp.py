@@ -14,7 +14,7 @@ import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.refinement.error import estimate_errors, largest_error
-from gnc_opt.planning.refinement.iterations import PATIENCE, PassLimits, crawls
+from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, PassLimits, crawls
 from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
 from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
@@ -330,12 +330,12 @@ def test_work_is_counted_in_iterations_and_points() -> None:
 @pytest.mark.parametrize(
     ("errors", "crawling"),
     [
-        ([1e-2] * PATIENCE, False),  # too few to tell
-        ([1e-2] * (PATIENCE + 1), True),
-        ([1e-9, *[1e-2] * PATIENCE], True),
-        ([1e-2, *[1.0] * (PATIENCE - 1), 1e-9], False),  # there already
-        ([10.0 ** (-k) for k in range(PATIENCE + 1)], False),  # a decade a pass: two are left
-        ([10.0 ** (-0.3 * k) for k in range(PATIENCE + 1)], True),  # twenty are left
+        ([1e-2] * CONVERGENCE_WINDOW, False),  # too few to tell
+        ([1e-2] * (CONVERGENCE_WINDOW + 1), True),
+        ([1e-9, *[1e-2] * CONVERGENCE_WINDOW], True),
+        ([1e-2, *[1.0] * (CONVERGENCE_WINDOW - 1), 1e-9], False),  # there already
+        ([10.0 ** (-k) for k in range(CONVERGENCE_WINDOW + 1)], False),  # a decade a pass: two are left
+        ([10.0 ** (-0.3 * k) for k in range(CONVERGENCE_WINDOW + 1)], True),  # twenty are left
     ],
 )
 def test_an_error_that_falls_too_slowly_is_told_from_one_that_gets_there(

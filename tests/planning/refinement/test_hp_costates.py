@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning.refinement.costate_error import WORTH, adjoint_density, unconstrained
+from gnc_opt.planning.refinement.costate_error import COSTATE_ERROR_WEIGHT, adjoint_density, unconstrained
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.mesh import coarsen
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
@@ -71,7 +71,7 @@ def test_smooth_problems_pass_the_adjoint_equation(final_time: float) -> None:
     solution, history = refine_mesh(go.solve(hypersensitive(final_time), tol=None), tol=1e-8)
     assert history.converged
     assert go.verify(solution).ok
-    assert adjoint_residual(solution) <= 1e-4 / WORTH
+    assert adjoint_residual(solution) <= 1e-4 / COSTATE_ERROR_WEIGHT
     assert solution.objective == pytest.approx(1.3308069049430022, rel=1e-8)
 
 
@@ -160,7 +160,7 @@ def test_probing_finds_all_mergers_of_a_smooth_solution(monkeypatch: pytest.Monk
 
     def everything(_: object, run: list[coarsen.Piece], *__: object) -> list[coarsen.Span]:
         n = len(run)
-        return [(i, j) for i in range(n) for j in range(i + 1, min(i + coarsen.REACH, n) + 1)]
+        return [(i, j) for i in range(n) for j in range(i + 1, min(i + coarsen.MERGED_SEGMENTS_MAX, n) + 1)]
 
     monkeypatch.setattr(coarsen, "_mergeable", everything)
     assert coarsen.coarsened(error, run, 1e-8, 20, 1e-5) == slim

@@ -17,7 +17,7 @@ from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import step as switch_step
 from gnc_opt.planning.refinement.switching.flight import (
     INSET,
-    WRONG_SIGN,
+    SIGN_ERROR_MIN_SHARE,
     SwitchFlight,
     _interpolated,
     forgive,
@@ -98,7 +98,10 @@ def test_arcs_of_every_control_from_end_to_end() -> None:
 def test_a_step_may_move_no_switch_farther_than_a_share_of_the_phase() -> None:
     there = switches([4.0, 6.0], [0, 0])
     assert n._allowed(there, step(0, 0.1, -0.2, 0)) == (1.0, None)
-    assert n._allowed(there, step(0, 0.0, -1.6, 0)) == (pytest.approx(n.LONGEST * 10 / 1.6), None)
+    assert n._allowed(there, step(0, 0.0, -1.6, 0)) == (
+        pytest.approx(n.SWITCH_MAX_MOVE_SHARE * 10 / 1.6),
+        None,
+    )
     assert n._allowed(there, step(0, 0, 0, 0)) == (1.0, None)
 
 
@@ -209,8 +212,8 @@ def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
             (1, 1 + 5 / 7, 2 + 2 / 7),
         ),
         ([[-4, 3, -2, -1, 0.5, 1, 2, 3, 4], [50, 50, -20, 50, 50, 50, 50, 50, 50]], (0, 4 / 7, 1.6)),
-        ([[-4, 3.9 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
-        ([[-4, 4.1 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 1.0, 1.0)),
+        ([[-4, 3.9 * SIGN_ERROR_MIN_SHARE, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
+        ([[-4, 4.1 * SIGN_ERROR_MIN_SHARE, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 1.0, 1.0)),
     ],
 )
 def test_a_missing_arc_is_where_a_switching_function_has_the_wrong_sign(switching: Any, arc: Any) -> None:

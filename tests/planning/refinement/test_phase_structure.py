@@ -10,7 +10,7 @@ import pytest
 
 from gnc_opt.planning import Arc, ArcKind
 from gnc_opt.planning.problem.arcs import Junction
-from gnc_opt.planning.refinement.arcs.arc_mesh import COARSE, MAX_DEGREE, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, COARSE, Plan, Resolution
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
@@ -216,4 +216,4 @@ def test_plans_begin_as_defaults_say() -> None:
     plan = Plan(made("u"), (Resolution(),))
     assert (plan.points, plan.loose) == (0.0, False)
     assert Plan.of(made("u"), COARSE).resolutions == (Resolution(),)
-    assert Plan.of(made("u"), 1e9).resolutions[0].degree == MAX_DEGREE
+    assert Plan.of(made("u"), 1e9).resolutions[0].degree == ARC_MAX_DEGREE

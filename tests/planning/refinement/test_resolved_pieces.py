@@ -12,14 +12,14 @@ from testing.constructed_solutions import cart, phase, samples, solution
 
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import resolution as r
-from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, UP, FREE = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
 MOST = 1e-9
 
 
-def row(rest: float, at: int = MAX_DEGREE) -> Any:
+def row(rest: float, at: int = ARC_MAX_DEGREE) -> Any:
     """What n points leave: a tenth for each point up to some number, then as much again."""
     return np.array([rest * 10.0 ** (at - min(n, at)) for n in range(r.TERMS)])
 
@@ -29,11 +29,13 @@ def never(breaks: Any) -> Any:
 
 
 def test_the_fewest_points_that_leave_little_enough() -> None:
-    for fewest in (r.FEWEST, r.FEWEST + 1, MAX_DEGREE - 1, MAX_DEGREE):
+    for fewest in (r.PIECE_MIN_POINTS, r.PIECE_MIN_POINTS + 1, ARC_MAX_DEGREE - 1, ARC_MAX_DEGREE):
         found = r._resolution(never, row(MOST, fewest), 0.0, 1.0, MOST)
         assert found == Resolution(1, fewest)
-    assert r._resolution(never, row(MOST, r.FEWEST - 2), 0.0, 1.0, MOST) == Resolution(1, r.FEWEST)
-    assert r._resolution(never, 0 * row(1.0), 0.0, 1.0, MOST) == Resolution(1, r.FEWEST)
+    assert r._resolution(never, row(MOST, r.PIECE_MIN_POINTS - 2), 0.0, 1.0, MOST) == Resolution(
+        1, r.PIECE_MIN_POINTS
+    )
+    assert r._resolution(never, 0 * row(1.0), 0.0, 1.0, MOST) == Resolution(1, r.PIECE_MIN_POINTS)
 
 
 def test_segments_are_halved_where_they_are_steep_as_long_as_that_helps() -> None:
@@ -50,7 +52,7 @@ def test_segments_are_halved_where_they_are_steep_as_long_as_that_helps() -> Non
         )
 
     found = r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST)
-    assert found == Resolution(3, MAX_DEGREE, edges=(0.5, 0.75))
+    assert found == Resolution(3, ARC_MAX_DEGREE, edges=(0.5, 0.75))
     assert asked == [[2.0, 6.0, 10.0], [6.0, 8.0, 10.0]]
 
 
@@ -62,9 +64,9 @@ def test_segments_that_are_all_alike_are_equal() -> None:
 
 
 def test_the_worst_segment_says_how_many_points_all_have() -> None:
-    rows = np.array([row(1e-3 * MOST, MAX_DEGREE - 1), row(MOST, MAX_DEGREE - 2)])
+    rows = np.array([row(1e-3 * MOST, ARC_MAX_DEGREE - 1), row(MOST, ARC_MAX_DEGREE - 2)])
     found = r._resolution(lambda b: rows, row(1e3 * MOST), 0.0, 1.0, MOST)
-    assert found == Resolution(2, MAX_DEGREE - 2, edges=(0.5,))
+    assert found == Resolution(2, ARC_MAX_DEGREE - 2, edges=(0.5,))
 
 
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
@@ -72,7 +74,7 @@ def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
     worst = [1.0]
 
     def left(breaks: Any) -> Any:
-        worst.append(worst[-1] * (share * r.HELPED if len(worst) == 1 else 1.0))
+        worst.append(worst[-1] * (share * r.HALVING_GAIN_RATIO if len(worst) == 1 else 1.0))
         return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
     assert r._resolution(left, row(1.0), 0.0, 1.0, MOST).segments == segments
@@ -82,7 +84,7 @@ def test_pieces_have_so_many_segments_at_most() -> None:
     found = r._resolution(
         lambda b: np.tile(row((b[1] - b[0]) ** 4), (b.size - 1, 1)), row(1.0), 0.0, 1.0, 0.0
     )
-    assert found.segments == MAX_SEGMENTS and found.degree == MAX_DEGREE
+    assert found.segments == MAX_SEGMENTS and found.degree == ARC_MAX_DEGREE
 
 
 # --- series of a flight -----------------------------------------------------------------------------------
@@ -121,7 +123,7 @@ def test_each_piece_gets_what_it_needs() -> None:
     structure = PhaseStructure((0.0, 0.999, 1.0), ((UP,) + (FREE,) * 4, (LOW,) + (FREE,) * 4), (), 1, 2)
     plan = Plan(structure, (Resolution(3, 5), Resolution(2, 9)), 7.0)
     found = r.resolved(plan, SAMPLES, solution(FLIGHT, LEG), 1e-9)
-    assert found.resolutions == (Resolution(1, 6), Resolution(1, r.FEWEST))
+    assert found.resolutions == (Resolution(1, 6), Resolution(1, r.PIECE_MIN_POINTS))
     assert found.structure == structure and found.points == 7.0
     left = r._left_out(SAMPLES, solution(FLIGHT, LEG))(np.array([0.0, 0.999]))[0]
     for share, points in ((1.001, 5), (0.999, 6)):

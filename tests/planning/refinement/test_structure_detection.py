@@ -323,7 +323,7 @@ def test_a_convex_control_touches_a_bound_within_a_share_of_its_range(
     size: float, away: float, label: ArcKind
 ) -> None:
     """Whatever its unit; it is pulled to the upper one all along."""
-    level = 5.0 * size - away * d.REACHED * 10.0 * size
+    level = 5.0 * size - away * d.ACTIVE_LIMIT_TOLERANCE * 10.0 * size
     found = samples(
         CART, u=lambda t, k: [level + 0 * t], lam=lambda t, k: [0 * t, -9.0 * size + 0 * t],
         control_bounds=interval(-5.0 * size, 5.0 * size),

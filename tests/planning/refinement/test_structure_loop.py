@@ -20,11 +20,11 @@ from gnc_opt.planning.refinement.arcs import junctions as j
 from gnc_opt.planning.refinement.arcs import loop as s
 from gnc_opt.planning.refinement.arcs import update as m
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
+    ARC_MAX_DEGREE,
     COARSE,
+    DEGREE_GAIN_RATIO,
     FIRST_DEGREE,
-    HELPED,
     INTERIOR_DEGREE,
-    MAX_DEGREE,
     MAX_SEGMENTS,
     MAX_SINGULAR_DEGREE,
     SINGULAR_DEGREE,
@@ -49,10 +49,10 @@ def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None
     first = Resolution(2, 6, SINGULAR_DEGREE)
     second = first.smoother(1.0)
     assert second == Resolution(2, 9, SINGULAR_DEGREE + 4, 1.0)
-    third = second.smoother(HELPED)
-    assert third == Resolution(2, MAX_DEGREE, SINGULAR_DEGREE + 8, HELPED)
-    assert third.smoother(0.0) == Resolution(3, MAX_DEGREE, SINGULAR_DEGREE + 12, 0.0)
-    assert second.smoother(HELPED * 1.001) == second
+    third = second.smoother(DEGREE_GAIN_RATIO)
+    assert third == Resolution(2, ARC_MAX_DEGREE, SINGULAR_DEGREE + 8, DEGREE_GAIN_RATIO)
+    assert third.smoother(0.0) == Resolution(3, ARC_MAX_DEGREE, SINGULAR_DEGREE + 12, 0.0)
+    assert second.smoother(DEGREE_GAIN_RATIO * 1.001) == second
     assert Resolution(9, 6, SINGULAR_DEGREE).smoother(1.0).segments == 9
     assert Resolution(2, 6, 0).smoother(1.0) == Resolution(2, 6, 0)
     assert Resolution(9, 6, MAX_SINGULAR_DEGREE - 1).smoother(0.1).smooth == MAX_SINGULAR_DEGREE
@@ -62,22 +62,22 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
     assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf, ())
     assert Resolution(1, 6).finer(np.array([0.1])) == Resolution(1, 9)
     assert Resolution(2, 6).finer(np.array([-1.0, 3.5])) == Resolution(2, 10)
-    assert Resolution(1, 11).finer(np.array([8.0])) == Resolution(1, MAX_DEGREE)
+    assert Resolution(1, 11).finer(np.array([8.0])) == Resolution(1, ARC_MAX_DEGREE)
     assert Resolution(3, 7).finer(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
 
 
 def test_finer_pieces_are_halved_where_they_are_inaccurate() -> None:
-    full = Resolution(2, MAX_DEGREE)
-    assert full.finer(np.array([0.1, 3.0])) == Resolution(4, MAX_DEGREE)
+    full = Resolution(2, ARC_MAX_DEGREE)
+    assert full.finer(np.array([0.1, 3.0])) == Resolution(4, ARC_MAX_DEGREE)
     uneven = full.finer(np.array([0.0, 0.1]))
-    assert uneven == Resolution(3, MAX_DEGREE, edges=(0.5, 0.75))
+    assert uneven == Resolution(3, ARC_MAX_DEGREE, edges=(0.5, 0.75))
     assert uneven.shares.tolist() == [0.0, 0.5, 0.75, 1.0] and full.shares.tolist() == [0.0, 0.5, 1.0]
     again = uneven.finer(np.array([-1.0, -1.0, 3.1]))  # more than one halving gains: four parts
     assert again.edges == (0.5, 0.75, 0.8125, 0.875, 0.9375) and again.segments == 6
     assert uneven.finer(np.full(3, 1.0)).edges == (0.25, 0.5, 0.625, 0.75, 0.875)
     assert full.finer(np.full(2, 99.0)).segments == 8
     # The worst first, where not all that is asked for is allowed.
-    nearly = Resolution(MAX_SEGMENTS - 1, MAX_DEGREE)
+    nearly = Resolution(MAX_SEGMENTS - 1, ARC_MAX_DEGREE)
     worst = nearly.finer(np.linspace(0.1, 0.2, MAX_SEGMENTS - 1))
     assert worst.segments == MAX_SEGMENTS
     assert np.diff(worst.shares)[-2:] == pytest.approx(0.5 / (MAX_SEGMENTS - 1), rel=1e-12)
@@ -121,14 +121,14 @@ def test_uneven_segments_lie_where_their_piece_says() -> None:
     [
         (COARSE, 1),
         (COARSE + 1.0, 6),
-        (2 * THINNED * MAX_DEGREE, 1),
-        (20 * THINNED * MAX_DEGREE, 20),
+        (2 * THINNED * ARC_MAX_DEGREE, 1),
+        (20 * THINNED * ARC_MAX_DEGREE, 20),
         (1e6, MAX_SEGMENTS),
     ],
 )
 def test_bangs_of_a_fine_mesh_begin_finely(points: float, segments: int) -> None:
     (r,) = Plan.of(PhaseStructure((0.0, 1.0), ((UP,),)), points).resolutions
-    assert r == (Resolution() if segments == 1 else Resolution(segments, MAX_DEGREE))
+    assert r == (Resolution() if segments == 1 else Resolution(segments, ARC_MAX_DEGREE))
 
 
 def test_places_of_pieces_on_their_mesh() -> None:
@@ -289,7 +289,7 @@ def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
     times = (0.0, 1.0, 1.0 + share * 2 * m.PROPPED, 2.0)
     short = PhaseStructure(times, ((LOW, LOW), (UP, LOW), (UP, UP)))
     there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
-    offence = np.array([[1.0, 0.0, 0.0, wrong * m.WRONG_SIGN, 0.0, 1.0]])
+    offence = np.array([[1.0, 0.0, 0.0, wrong * m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN, 0.0, 1.0]])
     monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
     assert (m.collapsed(there, Plan.of(short), set())[0] is not None) is dropped
     for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
@@ -473,7 +473,9 @@ def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
     problem: Any = None
     monkeypatch.setattr(m, "chatters", lambda *_: False)
     assert m._chatter(found, structure, offence, problem) == answer
-    assert m._chatter(found, structure, m.WRONG_SIGN / 4e-4 * offence, problem) is None
+    assert (
+        m._chatter(found, structure, m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN / 4e-4 * offence, problem) is None
+    )
     monkeypatch.setattr(m, "chatters", lambda *_: True)
     assert m._chatter(found, structure, offence, problem) is None
 
@@ -595,10 +597,10 @@ def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
     plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
     wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
     found = f.finer(wrong, plan, 1e-9)
-    assert found is not None and [r.degree for r in found.resolutions] == [MAX_DEGREE, 4]
+    assert found is not None and [r.degree for r in found.resolutions] == [ARC_MAX_DEGREE, 4]
     bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
     found = f.finer(bent, plan, 1e-9)
-    assert found is not None and [r.degree for r in found.resolutions] == [4, MAX_DEGREE]
+    assert found is not None and [r.degree for r in found.resolutions] == [4, ARC_MAX_DEGREE]
 
 
 def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
@@ -715,7 +717,7 @@ def test_where_finer_meshes_end_singular_controls_of_higher_degree_are_tried(
     assert history.status is RefinementStatus.CONVERGED
 
 
-@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.FINEST), (1e-12, 1e-12)])
+@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.SWITCHING_TIME_TOLERANCE), (1e-12, 1e-12)])
 def test_what_was_detected_is_tried_after_a_structure_that_fails(
     monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
 ) -> None:
@@ -745,7 +747,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
 
 def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:
     _, history, (options,) = scripted([(Status.OPTIMAL, "")])
-    assert (options.tolerance, options.max_iterations) == (s.TIGHT, s.MOST_ITERATIONS)
+    assert (options.tolerance, options.max_iterations) == (s.TIGHT, s.ARC_SOLVE_MAX_ITERATIONS)
     own = SolverOptions(tolerance=1e-5)
     _, looser, (options,) = scripted([(Status.OPTIMAL, "")], options=own, tol=1e-3)
     assert options is own and (history.tolerance, looser.tolerance) == (1e-9, 1e-3)
@@ -841,8 +843,8 @@ def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resoluti
 
 
 def test_errors_that_are_no_numbers_ask_for_the_finest() -> None:
-    found = f.next_resolution(Resolution(2, MAX_DEGREE), np.array([np.nan, 1e-12]), 0.0, 1e-9)
-    assert found == Resolution(5, MAX_DEGREE, edges=(0.125, 0.25, 0.375, 0.5))
+    found = f.next_resolution(Resolution(2, ARC_MAX_DEGREE), np.array([np.nan, 1e-12]), 0.0, 1e-9)
+    assert found == Resolution(5, ARC_MAX_DEGREE, edges=(0.125, 0.25, 0.375, 0.5))
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from scipy.special import spherical_in
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Resolution
 from gnc_opt.planning.refinement.arcs.detection import detect, switching
-from gnc_opt.planning.refinement.arcs.resolution import FEWEST
+from gnc_opt.planning.refinement.arcs.resolution import PIECE_MIN_POINTS
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from problems.classics import van_der_pol
 
@@ -118,8 +118,8 @@ def test_a_piece_gets_higher_degrees_then_twice_the_segments() -> None:
     while (finer := r.finer(np.full(r.segments, 0.5))) != r:
         r = finer
         seen.append((r.segments, r.degree))
-    halved = [(n, MAX_DEGREE) for n in (2, 4, 8, 16, 32, MAX_SEGMENTS)]
-    assert seen == [(1, 9), (1, MAX_DEGREE), *halved] and r.edges == ()
+    halved = [(n, ARC_MAX_DEGREE) for n in (2, 4, 8, 16, 32, MAX_SEGMENTS)]
+    assert seen == [(1, 9), (1, ARC_MAX_DEGREE), *halved] and r.edges == ()
 
 
 def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
@@ -141,7 +141,7 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     assert solution.state("z")(2.0 - 1e-9) == pytest.approx(1 / 30, rel=1e-6)
     assert solution.history is not None and len(solution.history.passes) == 1
     leg, scale = solution.phase(), first.samples()["leg"].state_scale[2]
-    assert leg.mesh.degrees[0] == FEWEST
+    assert leg.mesh.degrees[0] == PIECE_MIN_POINTS
     n = leg.mesh.degrees[-1]
     assert set(leg.mesh.degrees[1:]) == {n}
 
@@ -157,7 +157,7 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     # Short at the steep end only: of two neighbours, whatever is one half of could not have been one.
     widths = np.diff(edges)
     assert widths[0] > 1.9 * widths[-1] and np.all(widths[:-1] > 0.99 * widths[1:])
-    assert left(edges[-3], edges[-1], MAX_DEGREE) > 1e-10
+    assert left(edges[-3], edges[-1], ARC_MAX_DEGREE) > 1e-10
 
 
 # --- detection ------------------------------------------------------------------------------------------------

@@ -53,8 +53,8 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
 
     monkeypatch.setattr(v, "settle_flow", settle)
     found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
-    tries = [(v.ACCURACY, None), (v.SPARE * v.ACCURACY, Step(v.STEPS // 2))]
-    assert asked == tries[: 1 + answers[0]] and v.SPARE < 1
+    tries = [(v.ACCURACY, None), (v.FLOW_GRID_ACCURACY_SHARE * v.ACCURACY, Step(v.STEPS // 2))]
+    assert asked == tries[: 1 + answers[0]] and v.FLOW_GRID_ACCURACY_SHARE < 1
     assert (found and found.step) == (steps and Step(steps))
     if found:
         assert found.structure == f"structure {sum(answers)}"
@@ -104,7 +104,9 @@ def test_a_limit_of_an_end_may_be_missed_by_a_trifle(
     """A flight ends at rest at 1 m after 1 s; each of its ends is tried alone."""
     for row in range(len(values)):
         limits = np.full((2, len(values)), np.array([[-np.inf], [np.inf]]))
-        limits[0 if side > 0 else 1, row] = values[row] + side * share * c.BEYOND * scales[row]
+        limits[0 if side > 0 else 1, row] = (
+            values[row] + side * share * c.LIMIT_EXCEEDED_TOLERANCE * scales[row]
+        )
         leg = replace(KNOWN.phase(), **{what: interval(*limits)})
         assert c.keeps_limits(replace(KNOWN, phases={"leg": leg}), np.array([20.0, 3.0])) is kept
 

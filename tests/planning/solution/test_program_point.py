@@ -11,7 +11,7 @@ from testing.constructed_solutions import interval
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.program_point import (
-    WEAK,
+    WEAKLY_ACTIVE_TOLERANCE,
     ProgramLimits,
     ProgramPoint,
     quadrature_weights,
@@ -39,7 +39,7 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     np.testing.assert_allclose(found.room(values), room, atol=1e-15)
     # Needed by less than 1e-5, or closer than that without being needed.
     assert np.flatnonzero(found.weak(values, multipliers)).tolist() == [8, 9, 10]
-    assert 1e-9 < WEAK < 5e-3
+    assert 1e-9 < WEAKLY_ACTIVE_TOLERANCE < 5e-3
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

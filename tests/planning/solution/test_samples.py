@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution import quality as limits
 from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import (
-    FINEST,
+    DISTANCE_MIN_SCALE_SHARE,
     NOTHING,
     WIDTHS,
     Limits,
@@ -665,7 +665,7 @@ def test_only_the_highest_of_each_limit_are_returned() -> None:
     ]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)
     found = violations(many, Limits.of(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
-    assert found.times.size == limits.MOST
+    assert found.times.size == limits.PEAKS_PER_LIMIT
 
 
 def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> None:
@@ -699,11 +699,12 @@ def beyond(excess: float, bounds: Interval, row: int = 0) -> Violations:
     [(50.0, 0.2), (0.1, 0.2), (1e-2, 0.2), (1e-3, 2.0), (1e-4, 20.0), (2e-5, 100.0), (0.0, 0.2), (1e-6, 0.2)],
 )
 def test_a_bound_is_judged_by_its_own_width_where_that_is_small(width: float, share: float) -> None:
-    """2 beyond, of a size of 10: a fifth; of a width of w sizes, 0.2 in `WIDTHS` w, and never in less than `FINEST`."""
+    """2 beyond, of a size of 10: a fifth; of a width of w sizes, 0.2 in `WIDTHS` w, and never in less than
+    `DISTANCE_MIN_SCALE_SHARE`."""
     bounds = interval([0.0, 0.0], [10 * width, 1.0])
     found = bound_offences(beyond(2.0, bounds), bounds, np.array([10.0, 1.0]))
     assert found == pytest.approx([share], rel=1e-9)
-    assert share == 0.2 or share == pytest.approx(0.2 / max(WIDTHS * width, FINEST))
+    assert share == 0.2 or share == pytest.approx(0.2 / max(WIDTHS * width, DISTANCE_MIN_SCALE_SHARE))
 
 
 def circle(sense: float, radius: float, at: float = 0.0) -> tuple[go.Problem, Any]:

@@ -30,7 +30,7 @@ from gnc_opt.planning.transcription.mesh import DEFAULT_MESH, read_meshes
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
-from gnc_opt.planning.transcription.transcription import KEPT, Transcription, transcribe
+from gnc_opt.planning.transcription.transcription import CACHED_PROGRAMS, Transcription, transcribe
 
 LOW, FREE, UP, RELEASED = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
@@ -625,12 +625,12 @@ def test_the_scaled_program_and_its_derivatives(scheme: Scheme) -> None:
 
 def test_programs_are_kept_the_last_few_of_them() -> None:
     problem = cart()
-    meshes = [{"leg": Mesh.uniform(k, 2)} for k in range(1, KEPT + 2)]
+    meshes = [{"leg": Mesh.uniform(k, 2)} for k in range(1, CACHED_PROGRAMS + 2)]
     first = transcribe(problem, meshes[0], "LG")
     assert (
         transcribe(problem, meshes[0], "LG") is first and transcribe(problem, meshes[0], "LGR") is not first
     )
-    for mesh in meshes[1 : KEPT - 1]:
+    for mesh in meshes[1 : CACHED_PROGRAMS - 1]:
         transcribe(problem, mesh, "LG")
     assert transcribe(problem, meshes[0], "LG") is first
     for mesh in meshes[1:]:

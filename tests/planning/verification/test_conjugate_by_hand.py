@@ -253,7 +253,7 @@ def test_times_that_two_grids_agree_on(
 
     def crossing(s: Any, system: int, frame: Array, end: int) -> Any:
         assert frame is frames[end]
-        return crossings[system // conjugate_points.STEPS]
+        return crossings[system // conjugate_points.CONJUGATE_STEPS_PER_PHASE]
 
     monkeypatch.setattr(conjugate_points, "_first_crossing", crossing)
     s: Any = SimpleNamespace(leg=SimpleNamespace(duration=2.0, states=SimpleNamespace(size=2)))

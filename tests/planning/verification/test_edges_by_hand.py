@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.planning import Result
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
-from gnc_opt.planning.optimality.kkt import FOUND, SETTLED, NullSpace, _settled, lanczos
+from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
 from gnc_opt.planning.optimality.multiplier_estimate import _or_one, estimate
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _vanishing
 from gnc_opt.planning.optimality.switching_problem import Unknowns
@@ -569,7 +569,7 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
     values, vectors = np.linalg.eigh(np.array([[0.0, 1.0], [1.0, 3.0]]))
     worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
     for factor, settled in ((0.99, True), (1.01, False)):
-        assert _settled(diagonal, beside, factor * SETTLED * largest / worst) is settled
+        assert _settled(diagonal, beside, factor * LANCZOS_RESIDUAL_TOLERANCE * largest / worst) is settled
 
 
 def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ import pytest
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning.verification.goh import CUTS, LEAST_DEGREE, cut, singular_segments
+from gnc_opt.planning.verification.goh import CUTS, SINGULAR_SEGMENT_MIN_POINTS, cut, singular_segments
 from gnc_opt.planning.verification.reduced_hessian import _partly_singular
 
 NAME = "second order"
@@ -180,13 +180,13 @@ def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
-    assert cut(mesh, np.array([True, False, False])).degrees[:n] == (LEAST_DEGREE,) * n
+    assert cut(mesh, np.array([True, False, False])).degrees[:n] == (SINGULAR_SEGMENT_MIN_POINTS,) * n
     # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
     arc = cut(mesh, np.array([False, True, True]))
     np.testing.assert_allclose(
         arc.breaks, [0.0, 0.2, *(0.2 + 0.3 * np.array(first)), 0.5, *(0.5 + 0.5 * np.array(last)), 1.0]
     )
-    assert arc.degrees == (3, 8, 8, 8, *[LEAST_DEGREE] * 3) and arc.movable == (1, 4)
+    assert arc.degrees == (3, 8, 8, 8, *[SINGULAR_SEGMENT_MIN_POINTS] * 3) and arc.movable == (1, 4)
     assert cut(mesh, np.zeros(3, dtype=bool)) == mesh
 
 

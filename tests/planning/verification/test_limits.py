@@ -16,7 +16,7 @@ from testing.wrong_solutions import double_integrator, energy, with_leg
 
 import gnc_opt as go
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.verification.engine import TOLERANCE
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
 from gnc_opt.planning.verification.feasibility import paths
 from gnc_opt.planning.verification.recomputed import from_problem
 
@@ -69,7 +69,7 @@ def flown_by(
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )
     judged = from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
-    return paths(list(judged.samples().values()), TOLERANCE)
+    return paths(list(judged.samples().values()), CONDITION_TOLERANCE)
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {

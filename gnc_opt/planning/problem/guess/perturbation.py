@@ -18,13 +18,13 @@ from gnc_opt.planning.problem.problem import Problem
 SPREAD = 5.0
 """A guessed duration is multiplied or divided by at most this (log-uniformly, within its bounds)."""
 
-NEARLY = 1.4
+KNOWN_DURATION_MAX_RATIO = 1.4
 """The same where the duration is known from another solution."""
 
 VIGOUR = (0.03, 1.0)
 """Range of a start's amplitude (drawn log-uniformly), as a share of the magnitude of each state."""
 
-LARGE = 0.2
+PERTURBATION_MIN_AMPLITUDE = 0.2
 """Least amplitude of a start that takes about as long as a known solution."""
 
 WAVES = 4
@@ -58,7 +58,9 @@ def with_random_guess(
         shift = times[1] - guess_times(leg)[1]
         start = start_phase(leg, FRACTIONS)
         magnitudes = phase_magnitudes(leg)
-        states = _draw_states(leg, start.states, magnitudes[0], rng, least=0.0 if known is None else LARGE)
+        states = _draw_states(
+            leg, start.states, magnitudes[0], rng, least=0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
+        )
         controls = _draw_controls(
             leg.numbers.controls, start.controls, magnitudes[1], rng, full=known is not None
         )
@@ -77,7 +79,7 @@ def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float
     initial, final = leg.times()
     span, spread, box = last - first, SPREAD, leg.numbers.duration
     if known:
-        span, spread = known, NEARLY
+        span, spread = known, KNOWN_DURATION_MAX_RATIO
     share = rng.uniform()
     if not initial.fixed[0]:
         first = float(np.clip(first + shift, initial.lower[0], initial.upper[0]))

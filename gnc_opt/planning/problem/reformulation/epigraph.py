@@ -183,7 +183,7 @@ def _of_tables(problem: Statement, leg: Phase) -> frozenset[int]:
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
 """Operations by which kinks are written."""
 
-MOST = 16
+KINK_MAX_PIECES = 16
 """Pieces of a kink: a sum of four absolute values has as many."""
 
 Pieces: TypeAlias = list[Any]
@@ -223,7 +223,7 @@ def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[
 def pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
     found = _pieces(node, sense, domain)
-    return None if found is None or len(found) > MOST else _without_dominated(found, sense)
+    return None if found is None or len(found) > KINK_MAX_PIECES else _without_dominated(found, sense)
 
 
 def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
@@ -245,7 +245,7 @@ def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
         left, right = _pieces(node.dep(0), sense, domain), _pieces(node.dep(1), sign * sense, domain)
-        if left is None or right is None or len(left) * len(right) > MOST:
+        if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
             return None
         return [a + sign * b for a, b in product(left, right)]
     if operation in (ca.OP_MUL, ca.OP_DIV):

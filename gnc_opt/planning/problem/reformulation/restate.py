@@ -38,10 +38,10 @@ from gnc_opt.planning.problem.reformulation.vector_norms import (
 )
 from gnc_opt.planning.problem.statement import Statement
 
-SHORT = 1e-6
+FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Share of a turn that bounds may lack: pi is often written with six digits."""
 
-_DRAWS = 24
+_RESTATE_DRAWS = 24
 
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
@@ -77,12 +77,14 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
     for i in np.flatnonzero(bounded | np.isinf(room)):
         turns.periods[i] = probe.period(int(i), [*PERIODS, *room[[i]][np.isfinite(room[[i]])]])
     reach = 0.5 * turns.periods
-    whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - SHORT) * reach)
+    whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - FULL_TURN_BOUND_TOLERANCE) * reach)
     azimuths = np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))).tolist()
     pairs: list[tuple[int, int]] = []
     for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)).tolist():
         mirrored = (i for i in azimuths if probe.is_mirrored(i, j, 0.5 * turns.periods[i], box.upper[j]))
-        azimuth = next(mirrored, None) if abs(room[j] - reach[j]) <= SHORT * reach[j] else None
+        azimuth = (
+            next(mirrored, None) if abs(room[j] - reach[j]) <= FULL_TURN_BOUND_TOLERANCE * reach[j] else None
+        )
         pairs += [] if azimuth is None else [(azimuth, j)]
     for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
         half = max(reach[i], 0.5 * room[i]) if whole[i] else 0.5 * reach[i]
@@ -100,7 +102,9 @@ def _probe(problem: Statement, leg: Phase) -> AngleProbe:
         return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
 
     rng = np.random.default_rng(20)
-    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), _DRAWS)) for s in (t, x, u, q))
+    times, states, controls, free = (
+        rng.uniform(-1.5, 1.5, (s.numel(), _RESTATE_DRAWS)) for s in (t, x, u, q)
+    )
     function, values = problem.once(("along", leg.name), build), leg.model.parameter_values
     return AngleProbe(lambda u: evaluate(function, times[0], states, u, values, free), controls)
 

@@ -17,13 +17,13 @@ from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
 from gnc_opt.planning.transcription.mesh import Mesh
 
-FIRST_DEGREE, MAX_DEGREE = 6, 12
+FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
 """Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
 
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
 """Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
 
-HELPED = 0.3
+DEGREE_GAIN_RATIO = 0.3
 """A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
 
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
@@ -32,14 +32,15 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
-GAIN, STEP = 1.0, 3
+GAIN, DECADES_PER_POINT = 1.0, 3
 """A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
 
 HALVED = 3.0
-"""Decades that halving a segment of `MAX_DEGREE` points gains: its polynomials converge like their 12th power of its
+"""Decades that halving a segment of `ARC_MAX_DEGREE` points gains: its polynomials converge like their
+12th power of its
 length where it is smooth, and hardly where it is not."""
 
-BOLD = 6.0
+MAX_DECADES_PER_ITERATION = 6.0
 """No more decades than this are expected of one pass."""
 
 COARSE = 100
@@ -54,7 +55,7 @@ THINNED = 1.5
 MOVED = 1e-2
 """Share of the phase by which the ends of pieces that samples show may be off the breaks of their mesh."""
 
-SAME = 0.9
+ARC_OVERLAP_SHARE = 0.9
 """Share of both that pieces of two structures have in common to be the same."""
 
 
@@ -102,10 +103,14 @@ class Resolution:
         most = float(np.max(decades))
         if most <= 0:
             return self
-        if self.degree < MAX_DEGREE:
-            points = STEP if self.smooth else max(STEP, math.ceil(most / GAIN))
-            return replace(self, degree=min(self.degree + points, MAX_DEGREE))
-        halvings = np.ones_like(decades) if self.smooth else np.ceil(np.clip(decades, 0.0, BOLD) / HALVED)
+        if self.degree < ARC_MAX_DEGREE:
+            points = DECADES_PER_POINT if self.smooth else max(DECADES_PER_POINT, math.ceil(most / GAIN))
+            return replace(self, degree=min(self.degree + points, ARC_MAX_DEGREE))
+        halvings = (
+            np.ones_like(decades)
+            if self.smooth
+            else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / HALVED)
+        )
         return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
     def _cut(self, parts: Indices, order: Indices) -> Resolution:
@@ -130,9 +135,12 @@ class Resolution:
         It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
         control can remove it.
         """
-        if self.smooth == 0 or gradient > HELPED * self.gradient:
+        if self.smooth == 0 or gradient > DEGREE_GAIN_RATIO * self.gradient:
             return self
-        smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
+        smooth, degree = (
+            min(self.smooth + 4, MAX_SINGULAR_DEGREE),
+            min(self.degree + DECADES_PER_POINT, ARC_MAX_DEGREE),
+        )
         raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
         wanted = math.ceil(2 * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
@@ -218,7 +226,7 @@ class Plan:
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
             shared = min(right, end) - max(left, begin)
-            if self.structure.kinds[k] == structure.kinds[piece] and shared > SAME * max(
+            if self.structure.kinds[k] == structure.kinds[piece] and shared > ARC_OVERLAP_SHARE * max(
                 right - left, end - begin
             ):
                 return self.resolutions[k]
@@ -430,8 +438,8 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
         edges = _turning_edges(structure, piece)
         segments = len(edges) + 1 if edges else int(np.ceil(INTERIOR_SEGMENTS * share))
         return Resolution(segments, degree, edges=edges)
-    segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
-    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
+    segments = int(np.ceil(share * points / (THINNED * ARC_MAX_DEGREE))) if points > COARSE else 1
+    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), ARC_MAX_DEGREE)
 
 
 def _turning_edges(structure: PhaseStructure, piece: int) -> tuple[float, ...]:

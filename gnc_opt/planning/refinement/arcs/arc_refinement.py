@@ -17,7 +17,7 @@ from gnc_opt.tolerances import TINY
 STATIONARY = 1e-9
 """First-order gain in H, in shares of H, that may be left along a singular arc."""
 
-ROUGH = 1e-4
+SINGULAR_GAIN_MAX = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
 
 
@@ -58,7 +58,7 @@ def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -
     gradient, tol : float
     """
     smoother = r.smoother(gradient) if gradient > STATIONARY else r
-    if smoother != r and gradient > max(float(np.max(errors)), ROUGH):
+    if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):
         return smoother
     if np.all(errors <= tol):
         return smoother

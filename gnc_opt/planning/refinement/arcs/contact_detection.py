@@ -9,19 +9,19 @@ from itertools import pairwise
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.state_constraints import NEAR, StateConstraints
+from gnc_opt.planning.optimality.state_constraints import ACTIVE_CONSTRAINT_SHARE, StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.error import states_at_points
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-PUSHING = 1e-3
+CONTACT_MIN_SHARE = 1e-3
 """Share of the largest push of a constraint that counts as one, ..."""
 
-WORTH = 1e-5
+CONTACT_MIN_COST_SHARE = 1e-5
 """... if that is worth this share of the cost."""
 
-SHORT = 2.0
+CONTACT_MERGE_SEGMENTS = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
 
 TURNING = 0.05
@@ -166,7 +166,7 @@ class Push:
         """
         breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
-        reach = SHORT * float(breaks[segment + 1] - breaks[segment])
+        reach = CONTACT_MERGE_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
         for k in range(1, structure.pieces):
             at = structure.times[k]
@@ -193,7 +193,7 @@ class Push:
         self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples
     ) -> tuple[float, float]:
         """Return the ends of an arc, extended to arcs on the same limit that are close by."""
-        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
         for k, kinds in enumerate(structure.kinds):
             if kinds[self.row] is self.kind:
                 entry, leave = structure.times[k : k + 2]
@@ -231,7 +231,7 @@ class Push:
         self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
     ) -> list[tuple[int, int]]:
         """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
-        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
         joined = runs[:1]
         for a, b in runs[1:]:
             before, after = self.times[joined[-1][1] - 1], self.times[a]
@@ -263,9 +263,13 @@ def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
     times, values, pushes = _at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
-            near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]
+            near = np.abs(values[row] - limit) < ACTIVE_CONSTRAINT_SHARE * constraints.scales[row]
             worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
-            worth = np.where(near & (worth > max(PUSHING * float(np.max(worth)), WORTH)), worth, 0.0)
+            worth = np.where(
+                near & (worth > max(CONTACT_MIN_SHARE * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
+                worth,
+                0.0,
+            )
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             if constraints.order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > BOUNCE * constraints.scales[row]

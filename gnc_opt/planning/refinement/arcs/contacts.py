@@ -30,7 +30,13 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
-from gnc_opt.planning.refinement.arcs.contact_detection import LASTING, SHORT, Push, pushing_runs, runs_of
+from gnc_opt.planning.refinement.arcs.contact_detection import (
+    CONTACT_MERGE_SEGMENTS,
+    LASTING,
+    Push,
+    pushing_runs,
+    runs_of,
+)
 from gnc_opt.planning.refinement.arcs.control_oscillation import with_short_arc, without_ringing
 from gnc_opt.planning.refinement.arcs.ends import with_starts_on_limits
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -122,11 +128,11 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     )
     structure = _with_short_arcs(structure, constraints)
     if not any(orders):
-        return without_ringing(without_overlaps(structure), constraints, SHORT)
+        return without_ringing(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
-    structure = without_ringing(structure, constraints, SHORT)
-    longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
+    structure = without_ringing(structure, constraints, CONTACT_MERGE_SEGMENTS)
+    longest = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)))
     structure = with_possible_ends(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 

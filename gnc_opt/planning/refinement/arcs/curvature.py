@@ -17,7 +17,7 @@ HOLLOW = 1e-2
 """H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
 average: where a costate vanishes or jumps the mesh leaves as much."""
 
-LINEAR = 1e-9
+LINEAR_CURVATURE_SHARE = 1e-9
 """Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
 
 
@@ -57,7 +57,7 @@ def linear_limits(samples: PhaseSamples) -> LinearLimits:
 
 
 def _linear(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < LINEAR)
+    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < LINEAR_CURVATURE_SHARE)
 
 
 def regular_channels(samples: PhaseSamples) -> Mask:
@@ -83,7 +83,7 @@ def _coupled(samples: PhaseSamples) -> Mask:
     scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
     shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
     np.fill_diagonal(shares, 0.0)
-    return np.asarray(np.any(shares > LINEAR, axis=1))
+    return np.asarray(np.any(shares > LINEAR_CURVATURE_SHARE, axis=1))
 
 
 def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:

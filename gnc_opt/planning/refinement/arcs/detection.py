@@ -28,13 +28,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.singular_arcs import chatters
 from gnc_opt.tolerances import CONVEX
 
-NEAR = 0.02
+CONTROL_AT_BOUND_SHARE = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
 
-CLEARLY = 2.0
+STATE_LEFT_BOUND_RATIO = 2.0
 """A state so many times as far from its bound has left it."""
 
-REACHED = 1e-3
+ACTIVE_LIMIT_TOLERANCE = 1e-3
 """A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
 multiplier says so too."""
 
@@ -56,7 +56,7 @@ MOST_HALVINGS = 100
 PROBE = 1e-3
 """Share of a control's range by which it is moved to see whether a rate depends on it."""
 
-SHORT = 2.0
+SINGULAR_ARC_MERGE_SEGMENTS = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
 
 
@@ -86,7 +86,7 @@ def detect(
     rows = [
         _linear_labels(samples, i, held[i], sharp)
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SINGULAR_ARC_MERGE_SEGMENTS)
         for i in range(leg.controls.size)
     ]
     mixed = _mixed_paths(samples, regular)
@@ -180,7 +180,7 @@ def _limit(
     Singular arcs stay, and times at which state constraints determine the control.
     """
     samples = limits.samples
-    inside = ~limits.near_end(i, NEAR * samples.control_scale[i])
+    inside = ~limits.near_end(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
     segments = _singular_segments(samples, i, _share(samples, samples.switching, i))
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
@@ -218,12 +218,15 @@ def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
     bounds, ends = samples.leg.state_bounds, [first, last - 1]
     off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
     share = off[:, first:last] / samples.state_scale[:, None]
-    left = (np.min(share[:, [0, -1]], axis=1) < NEAR) & (np.max(share, axis=1) > CLEARLY * NEAR)
+    left = (np.min(share[:, [0, -1]], axis=1) < CONTROL_AT_BOUND_SHARE) & (
+        np.max(share, axis=1) > STATE_LEFT_BOUND_RATIO * CONTROL_AT_BOUND_SHARE
+    )
     return bool(np.any(left)) and bool(np.any(left & np.any(_moved_at_once(samples, i)[:, ends], axis=1)))
 
 
 def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
-    """Let arcs of a label swallow neighbours shorter than `SHORT` segments, if all of those are candidates."""
+    """Let arcs of a label swallow neighbours shorter than `SINGULAR_ARC_MERGE_SEGMENTS` segments, if all
+    of those are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
     while grown:
@@ -232,7 +235,9 @@ def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates
         edges = [0, *(np.flatnonzero(changes) + 1), labels.size]
         for first, last in itertools.pairwise(edges):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
-            short = samples.times[last - 1] - samples.times[first] < SHORT * np.max(lengths[first:last])
+            short = samples.times[last - 1] - samples.times[first] < SINGULAR_ARC_MERGE_SEGMENTS * np.max(
+                lengths[first:last]
+            )
             if labels[first] != label and candidates[first] and beside and short:
                 labels[first:last], grown = label, True
                 break
@@ -245,7 +250,7 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
     segment does not count.
     """
     leg = samples.leg
-    bounds, margin = leg.control_bounds, NEAR * samples.control_scale[i]
+    bounds, margin = leg.control_bounds, CONTROL_AT_BOUND_SHARE * samples.control_scale[i]
     found = []
     for k, values in enumerate(leg.u.values):
         inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
@@ -257,7 +262,9 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
 
 def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
-    at_lower, at_upper = samples.leg.control_bounds.near(samples.u, REACHED * samples.control_scale)
+    at_lower, at_upper = samples.leg.control_bounds.near(
+        samples.u, ACTIVE_LIMIT_TOLERANCE * samples.control_scale
+    )
     gradient = samples.control_gradient[i]
     labels = _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
@@ -312,7 +319,9 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     bends = curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= IDLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
-    at_lower, at_upper = samples.leg.path_bounds.near(values, REACHED * np.max(np.abs(values), axis=1))
+    at_lower, at_upper = samples.leg.path_bounds.near(
+        values, ACTIVE_LIMIT_TOLERANCE * np.max(np.abs(values), axis=1)
+    )
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 

@@ -25,13 +25,13 @@ from gnc_opt.planning.refinement.arcs.detection import crossings
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import BESIDE
+from gnc_opt.tolerances import JUNCTION_OFFSET_SHARE
 
-SETTLED, OF_PIECE = 1e-7, 3e-6
+KINK_MOVE_TOLERANCE, OF_PIECE = 1e-7, 3e-6
 """A kink that wants to move by less than these shares of the phase and of the shorter piece beside it is where it
 belongs: states and costates are wrong by the square of the first, controls by the second, in shares of their range."""
 
-FARTHEST = 0.5
+KINK_MAX_MOVE_SHARE = 0.5
 """Share of the shorter piece beside a junction by which it may move at once."""
 
 ENTERED = 1e-10
@@ -59,7 +59,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     span, lengths = times[-1] - times[0], structure.lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
     settled = np.where(
-        [False, *contact, False], ENTERED * span, np.minimum(SETTLED * span, OF_PIECE * beside)
+        [False, *contact, False], ENTERED * span, np.minimum(KINK_MOVE_TOLERANCE * span, OF_PIECE * beside)
     )
     if np.all(moves <= settled):
         return None
@@ -73,14 +73,16 @@ def junction_time(constraints: StateConstraints, structure: PhaseStructure, boun
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
     k = int(np.argmin(np.abs(leg.breaks - time)))
-    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
+    step = JUNCTION_OFFSET_SHARE * (
+        leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1]
+    )
     times = np.array([leg.breaks[k], leg.breaks[k] - step])
     values = constraints.derivative(
         row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
     )
     slope = (values[0] - values[1]) / step
     lengths = structure.lengths
-    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
+    most = KINK_MAX_MOVE_SHARE * min(lengths[boundary - 1], lengths[boundary])
     move = -values[0] / slope if slope != 0 else 0.0
     return time + float(np.clip(move, -most, most))
 

@@ -37,22 +37,22 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.engine import verify
 
-PATIENCE = 4
+STALLED_MAX_ITERATIONS = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
 IN_VAIN = 2
 """Structures without a solution, one made of the other, after which the loop gives up."""
 
-FINEST = 1e-9
+SWITCHING_TIME_TOLERANCE = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
 FINISHING = 4.0
 """Passes that are, or may be, the last ones begin for up to so many times the work."""
 
-ALIKE = 1.01
+ROUNDING_ERROR_RATIO = 1.01
 """Ratio of errors of passes that differ by rounding."""
 
-TIGHT, MOST_ITERATIONS = 1e-11, 200
+TIGHT, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
 
@@ -62,7 +62,7 @@ Segments: TypeAlias = Literal["few", "kept"]
 def optimise_switches(
     solution: Solution,
     *,
-    tol: float = FINEST,
+    tol: float = SWITCHING_TIME_TOLERANCE,
     limits: PassLimits | None = None,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
@@ -95,7 +95,7 @@ def optimise_switches(
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
-    chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
+    chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
     found = structures or structures_of(solution)
     solution = with_magnitudes_at_limits(solution)
     plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
@@ -163,7 +163,9 @@ def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
         return max(solved, default=None)
     errors = {k: t.solution.objective_error.value for k, t in solved.items()}
     least = min(errors.values())
-    return max((k for k, error in errors.items() if error <= ALIKE * least), default=min(errors))
+    return max(
+        (k for k, error in errors.items() if error <= ROUNDING_ERROR_RATIO * least), default=min(errors)
+    )
 
 
 def _settled(
@@ -249,7 +251,7 @@ class _Loop:
     @property
     def aim(self) -> float:
         """Error that meshes are refined to: it costs little more, where a structure is known."""
-        return min(self.tol, FINEST)
+        return min(self.tol, SWITCHING_TIME_TOLERANCE)
 
     @property
     def records(self) -> list[Pass]:
@@ -309,7 +311,9 @@ def _restless(records: list[Pass]) -> bool:
     """
     changes = [k for k, r in enumerate(records) if not _adjusting(r) or SMOOTHED in str(r.actions)]
     errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
-    return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
+    return len(errors) > STALLED_MAX_ITERATIONS and min(errors[-STALLED_MAX_ITERATIONS:]) > 0.5 * min(
+        errors[:-STALLED_MAX_ITERATIONS]
+    )
 
 
 def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:

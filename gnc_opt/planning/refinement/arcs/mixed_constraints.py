@@ -19,13 +19,13 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-LINEAR = 1e-9
+CONSTANT_SLOPE_TOLERANCE = 1e-9
 """Relative change of a slope over `NEARBY` of the control's range below which it is constant."""
 
 NEARBY = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
-PRESSED, ALMOST = 0.01, 0.95
+CONTROL_AT_END_SHARE, ALMOST = 0.01, 0.95
 """A control this close to its end, in shares of its range, is at it; that along so much of the samples, all along: the
 mesh blurs what happens in a segment in which it jumps."""
 
@@ -58,7 +58,9 @@ class LinearLimits:
         moved = samples.functions.path_control_jacobian(
             samples.times, samples.x, samples.u + NEARBY * samples.control_scale[:, None]
         )
-        same = np.abs(moved - jacobian) <= LINEAR * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
+        same = np.abs(moved - jacobian) <= CONSTANT_SLOPE_TOLERANCE * np.max(
+            np.abs(jacobian), axis=(1, 2), keepdims=True
+        )
         depends = np.any(jacobian != 0, axis=2)
         inequality = leg.path_bounds.lower < leg.path_bounds.upper
         for i in np.flatnonzero(linear):
@@ -104,7 +106,7 @@ class LinearLimits:
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)
-        return bool(np.mean(np.abs(off) <= PRESSED * s.control_scale[control]) > ALMOST)
+        return bool(np.mean(np.abs(off) <= CONTROL_AT_END_SHARE * s.control_scale[control]) > ALMOST)
 
     def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""

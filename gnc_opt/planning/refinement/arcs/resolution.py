@@ -13,21 +13,21 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.arcs.arc_mesh import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
 
-FEWEST = 4
+PIECE_MIN_POINTS = 4
 """Collocation points of a segment at least."""
 
-TERMS = MAX_DEGREE + 4
+TERMS = ARC_MAX_DEGREE + 4
 """Of the series; those beyond them are nothing beside the last."""
 
-HELPED = 0.1
+HALVING_GAIN_RATIO = 0.1
 """Halving a segment has helped if it leaves at most this share."""
 
-MARGIN = 0.1
+RESOLUTION_TOLERANCE_SHARE = 0.1
 """Share of the tolerance that the terms left out may amount to."""
 
 
@@ -48,17 +48,20 @@ def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     left = _left_out(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
-    found = [_resolution(left, row, times[k], times[k + 1], MARGIN * tol) for k, row in enumerate(at_once)]
+    found = [
+        _resolution(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
+        for k, row in enumerate(at_once)
+    ]
     return replace(plan, resolutions=tuple(found))
 
 
 def _resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
-    """As few segments as are fine enough with `MAX_DEGREE` points at most, and the points of each."""
+    """As few segments as are fine enough with `ARC_MAX_DEGREE` points at most, and the points of each."""
     found = _cut(left, whole, (start, end), most, MAX_SEGMENTS)
-    fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[FEWEST:MAX_DEGREE] <= most)
-    degree = FEWEST + int(fine[0]) if fine.size else MAX_DEGREE
+    fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
+    degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
     return Resolution(len(found), degree, edges=edges)
 
@@ -68,12 +71,12 @@ def _cut(
 ) -> list[tuple[float, Array]]:
     """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
     start, end = ends
-    if row[MAX_DEGREE] <= most or room == 1:
+    if row[ARC_MAX_DEGREE] <= most or room == 1:
         return [(end, row)]
     middle = 0.5 * (start + end)
     halves = left(np.array([start, middle, end]))
     if (
-        not np.max(halves[:, MAX_DEGREE]) < HELPED * row[MAX_DEGREE]
+        not np.max(halves[:, ARC_MAX_DEGREE]) < HALVING_GAIN_RATIO * row[ARC_MAX_DEGREE]
     ):  # what is left is how far the flight is off
         return [(end, row)]
     first = _cut(left, halves[0], (start, middle), most, room // 2)

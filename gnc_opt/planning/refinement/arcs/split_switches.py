@@ -36,7 +36,7 @@ as it is short; in shorter ones the multipliers, which are divided by the length
 POINTS = 2
 """Collocation points of each."""
 
-SHARP = 1e-13
+SPLIT_SOLVE_TOLERANCE = 1e-13
 """Tolerance of the solver: what it leaves is divided by the length of an instant."""
 
 ROOM = 10.0
@@ -64,7 +64,7 @@ def solve_apart(
     meshes = {}
     for name, plan in plans.items():
         freed, meshes[name] = _freed(plan, freed, name)
-    sharper = replace(options, tolerance=min(SHARP, options.tolerance))
+    sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
     found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
     return _told(solution, found, plans) if found.status.solved else None
 

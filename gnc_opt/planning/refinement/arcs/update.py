@@ -13,7 +13,7 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.arc_refinement import ROUGH, defects, finer, open_gradient
+from gnc_opt.planning.refinement.arcs.arc_refinement import SINGULAR_GAIN_MAX, defects, finer, open_gradient
 from gnc_opt.planning.refinement.arcs.contacts import (
     crossed_contact,
     overrun_bound,
@@ -34,14 +34,14 @@ from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"
 
-ROOM = 1e-3
+SWAPPED_ARC_SHARE_OF_PHASE = 1e-3
 """Share of the phase that a swapped piece gets to start from."""
 
 PROPPED = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
 at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
 
-CHATTER, ALIKE = 5, 30.0
+CHATTER, CHATTER_MIN_SWITCHES = 5, 30.0
 """So many switches of one control where its switching function stays small are no bangs. All but one of them at least
 are between bangs that leave no more than so many times the offence."""
 
@@ -54,7 +54,7 @@ ENDS = 3.0
 SATURATED = 1e-3
 """A singular control this close to a bound, relative to its range, has reached it."""
 
-WRONG_SIGN = 1e-7
+SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
 WRONG_SLOPE, WRONG_BEND = 1e-5, 1e-6
@@ -149,13 +149,13 @@ def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
         return False
     pieces = plan.segment_pieces[samples.segments]
     offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
-    return bool(np.max(offence[:, pieces == piece], initial=0.0) > WRONG_SIGN)
+    return bool(np.max(offence[:, pieces == piece], initial=0.0) > SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN)
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
     """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
-    room = ROOM * (times[-1] - times[0])
+    room = SWAPPED_ARC_SHARE_OF_PHASE * (times[-1] - times[0])
     middle = 0.5 * (times[piece] + times[piece + 1])
     left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
     right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
@@ -201,12 +201,16 @@ def _chatter(
     chattering: few of them will do.
     """
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
-    if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
+    if (
+        offence[i, j] < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN
+        or i >= samples.leg.controls.size
+        or not affine_channels(samples)[i]
+    ):
         return None
     gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
     small = _among(switches, samples.times, gain > SMALL, j)
-    alike = _among(switches, samples.times, gain > ALIKE * offence[i, j], j)
+    alike = _among(switches, samples.times, gain > CHATTER_MIN_SWITCHES * offence[i, j], j)
     if len(small) < CHATTER or len(alike) < CHATTER - 1 or chatters(problem, samples, i):
         return None
     return i, alike[0], alike[-1]
@@ -224,7 +228,7 @@ def _with_worst(
     samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that the worst offence asks for and what was done, or None."""
-    if not offence.size or offence.max() < WRONG_SIGN:
+    if not offence.size or offence.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     start, end = _wrong_interval(samples, offence[i])
@@ -242,7 +246,7 @@ def _with_bends(
     """
     curved = _curved_rows(samples, offence.shape[0])[:, None]
     left = np.where(curved & (asked == ArcKind.INTERIOR), offence, 0.0)
-    while left.max(initial=0.0) >= WRONG_SIGN:
+    while left.max(initial=0.0) >= SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
         start, end = _wrong_interval(samples, left[i])
         structure = structure.with_arc(i, start, end, ArcKind.INTERIOR)
@@ -323,7 +327,7 @@ def _saturated(
 
 
 def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
-    if np.max(defects(samples)) > ROUGH:
+    if np.max(defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
     return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
 
@@ -334,7 +338,7 @@ def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
     There the switching function of a control that holds the constraint is an error of the mesh.
     """
     contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
-    rough = np.max(defects(samples), axis=0) > ROUGH
+    rough = np.max(defects(samples), axis=0) > SINGULAR_GAIN_MAX
     return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
 
 

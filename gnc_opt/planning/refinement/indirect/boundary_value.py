@@ -23,22 +23,22 @@ from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import VANISHED
 
-LEAST_DEGREE = 8
-STEP = 6
+BOUNDARY_VALUE_MIN_DEGREE = 8
+BOUNDARY_VALUE_DEGREE_STEP = 6
 MOST_DEGREE = 32
 """Segments start with the first of these degrees, gain the second, and are halved beyond the third."""
 
 MOST_SEGMENTS = 2000
 MAX_STEPS = 40
 
-DONE, CLOSE = 1e-14, 1e-9
+DONE, NEWTON_STEP_TOLERANCE = 1e-14, 1e-9
 """Lengths of a relative Newton step: there is nothing left to gain; from here on steps are full, and end the iteration
 as soon as they no longer shrink."""
 
 LEAST_DAMPING = 1e-3
 """Newton's method that would have to be damped further has failed."""
 
-LEAST_SHARE = 1e-3
+VARIABLE_MIN_SHARE_OF_SIZE = 1e-3
 """A state, costate or control counts at least this share of its typical magnitude (a costate, of the largest's)."""
 
 
@@ -54,9 +54,12 @@ class Sizes:
         """Take them from a solution; what is zero all along must not be measured by its rounding."""
         states, controls = phase_magnitudes(stated)
         x, lam, u = (np.max(np.abs(np.hstack(s.values)), axis=1) for s in (leg.x, leg.lam, leg.u))
-        x, u = np.maximum(x, LEAST_SHARE * states), np.maximum(u, LEAST_SHARE * controls)
+        x, u = (
+            np.maximum(x, VARIABLE_MIN_SHARE_OF_SIZE * states),
+            np.maximum(u, VARIABLE_MIN_SHARE_OF_SIZE * controls),
+        )
         worth = float(np.max(lam * x))
-        lam = np.maximum(lam, LEAST_SHARE * worth / x) if worth > 0 else np.ones_like(x)
+        lam = np.maximum(lam, VARIABLE_MIN_SHARE_OF_SIZE * worth / x) if worth > 0 else np.ones_like(x)
         return cls(np.concatenate([x, lam]), u)
 
 
@@ -182,14 +185,14 @@ def _newton(
         length = float(np.max(np.abs(step)))
         if not np.isfinite(length):
             break
-        if length <= DONE or (length < CLOSE and length > 0.25 * last):
+        if length <= DONE or (length < NEWTON_STEP_TOLERANCE and length > 0.25 * last):
             return x, iteration
         damping = 1.0
         while damping > LEAST_DAMPING:
             trial = x + damping * sizes * step
             moved = (transcription.evaluate(bvp, trial)[0] - box.lower)[equations] / norms
             simplified = factors.solve(moved)
-            if length < CLOSE or np.max(np.abs(simplified)) <= (1 - damping / 4) * length:
+            if length < NEWTON_STEP_TOLERANCE or np.max(np.abs(simplified)) <= (1 - damping / 4) * length:
                 break
             damping *= 0.5
         else:
@@ -225,8 +228,8 @@ def finer(mesh: Mesh, found: BoundaryValueSolution, phase: str, sizes: Sizes, to
         left, right = mesh.breaks[k], mesh.breaks[k + 1]
         if tails[k] <= tol:
             pieces, n = 1, degree
-        elif degree + STEP <= MOST_DEGREE:
-            pieces, n = 1, degree + STEP
+        elif degree + BOUNDARY_VALUE_DEGREE_STEP <= MOST_DEGREE:
+            pieces, n = 1, degree + BOUNDARY_VALUE_DEGREE_STEP
         else:
             pieces, n = 2, MOST_DEGREE // 2
         breaks += [left + (right - left) * (i + 1) / pieces for i in range(pieces)]

@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import TINY
 
-AT_LIMIT = 1e-7
+HELD_LIMIT_TOLERANCE = 1e-7
 """A boundary value, time or parameter this near to a limit (relative to its size) is held there."""
 
 
@@ -96,7 +96,7 @@ def _held(box: Interval, values: Array, sizes: Array) -> Array:
     """The limit where there is one and the value is at it, else NaN."""
     held = np.full(values.shape, np.nan)
     for limit in (box.lower, box.upper):
-        near = box.fixed | (np.abs(values - limit) <= AT_LIMIT * sizes)
+        near = box.fixed | (np.abs(values - limit) <= HELD_LIMIT_TOLERANCE * sizes)
         held = np.where(np.isfinite(limit) & near, limit, held)
     return held
 

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions, end
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.indirect.boundary_value import (
-    LEAST_DEGREE,
+    BOUNDARY_VALUE_MIN_DEGREE,
     BoundaryValueSolution,
     Sizes,
     finer,
@@ -41,10 +41,10 @@ MAX_PASSES = 12
 CLEAR = 1e-6
 """A quantity nearer than this to a limit (relative to its size) is taken to be held by it."""
 
-SAME = 1e-10
+FULL_TURN_TOLERANCE = 1e-10
 """Rates that a full turn of a control changes by less than this, relative to their size, do not know of it."""
 
-FLAT = 1e-8
+CONTROL_CURVATURE_MIN_SHARE = 1e-8
 """Curvature of H in a direction of the controls, relative to the largest of each, that counts as none."""
 
 
@@ -92,7 +92,7 @@ def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
     limits = active_limits(solution)
     bvp = hamiltonian_problem(solution, limits)
     meshes = {
-        name: Mesh(leg.mesh.breaks, tuple(max(LEAST_DEGREE, n) for n in leg.mesh.degrees))
+        name: Mesh(leg.mesh.breaks, tuple(max(BOUNDARY_VALUE_MIN_DEGREE, n) for n in leg.mesh.degrees))
         for name, leg in solution.phases.items()
     }
     unwrapped = _unwrapped(solution)
@@ -131,7 +131,7 @@ def _unwrapped(solution: Solution) -> Solution:
             turned = u.copy()
             turned[i] += 2 * np.pi
             moved = np.vstack([functions.rates(times, x, turned), functions.integrands(times, x, turned)])
-            if np.all(np.abs(moved - plain) <= SAME * sizes):
+            if np.all(np.abs(moved - plain) <= FULL_TURN_TOLERANCE * sizes):
                 u[i] = np.unwrap(u[i])
         phases[name] = replace(leg, u=piecewise(leg.breaks, leg.rules, u))
     return replace(solution, phases=phases)
@@ -198,7 +198,7 @@ def _refuse_flat(solution: Solution, leg: PhaseSolution) -> None:
     unit = 1.0 / np.sqrt(np.where(own > 0, own, 1.0))
     values, vectors = np.linalg.eigh(np.moveaxis(curvature * (unit[:, None] * unit)[:, :, None], 2, 0))
     worst = int(np.argmin(values[:, 0]))
-    if values[worst, 0] <= FLAT:
+    if values[worst, 0] <= CONTROL_CURVATURE_MIN_SHARE:
         label = leg.controls.labels[int(np.argmax(np.abs(vectors[worst, :, 0])))]
         raise GncOptError(
             f"cannot polish the solution of '{solution.problem_name}': the Hamiltonian has no positive curvature in "

@@ -27,7 +27,7 @@ from gnc_opt.planning.transcription.scheme import Scheme
 LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
 """Degrees that are tried."""
 
-REACH = 8
+MERGED_SEGMENTS_MAX = 8
 """At most so many neighbours are merged in one pass."""
 
 STEEPEST = 0.05
@@ -73,7 +73,7 @@ def coarsened(
     for j in range(1, len(run) + 1):
         options = [
             (cost[i] + degrees[i, j] + SEGMENT_COST, i)
-            for i in range(max(0, j - REACH), j)
+            for i in range(max(0, j - MERGED_SEGMENTS_MAX), j)
             if (i, j) in degrees
         ]
         best, i = min(options)
@@ -125,7 +125,7 @@ def _mergeable(
     spans = [(i, i + 1) for i in range(len(run))]
     shorter = set(spans)
     beside = [a.end == b.start for a, b in itertools.pairwise(run)]
-    for length in range(2, REACH + 1):
+    for length in range(2, MERGED_SEGMENTS_MAX + 1):
         ends = [(i, i + length) for i in range(len(run) - length + 1)]
         hopeful = [(i, j) for i, j in ends if beside[i] and {(i, j - 1), (i + 1, j)} <= shorter]
         probes = [Piece(run[i].start, run[j - 1].end, max_degree) for i, j in hopeful]

@@ -18,13 +18,13 @@ SHARPENING = 2.0
 """A kink that multipliers point at is trusted to lie closer the shorter the gap that it lies in, in shares of the gap's
 own share of the phase: the error of the estimate is of second order in its length."""
 
-SHARP = 1e-6
+LOCATED_KINK_TOLERANCE = 1e-6
 """A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
 
 CLEAR = 1e-6
 """A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
 
-MOST = 3
+SEGMENT_MAX_KINKS = 3
 """More kinks than this in one segment are chatter or noise."""
 
 
@@ -54,7 +54,7 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
             merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
         else:
             merged.append(kink)
-    return merged if len(merged) <= MOST else []
+    return merged if len(merged) <= SEGMENT_MAX_KINKS else []
 
 
 def _switches(error: PhaseError, k: int) -> list[Kink]:
@@ -170,7 +170,7 @@ def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in _edges(kink, SHARP * leg.duration)):
+    for edge in (edge for kink in kinks for edge in _edges(kink, LOCATED_KINK_TOLERANCE * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]

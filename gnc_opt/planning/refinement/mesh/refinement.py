@@ -19,14 +19,20 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import last_barrier
-from gnc_opt.planning.refinement.error import NEGLIGIBLE, PhaseError, estimate_errors
+from gnc_opt.planning.refinement.error import ABSOLUTE_ERROR_MAGNITUDE, PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
-from gnc_opt.planning.refinement.mesh.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
+from gnc_opt.planning.refinement.mesh.remesh import (
+    REMESH_TOLERANCE_SHARE,
+    UNRESOLVED,
+    Past,
+    Remesh,
+    known_segments,
+)
 from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
-WARM_ITERATIONS = 150
+MESH_WARM_START_MAX_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
 WARM_MU = 1e-6
@@ -40,10 +46,10 @@ MOST_PASSES = 20
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, ..."""
 
-EARLY = 1e-3
+COARSE_MESH_TOLERANCE_SHARE = 1e-3
 """... at this share while some segment is hopelessly coarse, and all others still move with it; ..."""
 
-NEARLY = 30.0
+NEAR_TOLERANCE_RATIO = 30.0
 """... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
 
 SOLVED, LAXER = 1e-9, 0.1
@@ -62,7 +68,7 @@ WORTH_TRIMMING, TOO_FINE = 0.5, 1e-2
 """... is solved once more if it can shrink to this share: only segments whose error is less than so many tolerances can
 give away much, and finding out how much takes as long as solving; ..."""
 
-BOLD = 0.5
+FINAL_MESH_TOLERANCE_SHARE = 0.5
 """... expecting this share of the tolerance, ..."""
 
 DEPARTURE = 0.01
@@ -235,8 +241,8 @@ class _Refinement:
             last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
         )
         error = min(self._state.finite_error, 1.0)
-        stage = max(self._tol, (STAGE if error < UNRESOLVED else EARLY) * error)
-        stage = stage if stage > NEARLY * self._tol else self._tol
+        stage = max(self._tol, (STAGE if error < UNRESOLVED else COARSE_MESH_TOLERANCE_SHARE) * error)
+        stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
         plan = self._finer(stage, merging)
         if merging:
@@ -250,10 +256,10 @@ class _Refinement:
         return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
 
     def _finer(self, stage: float, merging: bool) -> NextMeshes:
-        merge_tol = SAFETY * self._tol if merging else None
+        merge_tol = REMESH_TOLERANCE_SHARE * self._tol if merging else None
         return self._remeshed(
             lambda name, error: Remesh(
-                error, stage, self._past.get(name, {}), merge_tol, SAFETY * self._tol
+                error, stage, self._past.get(name, {}), merge_tol, REMESH_TOLERANCE_SHARE * self._tol
             ).mesh()
         )
 
@@ -268,7 +274,9 @@ class _Refinement:
         ):
             return None
         plan = self._remeshed(
-            lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
+            lambda _, error: Remesh(
+                error, self._tol, {}, FINAL_MESH_TOLERANCE_SHARE * self._tol, self._departure
+            ).mesh()
         )
         return plan if _size(plan[0]) <= WORTH_TRIMMING * points else None
 
@@ -287,7 +295,11 @@ class _Refinement:
         if len(self._records) < 2 or self._trimmed_once:
             return True
         old, new = self._records[-2:]
-        worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
+        worth = max(
+            ABSOLUTE_ERROR_MAGNITUDE,
+            abs(new.objective),
+            *(_cost_scale(e) for e in self._state.errors.values()),
+        )
         return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
 
     def _confirm(self) -> NextMeshes:
@@ -337,7 +349,7 @@ class _Refinement:
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._warm_options(),
-            limits=replace(within, warm_iterations=WARM_ITERATIONS),
+            limits=replace(within, warm_iterations=MESH_WARM_START_MAX_ITERATIONS),
         )
         self._state = self._judge(solution, begin, actions)
         if self._better(self._state, self._best):

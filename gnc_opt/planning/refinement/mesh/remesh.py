@@ -23,8 +23,8 @@ from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_densi
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 
-MAX_DEGREE = 20
-SAFETY = 0.25
+SEGMENT_MAX_DEGREE = 20
+REMESH_TOLERANCE_SHARE = 0.25
 """New meshes aim at this share of the tolerance."""
 
 NARROWEST = 1e-9
@@ -36,13 +36,13 @@ HALVING = 0.3
 LAYER = 0.25
 """Share of a hopelessly coarse first or last segment that is cut off, and again of that: boundary layers are thin."""
 
-HOPELESS = 1.0
+UNRESOLVED_ERROR = 1.0
 """Where nothing is known of the trajectory, nothing is known of its kinks either."""
 
 STIFFEST = 1e4
 """At most so many time constants are believed to be in such a segment."""
 
-ROUGH = 0.12
+MIN_DECADES_PER_POINT = 0.12
 """A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
 
 TELLING = 5
@@ -78,12 +78,12 @@ class Remesh:
     past: Past = field(default_factory=dict)
     merge_tol: float | None = None
     departure: float = 0.0
-    max_degree: int = MAX_DEGREE
+    max_degree: int = SEGMENT_MAX_DEGREE
 
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.worst
-        self._decades = self.error.errors.decades(SAFETY * self.tol)
+        self._decades = self.error.errors.decades(REMESH_TOLERANCE_SHARE * self.tol)
         self._density: Array | None = None
         self._active: Array | None = None
         self.raised = self.split = 0
@@ -114,7 +114,7 @@ class Remesh:
             return [own]
         if self._active is None:
             self._active = activity(self.error)
-        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < HOPELESS else []
+        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNRESOLVED_ERROR else []
         if kinks:
             cuts = bracketed(self._leg, k, kinks)
             if len(cuts) > 2:
@@ -147,7 +147,7 @@ class Remesh:
         old_degree, old_error = self.past[key]
         if not np.isfinite(old_error):
             return False
-        return bool(self._worst[k] > old_error * 10.0 ** (-ROUGH * (degree - old_degree)))
+        return bool(self._worst[k] > old_error * 10.0 ** (-MIN_DECADES_PER_POINT * (degree - old_degree)))
 
     def _cut(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
         """Split where the error arises, with the degree that the halves are expected to need."""

@@ -13,7 +13,7 @@ from gnc_opt.tolerances import TINY
 ROUNDED = 1e-14
 """Legendre coefficients below this, relative to the largest, are rounding."""
 
-SLOWEST, FASTEST = 0.02, 2.0
+DECAY_RATE_MIN, FASTEST = 0.02, 2.0
 """Decay rates are clipped to this range, in decades per degree."""
 
 
@@ -43,14 +43,14 @@ def decay_rates(error: PhaseError) -> Array:
 def _decay(values: Array, tau: Array) -> float:
     n = tau.size
     if n < 3 or not np.all(np.isfinite(values)):
-        return SLOWEST
+        return DECAY_RATE_MIN
     coefficients = np.abs(np.linalg.solve(legendre.legvander(tau, n - 1), values.T))
     sizes = np.max(coefficients, axis=1)
     envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
     floor = ROUNDED * max(float(np.max(sizes)), TINY)
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
-    return float(np.clip(-slope, SLOWEST, FASTEST))
+    return float(np.clip(-slope, DECAY_RATE_MIN, FASTEST))
 
 
 def error_density(error: PhaseError) -> Array:

@@ -26,7 +26,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.planning.verification.recomputed import ends_of
 
-BEYOND = 1e-7
+LIMIT_EXCEEDED_TOLERANCE = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited."""
 
 
@@ -125,10 +125,15 @@ def keeps_limits(flown: Solution, state_scale: Array) -> bool:
         (leg.duration_bounds, leg.duration, s.span),
     )
     inside = all(
-        np.all((value >= box.lower - BEYOND * scale) & (value <= box.upper + BEYOND * scale))
+        np.all(
+            (value >= box.lower - LIMIT_EXCEEDED_TOLERANCE * scale)
+            & (value <= box.upper + LIMIT_EXCEEDED_TOLERANCE * scale)
+        )
         for box, value, scale in ends
     )
-    return inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < BEYOND
+    return (
+        inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < LIMIT_EXCEEDED_TOLERANCE
+    )
 
 
 def completed(flown: Solution) -> Solution:

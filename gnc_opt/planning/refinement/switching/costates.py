@@ -34,7 +34,7 @@ from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 REFINEMENT = 4
 """Of the integration of the induced problem."""
 
-POINTS = 16
+COSTATE_POINTS_PER_SEGMENT = 16
 """Of the integration of costates, in every segment."""
 
 
@@ -75,16 +75,19 @@ def _backwards(
 ) -> Iterator[tuple[int, PiecewisePolynomial]]:
     """Yield every segment, the last one first, with the solution of the linear adjoint equation along it.
 
-    On each segment Gauss's method of order 2 `POINTS`: one linear system, whatever the equation's stiffness.
+    On each segment Gauss's method of order 2 `COSTATE_POINTS_PER_SEGMENT`: one linear system, whatever the
+    equation's stiffness.
     """
-    rule, n = gauss_rule(POINTS), final.size
+    rule, n = gauss_rule(COSTATE_POINTS_PER_SEGMENT), final.size
     left, right = leg.breaks[:-1], leg.breaks[1:]
     times = (left[:, None] + 0.5 * (right - left)[:, None] * (1 + rule.points)).ravel()
     x, u, no_path = leg.x(times), leg.flown(times), np.zeros((len(leg.path_labels), times.size))
 
     def rates(change: Array) -> Array:
         costates = np.tile(change[:, None], times.size)
-        return -functions.state_gradient(times, x, u, costates, no_path).reshape(n, -1, POINTS)
+        return -functions.state_gradient(times, x, u, costates, no_path).reshape(
+            n, -1, COSTATE_POINTS_PER_SEGMENT
+        )
 
     forcing = rates(np.zeros(n))
     columns = np.stack([rates(unit) - forcing for unit in np.eye(n)], axis=1)  # (n, n, K, POINTS)
@@ -93,9 +96,13 @@ def _backwards(
     at_end = final
     for k in reversed(range(left.size)):
         half = 0.5 * (right[k] - left[k])
-        system = np.einsum("ij,abj->aibj", half * to_end, columns[:, :, k]).reshape(n * POINTS, n * POINTS)
+        system = np.einsum("ij,abj->aibj", half * to_end, columns[:, :, k]).reshape(
+            n * COSTATE_POINTS_PER_SEGMENT, n * COSTATE_POINTS_PER_SEGMENT
+        )
         known = at_end[:, None] - half * forcing[:, k] @ to_end.T
-        inside = np.linalg.solve(np.eye(n * POINTS) + system, known.ravel()).reshape(n, POINTS)
+        inside = np.linalg.solve(np.eye(n * COSTATE_POINTS_PER_SEGMENT) + system, known.ravel()).reshape(
+            n, COSTATE_POINTS_PER_SEGMENT
+        )
         slopes = np.einsum("abj,bj->aj", columns[:, :, k], inside) + forcing[:, k]
         at_start = at_end - half * slopes @ rule.weights
         values = np.column_stack([at_start, inside, at_end])

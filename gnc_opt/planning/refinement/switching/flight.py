@@ -20,7 +20,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 PARTS = 3
 """Into which every step of the grid is divided: values and rates at four times make a polynomial of degree 7."""
 
-WRONG_SIGN = 1e-6
+SIGN_ERROR_MIN_SHARE = 1e-6
 """Switching function of the wrong sign, in shares of the largest, that asks for another arc."""
 
 INSET = 0.25
@@ -134,7 +134,7 @@ class SwitchFlight:
         for i in range(wrong.shape[0]):
             forgive(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
-        return None if wrong[i, j] < WRONG_SIGN else (i, *wrong_interval(times, wrong[i], j))
+        return None if wrong[i, j] < SIGN_ERROR_MIN_SHARE else (i, *wrong_interval(times, wrong[i], j))
 
 
 def _nodes() -> tuple[Array, Array]:
@@ -170,7 +170,7 @@ def forgive(wrong: Array, switches: Indices) -> None:
     switch for which the cost is the largest, not the least.
     """
     for k in switches:
-        most, wrong[k] = abs(wrong[k]) + WRONG_SIGN, 0.0
+        most, wrong[k] = abs(wrong[k]) + SIGN_ERROR_MIN_SHARE, 0.0
         for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):
             for j in side:
                 if not 0 < wrong[j] <= most:

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.bang_bang_flow import STEPS
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -34,10 +34,10 @@ from gnc_opt.tolerances import AT_LIMIT, TINY
 MOST_STEPS = 40
 """Newton steps of all structures together."""
 
-NEAR = 1e-4
+SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
 """Step, in shares of the phase, from which on its matrices serve the following ones, too."""
 
-WORTH = 3
+SIMPLIFIED_STEPS_PER_FULL_STEP = 3
 """So many steps with the matrices of another one cost as much as one with its own."""
 
 MOST_CHORDS = 12
@@ -46,7 +46,7 @@ MOST_CHORDS = 12
 SPENT = 1e-2
 """Share of the accuracy that the last step may be worth."""
 
-BENT = 100.0
+NEWTON_REMAINDER_FACTOR = 100.0
 """What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
 
 LANDED = 0.1
@@ -55,16 +55,16 @@ LANDED = 0.1
 OF_A_GUESS = 1e-8
 """Accuracy of a flight that a collocated problem starts from."""
 
-FINEST = 8 * STEPS
+FINEST = 8 * FLOW_INITIAL_STEPS
 """Steps of the grid that is tried last."""
 
 SHRUNK = 0.8
 """Share of its length that an arc may lose in one step."""
 
-LONGEST = 0.04
+SWITCH_MAX_MOVE_SHARE = 0.04
 """Share of the phase that a switch may move in one step."""
 
-LEAST_SHARE = 0.2
+STEP_MIN_SHARE = 0.2
 """Of a step that must be left after `SHRUNK`; if less is, the arc that stands in the way has vanished."""
 
 
@@ -89,8 +89,8 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     structure = with_bangs(problem, s, structure)
     if not _fits(problem, s, structure):
         return None
-    switches, steps = _switches(s, structure), STEPS
-    flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS)
+    switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS
+    flight = _optimum(problem, s, switches, OF_A_GUESS, FLOW_INITIAL_STEPS)
     while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
         steps *= 2
         flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
@@ -127,7 +127,7 @@ def settle_flow(
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _fits(problem, s, structure):
         return None
-    switches, steps = _switches(s, structure), STEPS if known is None else known.steps
+    switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _near(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
         flight = _optimum(problem, s, switches, accuracy, steps)
@@ -140,7 +140,7 @@ def settle_flow(
 
 
 def _optimum(
-    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = STEPS
+    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchFlight | None:
     """Return the flight whose switches have come to rest with signs that agree.
 
@@ -152,9 +152,9 @@ def _optimum(
         if step is None:
             break
         share, emptied = _allowed(switches, step)
-        if emptied and share < LEAST_SHARE:
+        if emptied and share < STEP_MIN_SHARE:
             switches = _without(switches, emptied)
-        elif share < 1 or step.share(switches) > NEAR:
+        elif share < 1 or step.share(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _moved(switches, share * step.change)
         else:
             flight = _at_rest(problem, s, switches, step, accuracy)
@@ -188,12 +188,12 @@ def _at_rest(
         if away < SPENT:
             return SwitchFlight.of(problem, s, switches, step)
         switches = _moved(switches, step.change)
-        shrinks = min(length / before if before < math.inf else BENT * length, 1.0)
+        shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < SPENT:
             flight = SwitchFlight.of(problem, s, switches, step)
             if flight is None or _away(flight.step, switches, accuracy) < LANDED:
                 return flight
-        if away * shrinks ** (1 + WORTH) > SPENT:
+        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > SPENT:
             step, before = newton_step(problem, s, switches, step.steps), math.inf
         else:
             step, before = chord_step(problem, s, switches, step, step.steps), length
@@ -272,7 +272,7 @@ def _arcs(switches: Switches) -> list[tuple[int, int]]:
 def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
-    longest = LONGEST * (switches.ends[1] - switches.ends[0])
+    longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
     share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
     for begin, end in _arcs(switches):
         shrinks = step.change[begin] - step.change[end]
@@ -292,7 +292,7 @@ def _alike(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = np.max(np.abs(switches.times - others.times), initial=0.0)
-    return bool(apart < NEAR * (switches.ends[1] - switches.ends[0]))
+    return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
 def _without(switches: Switches, arc: tuple[int, int]) -> Switches:

@@ -15,7 +15,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.bang_bang_flow import STEPS, BangBangFlow, bang_bang_flow
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, bang_bang_flow
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import end_derivatives
 from gnc_opt.planning.problem.functions import end_values
@@ -56,7 +56,7 @@ class SwitchStep:
     gain: float
     hessian: Array
     rows: Array
-    steps: int = STEPS
+    steps: int = FLOW_INITIAL_STEPS
 
     def share(self, switches: Switches) -> float:
         """Its largest entry, as a share of the phase."""
@@ -64,7 +64,7 @@ class SwitchStep:
 
 
 def newton_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, steps: int = STEPS
+    problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the step, or None where the flow is no number or conditions depend on each other.
 
@@ -101,7 +101,7 @@ def chord_step(
     s: PhaseSamples,
     switches: Switches,
     known: SwitchStep,
-    steps: int = STEPS,
+    steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> SwitchStep | None:
     """Return the step with the matrices of another one, or None where the flow is no number.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.bang_bang_flow import STEPS
+from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.detection import detect
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.recomputed import from_problem
 ACCURACY = 1e-9
 """Of the cost, relative to its size."""
 
-SPARE = 0.1
+FLOW_GRID_ACCURACY_SHARE = 0.1
 """Share of the accuracy that the grid of a known flight is worth: its neighbours may need a little more."""
 
 
@@ -62,8 +62,10 @@ class KnownFlight:
         found = settle_flow(self.solution, self.structure, ACCURACY)
         if found is None:
             return None
-        half = replace(found[1].step, steps=STEPS // 2)  # of the structure that was settled on
-        structure, flight = settle_flow(self.solution, found[0], SPARE * ACCURACY, half) or found
+        half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
+        structure, flight = (
+            settle_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * ACCURACY, half) or found
+        )
         return replace(self, structure=structure, step=flight.step)
 
     def vary(self, problem: Problem) -> Solution | None:
