@@ -174,7 +174,7 @@ class FileFormat:
         Raise it whenever a stored class changes its fields.
     packing : Packing
     alike : tuple of int
-        Older versions that lack nothing but fields with defaults.
+        Older versions that lack only fields with defaults.
     """
 
     kind: type
@@ -253,7 +253,7 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
 
 @contextlib.contextmanager
 def written_whole(target: Path) -> Iterator[IO[bytes]]:
-    """A stream to a new file, which takes the place of an old one when all is written, and leaves nothing otherwise."""
+    """A stream to a new file that replaces the old one after a complete write, and is deleted otherwise."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:

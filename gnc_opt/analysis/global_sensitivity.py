@@ -41,7 +41,7 @@ NOISE = "noise"
 """The factor that all random numbers of the control steps are."""
 
 _ROWS = 25
-"""Rows that a process flies at a time."""
+"""Rows that a process simulates at a time."""
 
 _RESAMPLED = 1000
 """Samples of the bootstrap."""

@@ -279,7 +279,7 @@ class LinearCovariance(Strict):
     def budget(self, signal: str, at: float | None = None) -> dict[str, float]:
         """Return which share of a signal's variance each source has, the largest first.
 
-        The variance is the trace of the covariance; shares add up to 1, unless nothing scatters.
+        The variance is the trace of the covariance; shares add up to 1, unless the variance is zero.
 
         Parameters
         ----------

@@ -166,7 +166,7 @@ class LoopResponse(Strict):
         return np.logspace(np.log10(low), np.log10(top), 400)
 
     def _open(self, index: int) -> bool:
-        """Whether the law feeds back, but nothing that it commands comes through."""
+        """Whether the law feeds back but its commands do not reach the plant."""
         fed_back = bool(np.any(self.c[index]))
         return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
 
@@ -267,8 +267,9 @@ def loop_response(
 def _along(
     opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
 ) -> tuple[LoopResponse, int]:
-    """Return the response of a loop with its probe, and the integration steps per minor step that its modes ask for; 0
-    if it has as many."""
+    """Return the response of a loop with its probe, and the integration steps per minor step that its modes
+    need; 0 if it has as many.
+    """
     flight = opened.flight(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]

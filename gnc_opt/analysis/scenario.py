@@ -108,7 +108,7 @@ class Experiment:
         Raises
         ------
         UnknownNameError, ArgumentError
-            There is none of this name, or the error is relative to nothing.
+            The name is unknown, or the error has no reference.
         """
         if measure not in self.criteria.judge:
             self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)

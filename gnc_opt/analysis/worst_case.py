@@ -85,7 +85,7 @@ def worst_case(
     measure : str
         As in `Campaign.measure`, or one of the experiment's ``judge``.
     generations : int
-        Of the search, at most; each flies 15 runs per number that is dispersed (at least 30).
+        Of the search, at most; each simulates 15 runs per dispersed number (at least 30).
 
     Returns
     -------

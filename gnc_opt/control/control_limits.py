@@ -87,7 +87,7 @@ def require_reserve(
     ----------
     reference : Reference
     limits : (lower, upper), optional
-        Without them there is nothing to say.
+        None: no check.
     times : array (n_times,)
     gain : array (n_controls, n_times), optional
         Switching gain of a law in addition to the feedforward.
@@ -97,7 +97,7 @@ def require_reserve(
     Raises
     ------
     DesignError
-        The feedforward and the gain together ask for more than the limits.
+        The feedforward and the gain together exceed the limits.
     """
     if limits is None:
         return []

@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 
 _LEAST_PRICE = 1e-6
-"""Of a state that costs nothing; its limit must still cost something."""
+"""Price of the limit of a state without a weight."""
 _INACTIVE_ROW_DISTANCE = 1e6
 """A row this far from its limit, in ranges, is as good as without one."""
 

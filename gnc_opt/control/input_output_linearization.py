@@ -409,7 +409,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
 
 
 def given_for(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
-    """Return what a mapping from outputs holds for one of their components; ``None`` if nothing.
+    """Return the value of a mapping from outputs for one of their components; ``None`` if missing.
 
     Raises
     ------

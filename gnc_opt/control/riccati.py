@@ -144,7 +144,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
 
 
 def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
-    """Raise `DesignError` if a mode that does not decay costs nothing."""
+    """Raise `DesignError` if a mode that does not decay has no cost."""
     for mode in unreached(a.T, q.T, labels):
         if not _decays(mode.eigenvalue, a, sampled):
             raise DesignError(

@@ -350,7 +350,7 @@ class Switching:
         Raises
         ------
         DesignError
-            The feedforward and the gain together ask for more than the limits.
+            The feedforward and the gain together exceed the limits.
         """
         gain = self._switched
         if self.limits is None or not np.isfinite(gain):

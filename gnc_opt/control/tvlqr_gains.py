@@ -330,7 +330,7 @@ def _sampled(
 def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _RESIDUAL_SAMPLES) -> float:
     """Return the largest defect of dense P(t) in its equation, relative to the largest term at that time.
 
-    dP/dt is a central difference of fourth order: nothing of the integration is used but the values of P.
+    dP/dt is a central difference of fourth order: it uses only the values of P from the integration.
     """
     reference, worst = gains.reference, 0.0
     q, r, n = cost
@@ -354,7 +354,7 @@ def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _
 def cost_defect(gains: SampledGains) -> float:
     """Return how far P at the start is from the cost of following the law, relative to P.
 
-    The cost is added up forward, step by step; nothing of the backward recursion is used but its gains.
+    The cost is added up forward, step by step; it uses only the gains of the backward recursion.
     """
     last = gains.costs[-1]
     state, cost = np.eye(last.shape[0]), np.zeros_like(last)

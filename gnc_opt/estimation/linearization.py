@@ -131,7 +131,7 @@ class Regression:
 def cholesky(P: Any) -> Any:
     """Return L (n, n) with P = L L', lower, of a symmetric SX that may be singular; only its lower part is read.
 
-    Where nothing is left of a variance (no more than rounding), the column is zero.
+    If the remaining variance is at most rounding, the column is zero.
     """
     n = P.shape[0]
     root = ca.SX.zeros(n, n)

@@ -7,7 +7,7 @@ in a fixed number of steps per arc: a fixed number of operations. From a state x
 
 .. math:: \psi(\tau; t, x) = x(t_f) \ominus x_f, \qquad \nabla_\tau (\nu^T \psi),
 
-:math:`\tau` the switch times and the end :math:`t_f`; what has passed at t changes nothing.
+:math:`\tau` the switch times and the end :math:`t_f`; entries before t have no effect.
 """
 
 from __future__ import annotations

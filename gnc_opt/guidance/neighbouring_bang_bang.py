@@ -13,7 +13,7 @@ moving switches that have little effect.
 In the last part of the flight a regulator follows the remainder of the plan with the plan's control authority
 margin. Its reference is integrated backward from the end, so it corrects the errors that the switches left.
 
-Optimum: the switch times of least time for a plan as it is flown, with its second-order condition.
+Optimum: the minimum-time switch times of a plan during flight, with its second-order condition.
 
 Of :math:`L = t_f + \nu^T \psi(\tau)` Newton's method finds
 

@@ -110,7 +110,9 @@ def check_remaining(problem: Problem) -> None:
 
 
 def _additive(problem: Problem, leg: Phase) -> bool:
-    """Whether the best rest is the same whatever was flown: the cost's gradient by the rest keeps its direction."""
+    """Whether the optimal remainder is independent of the past: the cost's gradient by the rest keeps its
+    direction.
+    """
     rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
     before = ca.vertcat(leg.ends("initial"), leg.initial_time)
     gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])

@@ -130,7 +130,7 @@ _JUMPS = (
     *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
     *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO),
 )
-"""Operations of which a few numbers tell nothing."""
+"""Operations for which numerical tests are inconclusive."""
 
 _LENGTHS = np.array([0.7, 1.3, 2.1])
 _DIRECTIONS, _PROBE_DRAWS, _SEED = 3, 3, 20

@@ -291,7 +291,7 @@ def _read(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple
 
 
 _MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
-"""Instructions that compute nothing."""
+"""Instructions without a result."""
 
 _NEEDS_NAN = (
     "/* A lost sample is told by comparisons, which have to be those of IEC 60559. */",

@@ -17,11 +17,11 @@ and no costate jumps, but to go over sooner or later would be to leave one of th
 
 Controls that active constraints determine: which directions are left to them.
 
-Along an arc on which a constraint :math:`c(t, x) = 0` without controls is active, its time derivatives vanish too, and
-the first in which controls appear, that of the order q of the constraint, determines as many of them as it has
-independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995,
-sec. 2); a constraint with controls is its own, q = 0. Only what is tangent to these is left for H to determine. A
-constraint that is met but does not push determines nothing.
+Along an arc on which a constraint :math:`c(t, x) = 0` without controls is active, its time derivatives vanish
+too, and the first in which controls appear, that of the order q of the constraint, determines as many of them
+as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi & Vickson, SIAM
+Review 37(2), 1995, sec. 2); a constraint with controls is its own, q = 0. Only what is tangent to these is
+left for H to determine. An active constraint with zero multiplier determines no control.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
 def left(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
     """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
 
-    Arguments as `left_free`; curvature of H that is at most ``flat`` is none. Where constraints take nothing, the
-    curvature is not looked at.
+    Arguments as `left_free`; curvature of H that is at most ``flat`` is none. Without active constraints the
+    curvature is not evaluated.
     """
     if not _rows(s).size:
         return free, np.ones(s.times.size, dtype=bool)

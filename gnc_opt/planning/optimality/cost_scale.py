@@ -182,7 +182,7 @@ def integral_spans(s: PhaseSamples) -> Array:
 
 
 def _within(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
-    """Beyond what was flown, the cost may have no value or an excessive one."""
+    """Return values clipped to the trajectory's range, outside which the cost may be undefined or excessive."""
     return values if box is None else np.clip(values, box[0][i], box[1][i])
 
 

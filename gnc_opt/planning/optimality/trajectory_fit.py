@@ -41,7 +41,7 @@ _KNOWN_BESIDE = 8
 """Samples between jumps from which kinks are looked for."""
 
 _LOST = 1e3
-"""A miss, relative to the state, beyond which nothing depends on how large it is."""
+"""Error, relative to the state, in place of one that is not finite."""
 
 _RUNGE_KUTTA_STEPS = 4
 """Runge-Kutta steps from a sample to a jump, and from one jump to the next."""

@@ -289,7 +289,9 @@ def bounds_to_give(problem: Statement) -> str:
 
 
 def _boundless(leg: Phase) -> list[str]:
-    """Return the controls of a phase that are affine in its dynamics, and that nothing limits or costs."""
+    """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a
+    cost.
+    """
     box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
     if leg.vectors:  # these are limited by their length
         return []

@@ -67,7 +67,7 @@ def divided(
 
 
 def positive() -> Interval:
-    """Return the range of a duration of which nothing was stated."""
+    """Return the range of an unspecified duration."""
     return Interval(np.zeros(1), np.full(1, np.inf))
 
 
