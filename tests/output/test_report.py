@@ -92,17 +92,25 @@ def failed() -> go.Solution:
 # --- summary ------------------------------------------------------------------------------------------
 
 
-def test_summary_has_six_lines_with_all_that_the_issue_asks(good: go.Solution) -> None:
+def test_summary_has_seven_lines(good: go.Solution) -> None:
     lines = summary(good).splitlines()
-    assert len(lines) == 6
+    assert len(lines) == 7
     assert lines[0] == f"cart: solved (optimal), objective {good.objective:.10g} (minimised)"
-    assert [line.split()[0] for line in lines[1:]] == ["time", "mesh", "defect", "bounds", "propagation"]
-    assert f"leg 0 to {good.objective:.10g} s" in lines[1]
-    assert f"10x3 LG, {good.statistics.iterations} iterations, build " in lines[2]
-    assert f"solve {good.statistics.solve_s:.3f} s" in lines[2]
-    assert good.quality.defect_where in lines[3] and f"{good.quality.max_defect:.2g}" in lines[3]
-    assert "kept at and between nodes" in lines[4]
-    assert good.quality.terminal_where in lines[5]
+    assert [line.split()[0] for line in lines[1:]] == [
+        "accuracy",
+        "time",
+        "mesh",
+        "defect",
+        "bounds",
+        "propagation",
+    ]
+    assert lines[1].endswith(str(good.accuracy))
+    assert f"leg 0 to {good.objective:.10g} s" in lines[2]
+    assert f"10x3 LG, {good.statistics.iterations} iterations, build " in lines[3]
+    assert f"solve {good.statistics.solve_s:.3f} s" in lines[3]
+    assert good.quality.defect_where in lines[4] and f"{good.quality.max_defect:.2g}" in lines[4]
+    assert "kept at and between nodes" in lines[5]
+    assert good.quality.terminal_where in lines[6]
     assert str(good) == summary(good)
 
 

@@ -195,7 +195,7 @@ _WRONG = 1e-7
 STEADY_SHARE = 1e-7
 """What moves by less than this share of its size is constant."""
 
-GROWTH, MOST_EXPONENT = 1e4, 20.0
+RESTART_GROWTH, MOST_EXPONENT = 1e4, 20.0
 """Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
 
 _ACTIVE_SET_ITERATIONS = 8
@@ -469,7 +469,7 @@ def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indi
     steps, found, transition = scipy.linalg.expm(scaled), [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
         transition = transition @ steps[k]
-        if np.linalg.norm(transition, 2) > GROWTH:
+        if np.linalg.norm(transition, 2) > RESTART_GROWTH:
             found.append(k)
             transition = np.eye(size.size)
     return np.array(found[::-1], dtype=int)

@@ -179,7 +179,8 @@ def answer_of(
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
     verdict = best.checked if interrupted or not check or not best.solved else best.verdict
-    status = _status(best, verdict, ended, tol)
+    failed = any(c.history.status is RefinementStatus.FAILED for c in candidates)
+    status = _status(best, verdict, ended, failed, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
@@ -195,7 +196,7 @@ def answer_of(
 
 
 def _status(
-    best: Candidate, verdict: Verdict | None, ended: RefinementStatus | None, tol: float
+    best: Candidate, verdict: Verdict | None, ended: RefinementStatus | None, failed: bool, tol: float
 ) -> RefinementStatus:
     if ended is RefinementStatus.INTERRUPTED:
         return ended
@@ -210,6 +211,10 @@ def _status(
         return RefinementStatus.VERDICT_FAILS if not verdict.ok else RefinementStatus.CONVERGED
     if ended is not None:
         return ended
+    if (
+        best.history.status is RefinementStatus.WORK_LIMIT
+    ):  # no limit ended the sequence: nothing improved the mesh
+        return RefinementStatus.FAILED if failed else RefinementStatus.STALLED
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 

@@ -11,6 +11,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.check import bounds_to_give
 from gnc_opt.planning.problem.expressions import OutsideTable
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.accuracy import Accuracy
 from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -62,19 +63,21 @@ class SummarisedSolution(Protocol):
     def converged(self) -> bool: ...
     @property
     def quality(self) -> Quality: ...
+    @property
+    def accuracy(self) -> Accuracy: ...
     def phase(self, name: str | None = None) -> PhaseSolution: ...
     def outside_tables(self) -> list[OutsideTable]: ...
 
 
 def summary(solution: SummarisedSolution) -> str:
-    """Return about six lines on a solution.
+    """Return at most seven lines on a solution that is ok, more on others.
 
-    Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
-    between nodes; propagation error of the applied control, each with its place. A refined solution shows its
-    verdict and the requested and reached error; a verdict that is ok replaces defect and bounds. Further
-    lines give a known lower bound of the cost, the reformulated norms, controls whose polynomial overshoots,
-    tables whose range is left, the remedy after a failed solve, and a warning if the figures date from when
-    the solution was saved.
+    Status and objective; accuracy in the units of the problem; times; mesh and cost of the solve; worst
+    defect between nodes; worst bound violation between nodes; propagation error of the applied control,
+    each with its place. A refined solution shows its verdict and the requested and reached error; a verdict
+    that is ok replaces defect and bounds. Further lines give a known lower bound of the cost, the
+    reformulated norms, controls whose polynomial overshoots, tables whose range is left, the remedy after a
+    failed solve, and a warning if the figures date from when the solution was saved.
 
     Parameters
     ----------
@@ -94,6 +97,7 @@ def summary(solution: SummarisedSolution) -> str:
     quality = known_quality(solution)
     lines = [
         _headline(solution),
+        *_accuracy(solution),
         *_failure(solution),
         *_refinement(solution),
         *_bound(solution),
@@ -156,6 +160,12 @@ def _headline(solution: SummarisedSolution) -> str:
     return f"{solution.problem_name}: {status}, objective {solution.objective:.10g} ({sense})"
 
 
+def _accuracy(solution: SummarisedSolution) -> Iterator[str]:
+    """Return the accuracy of a solved problem; nothing without the problem, from which it is computed."""
+    if solution.status.solved and solution.problem is not None:
+        yield _line("accuracy", str(solution.accuracy))
+
+
 def _failure(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
@@ -176,7 +186,7 @@ def _refinement(solution: SummarisedSolution) -> Iterator[str]:
         yield _line("verdict", verdict.headline)
         for c in verdict.open[:WORST]:
             yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.offence_text}")
-        if not verdict.ok and solution.problem is not None and (missing := bounds_to_give(solution.problem)):
+        if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
             yield _line("what to do", missing)
     final = history.final
     yield _line(

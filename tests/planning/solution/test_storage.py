@@ -111,7 +111,7 @@ def test_round_trip_keeps_every_bit(scheme: Any, tmp_path: Path) -> None:
 
 def test_numbers_that_are_not_finite_come_back(solution: go.Solution, tmp_path: Path) -> None:
     failed = dataclasses.replace(
-        solution, objective=float("nan"), violations=(go.solution.Violation("row", float("inf")),)
+        solution, objective=float("nan"), violations=(go.planning.solution.Violation("row", float("inf")),)
     )
     loaded = go.load(failed.save(tmp_path / "failed.npz"))
     assert np.isnan(loaded.objective)
