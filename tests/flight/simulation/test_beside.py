@@ -166,7 +166,7 @@ def test_steps_of_integration_are_those_that_the_nominal_run_needs() -> None:
 
 
 def test_bits_of_the_estimate_do_not_depend_on_the_way_of_flying(monkeypatch: Any) -> None:
-    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.WORTH", 1)
+    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.MIN_EVALUATIONS_TO_COMPILE", 1)
     flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 2.0, substeps=2)
     P = started(flown, [1.0, 0.0, 0.0, 0.5])
     told = [f.final(P[:, None], [0]).integration_error[0] for f in (flown, flown.natively(100))]

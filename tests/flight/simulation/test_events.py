@@ -571,7 +571,7 @@ def test_an_event_that_could_not_be_noticed_is_told(blind, native, monkeypatch):
     """sqrt(h) never falls through zero, but the ball falls through h = 0; from 2 m that is at 0.64 s. In the same
     control step as another event, or, for a moment, before it."""
     when, other = (0.4, 0.5) if blind == "for a moment" else (0.6, -0.5)
-    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.WORTH", 1 if native else 10**9)
+    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.MIN_EVALUATIONS_TO_COMPILE", 1 if native else 10**9)
     plant, h, v = ball()
     events = [
         Event("sight", direction="falling", reset={}, **BLIND[blind](h, v)),

@@ -411,13 +411,13 @@ def test_when_a_flow_is_accurate(
     left = [e if e is None else Planned(e * accuracy, arc) for e in errors]
 
     def optimum(*rest: Any) -> Any:
-        seen.append(rest[-1] // n.STEPS)
+        seen.append(rest[-1] // n.FLOW_INITIAL_STEPS)
         return left.pop(0)
 
     def near(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
         if isinstance(step, SwitchStep):
             return Planned(0.0, (0, 1.0, 2.0))
-        seen.append(steps // n.STEPS)
+        seen.append(steps // n.FLOW_INITIAL_STEPS)
         return left.pop(0)
 
     for name, answer in (

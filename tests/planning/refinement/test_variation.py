@@ -39,7 +39,10 @@ class Step:
     steps: int
 
 
-@pytest.mark.parametrize(("answers", "steps"), [((1, 1), v.STEPS // 2), ((1, 0), v.STEPS), ((0, 0), None)])
+@pytest.mark.parametrize(
+    ("answers", "steps"),
+    [((1, 1), v.FLOW_INITIAL_STEPS // 2), ((1, 0), v.FLOW_INITIAL_STEPS), ((0, 0), None)],
+)
 def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare(
     monkeypatch: pytest.MonkeyPatch, answers: Any, steps: int | None
 ) -> None:
@@ -48,12 +51,12 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
     def settle(start: Any, structure: Any, accuracy: float, step: Any = None) -> Any:
         assert structure == ("known" if step is None else "structure 1")  # what a step is of
         asked.append((accuracy, step))
-        flight = SimpleNamespace(step=step or Step(v.STEPS))
+        flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
         return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
 
     monkeypatch.setattr(v, "settle_flow", settle)
     found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
-    tries = [(v.ACCURACY, None), (v.FLOW_GRID_ACCURACY_SHARE * v.ACCURACY, Step(v.STEPS // 2))]
+    tries = [(v.ACCURACY, None), (v.FLOW_GRID_ACCURACY_SHARE * v.ACCURACY, Step(v.FLOW_INITIAL_STEPS // 2))]
     assert asked == tries[: 1 + answers[0]] and v.FLOW_GRID_ACCURACY_SHARE < 1
     assert (found and found.step) == (steps and Step(steps))
     if found:
