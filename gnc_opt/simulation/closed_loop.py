@@ -27,7 +27,7 @@ from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
 from gnc_opt.simulation.outcome import Judge
 from gnc_opt.simulation.quantities import Quantities, Quantity, read_quantities
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.step_selection import Accuracy
+from gnc_opt.simulation.step_selection import StepSelection
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
@@ -255,7 +255,7 @@ class ClosedLoop:
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
-        accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
+        accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.modes(times[0], *self._at_start(nominal))
         return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), modes)
 

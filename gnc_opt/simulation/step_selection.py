@@ -83,7 +83,7 @@ the other way, or it is rounding."""
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class StepSelection:
     """What is asked of the integration of a plant.
 
     Attributes

@@ -23,7 +23,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate
-from gnc_opt.planning.optimality.trajectory_fit import VISIBLE, FittedPhase, Samples, fit
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.verdict import Result, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL
 
 
 def restated_samples(
@@ -347,23 +347,11 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
             f"the times of {leg.where} repeat one more than twice, or at an end: give a time twice only where a "
             "control jumps."
         )
-    samples = Samples(
+    return Samples(
         times,
         _rows(leg, leg.model.states, x, times.size, "state"),
         _rows(leg, leg.model.controls, _in_parts(leg, u, times.size), times.size, "control"),
     )
-    return _distinct(samples)
-
-
-def _distinct(samples: Samples) -> Samples:
-    """The samples without those that repeat another one, its time a rounding later."""
-    t, u = samples.t, samples.u
-    near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
-    jumps = np.any(np.abs(np.diff(u, axis=1)) > VISIBLE * np.ptp(u, axis=1, keepdims=True), axis=0)
-    kept = np.append(True, ~(near & ~jumps))
-    times = t.copy()
-    times[1:][near & jumps] = t[:-1][near & jumps]
-    return Samples(times[kept], samples.x[:, kept], u[:, kept])
 
 
 def _in_parts(leg: Phase, u: Values, n_times: int) -> Values:

@@ -26,7 +26,6 @@ def solution() -> go.Solution:
         (lambda s: s.state("vv"), ("model 'cart'", "no state 'vv'", "did you mean 'v'?")),
         (lambda s: s.costate("a"), ("model 'cart'", "no state 'a'", "known: q, v")),
         (lambda s: s.control("aa"), ("model 'cart'", "no control 'aa'", "did you mean 'a'?")),
-        (lambda s: s.flown_control("q"), ("no control 'q'", "known: a")),
         (lambda s: s.switching_function("q", 0.5), ("no control 'q'", "known: a")),
         (lambda s: s.phase("lag"), ("solution of 'rest to rest'", "no phase 'lag'", "did you mean 'leg'?")),
         (lambda s: s.state("q", "lag"), ("no phase 'lag'", "did you mean 'leg'?")),

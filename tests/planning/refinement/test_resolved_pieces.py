@@ -127,5 +127,5 @@ def test_each_piece_gets_what_it_needs() -> None:
     assert found.structure == structure and found.points == 7.0
     left = r._left_out(SAMPLES, solution(FLIGHT, LEG))(np.array([0.0, 0.999]))[0]
     for share, points in ((1.001, 5), (0.999, 6)):
-        tol = share * left[5] / r.MARGIN
+        tol = share * left[5] / r.RESOLUTION_TOLERANCE_SHARE
         assert r.resolved(plan, SAMPLES, solution(FLIGHT, LEG), tol).resolutions[0] == Resolution(1, points)

@@ -25,7 +25,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
     pushed_beside,
 )
 from gnc_opt.planning.optimality.kkt import variation_weights
-from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature, _variables
+from gnc_opt.planning.optimality.multiplier_estimate import _quadrature, _ranges, _state_rows, _variables
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
@@ -487,8 +487,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
-    restarts = {"leg": np.zeros(0, dtype=int)}
-    exact, weights = _adjoint_rows(transcription, restarts), _quadrature(transcription)
+    exact, weights = _state_rows(transcription), _quadrature(transcription)
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
     for places in (collocation.point_states, collocation.point_controls):
@@ -638,6 +637,29 @@ def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
             worst.value == pytest.approx(offence / s.hamiltonian_scale)
             and worst.where == "phase leg, H at its end"
         )
+
+
+def test_ranges_of_the_program_s_variables() -> None:
+    """By what they vary, or by their limits; what rests counts by its size, each state by its own, and 0 by 1."""
+    problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
+    problem.phases["leg"].bounds(a=(-2.0, 8.0))
+    states = np.array([2e13 + 0 * t, (t - 0.5) / 2])
+    fitted = fit(Samples(t, states, (0 * t)[None]), lambda t, x, u: np.array([0 * t, 0.5 + 0 * t]))
+    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
+    x = _variables(transcription, problem, {"leg": fitted}, np.array([-3.0]))
+    scales = _ranges(transcription, problem, {"leg": fitted}, x)
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    varied = np.ptp(x[collocation.point_states[1]])
+    np.testing.assert_allclose(scales[collocation.point_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.point_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.boundary_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.boundary_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.point_controls], 10.0)
+    np.testing.assert_allclose(scales[part.times], 2.0)
+    np.testing.assert_allclose(scales[transcription.parameter_places], 3.0)
+    none = _ranges(transcription, free_cart(), {"leg": fitted}, x)
+    np.testing.assert_allclose(none[collocation.point_controls], 1.0)
 
 
 def test_place_of_a_variation_is_where_a_control_varies_most() -> None:

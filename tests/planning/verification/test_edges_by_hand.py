@@ -695,12 +695,12 @@ def test_the_first_sample_without_a_number_ends_the_flight() -> None:
     assert gone is not None and gone.where == "a free parameter is not finite"
 
 
-def test_a_verdict_is_kept_for_its_tolerance() -> None:
+def test_a_verdict_is_kept_for_the_default_tolerance() -> None:
     problem = by_hand.cart()
     solution = by_hand.solution(problem, by_hand.phase(problem))
-    first = go.verify(solution, tol=1e-3)
+    first = go.verify(solution)
     assert not first.estimated
-    assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
+    assert go.verify(solution) is first and go.verify(solution, tol=1e-4) is not first
 
 
 def test_a_fit_takes_the_interpolant_that_carries_the_states() -> None:
