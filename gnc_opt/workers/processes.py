@@ -8,12 +8,16 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
+import tempfile
 import threading
+import weakref
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, Generic, NoReturn, TypeAlias, TypeVar
 
 from gnc_opt.errors import GncOptError
@@ -125,8 +129,27 @@ class OwnProcesses:
     def __init__(self, shared: Shared[Any]) -> None:
         # by forking where that is safe: what the processes inherit need not be sent
         self._context: Any = multiprocessing.get_context("fork" if processes_fork() else None)
-        self._parcel: Parcel[Any] = shared.here if processes_fork() else shared.packed()
+        self._parcel: Here[Any] | Path = shared.here if processes_fork() else self._written(shared)
         self._executor: ProcessPoolExecutor | None = None
+
+    def _written(self, shared: Shared[Any]) -> Path:
+        """Return a file with the packed object, deleted with this one.
+
+        A process that dies while it starts leaves the parent waiting for ever if its arguments exceed the buffer of a
+        pipe (64 kB): large objects must not be arguments.
+        """
+        packed = shared.packed()
+        try:
+            folder = tempfile.mkdtemp(prefix="gnc_opt-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            path = Path(folder) / "shared"
+            path.write_bytes(packed)
+        except OSError as error:
+            raise GncOptError(
+                f"{shared.name} cannot be stored for other processes ({error}): free space in {tempfile.gettempdir()}, "
+                "or set TMPDIR."
+            ) from error
+        return path
 
     def submit(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
         """Have a task done by one of them, as many as there are processors."""
@@ -165,13 +188,13 @@ def _kill(executor: Any) -> None:
 # --- in the processes -------------------------------------------------------------------------------------
 
 
-def _begin(parcel: Parcel[Any]) -> None:
+def _begin(parcel: Here[Any] | Path) -> None:
     """Get the object; Ctrl-C is the parent's business, and the processors are shared already."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
-    _OBJECT[:] = [opened(parcel)]
+    _OBJECT[:] = [opened(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
 
 
 def _end_with_parent() -> None:
