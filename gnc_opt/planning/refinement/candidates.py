@@ -130,6 +130,11 @@ class Candidate:
         others = found.value - found.suboptimal
         return others <= tol * found.scale and others + self.loss <= tol * found.scale
 
+    def rank(self, tol: float) -> tuple[float, float]:
+        """Return relative estimate, not below the tolerance, and local error: the smaller, the better."""
+        relative = self.solution.objective_error.relative if self.solved else math.inf
+        return max(relative, tol), self.error
+
     def is_lower(self, other: Candidate) -> bool:
         """Whether it belongs to another minimum with a lower cost, both estimates considered.
 
@@ -143,16 +148,17 @@ class Candidate:
         )
 
 
-def best_of(candidates: Sequence[Candidate]) -> int:
+def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     """Return which candidate to keep: of those that pass the check, else of all, the one with the least estimate.
 
-    A clearly lower minimum wins in any case.
+    Of several whose estimates are within the tolerance, the one with the least local error: their objectives differ by
+    less than is asked for, their trajectories may not. A clearly lower minimum wins in any case.
     """
     solved = [k for k, c in enumerate(candidates) if c.solved]
     if not solved:
         return len(candidates) - 1
     among = [k for k in solved if candidates[k].passes] or solved
-    best = min(among, key=lambda k: candidates[k].estimate)
+    best = min(among, key=lambda k: candidates[k].rank(tol))
     for k in solved:
         if candidates[k].is_lower(candidates[best]):
             best = k
@@ -175,7 +181,7 @@ def answer_of(
     check : bool
         Whether the answer is to carry a verdict.
     """
-    chosen = best_of(candidates)
+    chosen = best_of(candidates, tol)
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
     verdict = best.checked if interrupted or not check or not best.solved else best.verdict

@@ -9,7 +9,7 @@ least  the first mesh again, from the controls that minimise H along the costate
 bar.   the first mesh again, by IPOPT's adaptive barrier strategy
 60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory
 200    200 segments of degree 3, warm, and programs with the arcs that they show, read in two ways
-hp     hp refinement of the mesh whose estimated error of the objective is least, and programs with its arcs
+hp     hp refinement of the best mesh so far, and programs with its arcs
 =====  ======================================================================================================
 
 Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
@@ -236,7 +236,7 @@ class Stages:
     def _last(self) -> Iterator[Candidate]:
         """Refine the best mesh, and try its arcs; then further where only the check is open."""
         meshes = [c for c in self.candidates if c.solved and not c.solution.structure]
-        start = min(meshes, key=lambda c: c.estimate)
+        start = min(meshes, key=lambda c: c.rank(self.tol))
         found = yield from self._by_mesh(start.solution, 1.0)
         arcs = structures_of(found.solution)
         yield from self._by_arcs(found.solution, arcs, "hp, arcs", segments="kept")

@@ -371,9 +371,13 @@ def test_a_finer_mesh_may_meet_what_is_nearly_met(values: Any, second_order: Any
     assert Candidate.is_nearly_optimal.fget(candidate) is nearly  # type: ignore[attr-defined]
 
 
-def candidate(cost: float, estimate: float, passes: bool = False, loss: float = 0.0) -> Any:
-    """An answer with a cost, its estimated error and whether it passes the optimality check."""
-    made = SimpleNamespace(solved=True, cost=cost, estimate=estimate, passes=passes, loss=loss)
+def candidate(
+    cost: float, estimate: float, passes: bool = False, loss: float = 0.0, error: float = 0.0
+) -> Any:
+    """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
+    made = SimpleNamespace(solved=True, cost=cost, estimate=estimate, passes=passes, loss=loss, error=error)
+    made.solution = SimpleNamespace(objective_error=SimpleNamespace(relative=estimate / cost))
+    made.rank = lambda tol: Candidate.rank(made, tol)
     made.is_lower = lambda other: Candidate.is_lower(made, other)
     return made
 
@@ -391,10 +395,14 @@ def candidate(cost: float, estimate: float, passes: bool = False, loss: float = 
             0,
         ),  # by less than an unknown error may be
         ([candidate(2.0, 1e-6), candidate(1.9, 1e-6, loss=1.0)], 0),  # a false extremal, by its loss
+        (
+            [candidate(2.0, 1e-13, error=1e-3), candidate(2.0, 1e-9, error=1e-7)],
+            1,
+        ),  # both within the tolerance
     ],
 )
 def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
-    assert best_of(found) == kept
+    assert best_of(found, tol=1e-8) == kept
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(

@@ -252,7 +252,6 @@ def waiting() -> go.Solution:
     return go.solve(problem)
 
 
-@pytest.mark.xfail(reason="regression of 0.4: the refinement returns an answer that is NOT ok", strict=True)
 def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
     waiting: go.Solution, crossing: go.Solution
 ) -> None:
