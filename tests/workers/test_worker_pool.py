@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import gc
 import multiprocessing
 import os
 import pickle
@@ -9,6 +11,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import weakref
@@ -39,6 +42,10 @@ def executor(kind: str) -> Iterator[Any]:
             yield given
     else:
         yield "serial" if kind == "serial" else None
+
+
+def last(values: Any, index: int) -> int:
+    return int(values[-1]) + index
 
 
 def shared(value: Any = 10) -> Shared[Any]:
@@ -203,6 +210,34 @@ def test_own_processes_inherit_the_object_where_they_fork(
             WorkerPool(local, None, "try_it()")
         with workers() as force:  # but what can be sent is
             assert [each.answer for each in force.run(times, [1, 2], ignore)] == [10, 20]
+
+
+@pytest.mark.parametrize("numbers", [10, 100_000])
+def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, numbers: int
+) -> None:
+    monkeypatch.setattr(processes, "processes_fork", lambda: False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with WorkerPool(shared(np.arange(numbers)), None, "try_it()") as force:
+        assert len(list(tmp_path.iterdir())) == 1
+        (done,) = force.run(last, [0], ignore)
+        assert done.answer == numbers - 1
+    del force
+    gc.collect()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "processes_fork", lambda: False)
+
+    def full(*_: Any, **__: Any) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", full)
+    with pytest.raises(
+        GncOptError, match=r"the number cannot be stored for other processes .*No space.*TMPDIR"
+    ):
+        WorkerPool(shared(), None, "try_it()")
 
 
 # --- processes that die ---------------------------------------------------------------------------------------
