@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.analysis import (
-        Experiment,
         LinearCovariance,
+        Scenario,
         linear_covariance,
     )
     from gnc_opt.control import (
         Controller,
-        Explanation,
+        DesignReport,
         Reference,
         bryson,
         design_feedback_linearization,
@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # the same names for type checkers
         Arc,
         ArcKind,
         Condition,
+        ConditionResult,
         Continuation,
         ContinuationStatus,
         History,
@@ -72,7 +73,6 @@ if TYPE_CHECKING:  # the same names for type checkers
         RefinementLimits,
         RefinementStatus,
         Resolver,
-        Result,
         Sensitivity,
         Solution,
         SolveError,
@@ -80,17 +80,17 @@ if TYPE_CHECKING:  # the same names for type checkers
         Status,
         Sweep,
         Verdict,
-        bound_below,
-        continue_in,
+        continuation,
         guess_from_data,
+        guess_from_simulation,
         guess_from_solution,
         load,
+        lower_bound,
         multistart,
-        polish,
         refine,
         sensitivity,
-        simulate_guess,
         solve,
+        solve_indirect,
         sweep,
         verify,
         verify_trajectory,
@@ -111,12 +111,12 @@ __all__ = [
     "Campaign",
     "ClosedLoop",
     "Condition",
+    "ConditionResult",
     "Continuation",
     "ContinuationStatus",
     "Controller",
     "DesignError",
-    "Experiment",
-    "Explanation",
+    "DesignReport",
     "GncOptError",
     "History",
     "LinearCovariance",
@@ -136,9 +136,9 @@ __all__ = [
     "RefinementLimits",
     "RefinementStatus",
     "Resolver",
-    "Result",
     "Run",
     "RunStatus",
+    "Scenario",
     "Sensitivity",
     "Solution",
     "SolveError",
@@ -149,9 +149,8 @@ __all__ = [
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
-    "bound_below",
     "bryson",
-    "continue_in",
+    "continuation",
     "design_ekf",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
@@ -167,18 +166,19 @@ __all__ = [
     "export_fmu",
     "feedforward",
     "guess_from_data",
+    "guess_from_simulation",
     "guess_from_solution",
     "linear_covariance",
     "load",
+    "lower_bound",
     "monte_carlo",
     "multistart",
     "output_feedback",
-    "polish",
     "refine",
     "sensitivity",
-    "simulate_guess",
     "smooth_abs",
     "solve",
+    "solve_indirect",
     "sweep",
     "table",
     "table_from_csv",
@@ -187,9 +187,9 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULES = {
-    "analysis": "Experiment LinearCovariance linear_covariance",
+    "analysis": "Scenario LinearCovariance linear_covariance",
     "control": (
-        "Controller Explanation Reference bryson design_feedback_linearization "
+        "Controller DesignReport Reference bryson design_feedback_linearization "
         "design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc "
         "design_sliding_mode design_tvlqr export_c export_fmu feedforward"
     ),
@@ -204,10 +204,10 @@ _NAMES_OF_MODULES = {
     "model.table": "Table table table_from_csv",
     "planning": (
         "Arc ArcKind Condition Continuation ContinuationStatus History LowerBound Mesh Minimum "
-        "Multistart Phase PhaseSolution Problem RefinementLimits RefinementStatus Resolver Result "
-        "Sensitivity Solution SolveError SolverOptions Status Sweep Verdict bound_below continue_in "
-        "guess_from_data guess_from_solution load multistart polish refine sensitivity "
-        "simulate_guess solve sweep verify verify_trajectory"
+        "Multistart Phase PhaseSolution Problem RefinementLimits RefinementStatus Resolver ConditionResult "
+        "Sensitivity Solution SolveError SolverOptions Status Sweep Verdict lower_bound continuation "
+        "guess_from_data guess_from_solution load multistart solve_indirect refine sensitivity "
+        "guess_from_simulation solve sweep verify verify_trajectory"
     ),
     "simulation": "Campaign ClosedLoop Outcome Run RunStatus monte_carlo",
 }
@@ -234,6 +234,9 @@ def __getattr__(name: str) -> Any:
         return value
     if name in _PACKAGES:
         return import_module(f"gnc_opt.{name}")
+    from gnc_opt.renamed import check_renamed
+
+    check_renamed(__name__, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

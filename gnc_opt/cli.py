@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(
             os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
         )  # what is left is not written at the exit
-        return ExitCode.UNREAD
+        return ExitCode.BROKEN_PIPE
     except KeyboardInterrupt:
         print("gnc-opt: interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED

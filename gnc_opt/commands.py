@@ -39,11 +39,11 @@ class ExitCode(IntEnum):
     """Exit codes of the commands."""
 
     OK = 0
-    VERDICT_FAILS = 1
+    CONDITIONS_FAIL = 1
     BAD_INPUT = 2
     NOT_SOLVED = 3
     INTERRUPTED = 130
-    UNREAD = 141
+    BROKEN_PIPE = 141
 
 
 # --- commands -----------------------------------------------------------------------------------------
@@ -195,7 +195,7 @@ def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> 
         return ExitCode.NOT_SOLVED
     if verdict is None or verdict.ok or exit_zero:
         return ExitCode.OK
-    return ExitCode.VERDICT_FAILS
+    return ExitCode.CONDITIONS_FAIL
 
 
 # --- output -------------------------------------------------------------------------------------------

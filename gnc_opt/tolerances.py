@@ -17,7 +17,7 @@ AT_LIMIT = 1e-6
 most about this far from it at any solver tolerance in use.
 """
 
-VANISHED = 1e-6
+BRANCH_ENDED = 1e-6
 """A quantity that never exceeds this is scaled by 1, so that violations are not relative to rounding errors.
 """
 
@@ -67,9 +67,9 @@ metres."""
 
 
 def magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
-    """Return magnitudes to divide by: the given ones, or others where those have `VANISHED`."""
+    """Return magnitudes to divide by: the given ones, or others where those have `BRANCH_ENDED`."""
     sizes = np.asarray(values, dtype=float)
-    return np.where(sizes > VANISHED, sizes, otherwise)
+    return np.where(sizes > BRANCH_ENDED, sizes, otherwise)
 
 
 def alike(found: Array, expected: Array) -> bool:

@@ -40,7 +40,7 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 
 from gnc_opt.arrays import Array
-from gnc_opt.simulation import Campaign, Flight
+from gnc_opt.simulation import Campaign, CompiledLoop
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,
     apply,
@@ -78,7 +78,7 @@ _N = mean_motion(RADIUS_EARTH + ALTITUDE)
 
 
 def plain_run(
-    flight: Flight,
+    flight: CompiledLoop,
     parameters: dict[str, Array],
     normal: dict[str, Array],
     rows: Array,
@@ -137,7 +137,9 @@ def plain_run(
     return np.asarray(x)
 
 
-def plain_inputs(campaign: Campaign, flight: Flight, index: int) -> tuple[dict[str, Array], dict[str, Array]]:
+def plain_inputs(
+    campaign: Campaign, flight: CompiledLoop, index: int
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the parameters and the random numbers of a run of the campaign."""
     layout = flight.layout
     column = campaign.parameters[:, index]

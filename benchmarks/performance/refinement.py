@@ -170,7 +170,7 @@ def _row(document: Mapping[str, Any], solution: go.Solution, seconds: float, cos
         relative = (solution.objective - reference) / (abs(reference) or 1.0)
         accepted = abs(relative) <= document.get("accept_rel_tol", 1e-5)
     final = history.final
-    failed = tuple(c.name for c in go.verify(solution).conditions if c.result is go.Result.FAIL)
+    failed = tuple(c.name for c in go.verify(solution).conditions if c.result is go.ConditionResult.FAIL)
     return Row(
         str(document["name"]),
         history.status.value,

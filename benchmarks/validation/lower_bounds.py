@@ -4,7 +4,7 @@
 
 Workload: the time-optimal rendezvous from rest at random attitudes (turned by 60 to 180 degrees from the axes of the
 orbit, about any axis) and random places (1 to 20 m from where it ends, in any direction), so that mostly turning takes
-longer than flying there. Each is solved by itself, refined to 1e-8 and judged; then `bound_below` solves the rotation
+longer than flying there. Each is solved by itself, refined to 1e-8 and judged; then `lower_bound` solves the rotation
 alone. Where both take the same time the bound is attained, and the translation has time to spare.
 """
 
@@ -44,7 +44,7 @@ def measure(runs: int, seed: int) -> list[dict[str, Any]]:
     for k in range(runs):
         begin = time.process_time()
         found = go.solve(build().with_initial(**start(rng)), tol=1e-8, throw=False)
-        bounded = go.bound_below(found)
+        bounded = go.lower_bound(found)
         bound, verdict = bounded.bound, go.verify(bounded)
         rows.append(
             {

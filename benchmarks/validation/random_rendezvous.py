@@ -75,7 +75,8 @@ def certify(case: int, problem: go.Problem, mesh: str, limit: float) -> Outcome:
     verdict = go.verify(found)
     word = "minimum" if verdict.minimum else "ok" if verdict.ok else "NOT ok"
     amiss = tuple(
-        f"{c.name} {c.result.value} {c.value:.2e} at {c.where}" for c in (*verdict.failed, *verdict.untold)
+        f"{c.name} {c.result.value} {c.value:.2e} at {c.where}"
+        for c in (*verdict.failed, *verdict.inconclusive)
     )
     return Outcome(case, mesh, word, found.objective, seconds, amiss)
 

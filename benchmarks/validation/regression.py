@@ -62,7 +62,7 @@ class Record:
     magnitudes : dict of float
         Largest absolute value of these states along the phase: what the costates are weighed with.
     iterations, passes : int or None
-    failed, untold : tuple of str
+    failed, inconclusive : tuple of str
         Conditions of the verdict.
     """
 
@@ -74,7 +74,7 @@ class Record:
     iterations: int | None = None
     passes: int | None = None
     failed: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
+    inconclusive: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def record(outcome: Outcome, solution: go.Solution | None) -> Record:
         outcome.iterations,
         outcome.refinements,
         outcome.failed,
-        outcome.untold,
+        outcome.inconclusive,
     )
 
 
@@ -146,7 +146,7 @@ def _moves(before: Record, now: Record) -> Iterator[Move]:
     name = now.name
     if before.status != now.status:
         yield Move(name, "status", before.status, now.status)
-    if (before.failed, before.untold) != (now.failed, now.untold):
+    if (before.failed, before.inconclusive) != (now.failed, now.inconclusive):
         yield Move(name, "verdict", _verdict(before), _verdict(now))
     if before.objective is None or now.objective is None:
         return
@@ -182,7 +182,7 @@ def _column(values: Mapping[str, float] | None) -> Any:
 
 
 def _verdict(kept: Record) -> str:
-    told = [*(f"FAIL {name}" for name in kept.failed), *(f"? {name}" for name in kept.untold)]
+    told = [*(f"FAIL {name}" for name in kept.failed), *(f"? {name}" for name in kept.inconclusive)]
     return ", ".join(told) or "every condition passes"
 
 

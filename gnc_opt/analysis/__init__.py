@@ -1,24 +1,33 @@
 """Statements about a closed loop: covariance, frequency response, sensitivity, rare events, worst case,
 filter consistency."""
 
+from typing import Any
+
 from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
-from gnc_opt.analysis.global_sensitivity import Correlations, Share, SobolIndices, correlations, sobol_indices
-from gnc_opt.analysis.linear_covariance import Agreement, LinearCovariance, linear_covariance
+from gnc_opt.analysis.global_sensitivity import (
+    Correlations,
+    IntervalEstimate,
+    SobolIndices,
+    correlations,
+    sobol_indices,
+)
+from gnc_opt.analysis.linear_covariance import CovarianceCheck, LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_response import LoopResponse, loop_response
-from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.analysis.subset_simulation import FailureProbability, failure_probability
 from gnc_opt.analysis.worst_case import WorstCase, worst_case
+from gnc_opt.renamed import check_renamed
 
 __all__ = [
-    "Agreement",
     "Consistency",
     "Correlations",
-    "Experiment",
+    "CovarianceCheck",
     "FailureProbability",
     "InnovationTest",
+    "IntervalEstimate",
     "LinearCovariance",
     "LoopResponse",
-    "Share",
+    "Scenario",
     "SobolIndices",
     "WorstCase",
     "consistency",
@@ -29,3 +38,9 @@ __all__ = [
     "sobol_indices",
     "worst_case",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Report the present name of a former one."""
+    check_renamed(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

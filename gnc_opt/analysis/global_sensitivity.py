@@ -28,7 +28,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.arguments import expect, read_integer, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -51,7 +51,7 @@ _OTHER = 1
 
 
 @dataclass(frozen=True)
-class Share:
+class IntervalEstimate:
     """A number with its interval.
 
     Attributes
@@ -93,7 +93,7 @@ class SobolIndices:
     Examples
     --------
     >>> from gnc_opt.analysis import sobol_indices
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
     >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
     ('initial.q', 'initial.v', 'noise') 50 -0.13
@@ -102,8 +102,8 @@ class SobolIndices:
     measure: str
     mean: float
     variance: float
-    first: Mapping[str, Share]
-    total: Mapping[str, Share]
+    first: Mapping[str, IntervalEstimate]
+    total: Mapping[str, IntervalEstimate]
     confidence: float
     rows: int
     lost: int
@@ -122,7 +122,7 @@ class SobolIndices:
 
 
 def sobol_indices(
-    experiment: Experiment,
+    experiment: Scenario,
     measure: str,
     *,
     n: int = 500,
@@ -158,13 +158,13 @@ def sobol_indices(
     Examples
     --------
     >>> from gnc_opt.analysis import sobol_indices
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
     >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(max(shares.total, key=lambda name: shares.total[name].value))
     initial.q
     """
     name = "sobol_indices()"
-    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    expect(experiment, Scenario, f"what {name} got", "give an Experiment")
     experiment.require(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
@@ -199,9 +199,9 @@ def _indices(
     again = [estimates(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
     ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
 
-    def shares(values: Array, which: int) -> dict[str, Share]:
+    def shares(values: Array, which: int) -> dict[str, IntervalEstimate]:
         return {
-            name: Share(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
+            name: IntervalEstimate(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
             for i, name in enumerate(factors)
         }
 
@@ -222,7 +222,7 @@ def estimates(f: Array) -> tuple[Array, Array]:
 class _Design:
     """The runs of rows."""
 
-    experiment: Experiment
+    experiment: Scenario
     measure: str
 
     @property
@@ -274,7 +274,7 @@ class Correlations:
     """
 
     measure: str
-    ranks: Mapping[str, Share] = field(repr=False)
+    ranks: Mapping[str, IntervalEstimate] = field(repr=False)
     confidence: float
     runs: int
 
@@ -330,6 +330,6 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
         if np.ptp(row) > 0 and np.ptp(values[known]) > 0:
             r = float(scipy.stats.spearmanr(row, values[known])[0])
             z = np.arctanh(np.clip(r, -1 + 1e-12, 1 - 1e-12))
-            found[label] = Share(r, float(np.tanh(z - half)), float(np.tanh(z + half)))
+            found[label] = IntervalEstimate(r, float(np.tanh(z - half)), float(np.tanh(z + half)))
     ordered = dict(sorted(found.items(), key=lambda item: -abs(item[1].value)))
     return Correlations(measure, ordered, level, runs)

@@ -37,7 +37,7 @@ import scipy
 
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
-from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.arguments import Strict, expect, read_integer, read_positive, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
@@ -45,7 +45,7 @@ from gnc_opt.errors import ArgumentError, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.compiled_loop import LEG, Flight
+from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import Dispersions, dispersed
 from gnc_opt.simulation.step_selection import steps_for_modes
@@ -53,7 +53,7 @@ from gnc_opt.tolerances import ROUNDING, TINY
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class CovarianceCheck:
     """Variances of the runs of a campaign over those of a linear covariance; arrays have an entry per component.
 
     Attributes
@@ -72,7 +72,7 @@ class Agreement:
 
     Examples
     --------
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> result = go.linear_covariance(experiment, checks=0)
     >>> agreement = result.compare(campaign)
     >>> print(agreement.labels, agreement.runs, agreement.ok)
@@ -112,7 +112,7 @@ def magnitudes(values: Array) -> Array:
     return np.asarray(np.maximum(1.0, np.max(np.abs(values), axis=1)))
 
 
-def error_sizes(flight: Flight, states: Array) -> Array:
+def error_sizes(flight: CompiledLoop, states: Array) -> Array:
     """Return the same of each component of the errors, (n_errors,), by states over time (n_states, n_times)."""
     sizes, places = magnitudes(states), flight.states
     return np.concatenate(
@@ -174,7 +174,7 @@ class PlantModes:
 
     def __init__(self, linearization: Linearization, asked: float) -> None:
         self._asked = asked
-        self._flight: Flight = linearization.flight
+        self._flight: CompiledLoop = linearization.flight
         self._plant: Model = linearization.wiring.plant
         self._outputs = linearization.output
         layout, nominal = self._flight.layout, self._flight.nominal
@@ -241,7 +241,7 @@ class LinearCovariance(Strict):
 
     Examples
     --------
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> result = go.linear_covariance(experiment, checks=0)
     >>> print({source: f"{share:.0%}" for source, share in result.budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
@@ -255,7 +255,7 @@ class LinearCovariance(Strict):
     bends: Mapping[str, Array]
     checked: int
     layouts: Mapping[str, Layout] = field(repr=False)
-    flight: Flight = field(repr=False)
+    flight: CompiledLoop = field(repr=False)
     dispersions: Dispersions = field(repr=False)
 
     def __str__(self) -> str:
@@ -317,7 +317,7 @@ class LinearCovariance(Strict):
         tolerance = read_positive(tolerance, "the tolerance of linear()")
         return bool(np.all(self.nonlinearity(signal)[:, -1] <= tolerance))
 
-    def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> Agreement:
+    def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> CovarianceCheck:
         """Return the variances of a campaign's errors at the end over those predicted, with bands.
 
         Parameters
@@ -351,7 +351,7 @@ class LinearCovariance(Strict):
         kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), 1 + ROUNDING)
         freedom = 2 * (runs - 1) / (kurtosis - 1)
         tail = (1 - level) / (2 * max(scatters.size, 1))
-        return Agreement(
+        return CovarianceCheck(
             labels=tuple(flight.error_layout.labels[i] for i in scatters),
             runs=runs,
             ratio=errors.var(axis=1, ddof=1) / variance[scatters],
@@ -373,7 +373,7 @@ class LinearCovariance(Strict):
 
 @one_thread()
 def linear_covariance(
-    experiment: Experiment,
+    experiment: Scenario,
     *,
     every: int = 1,
     checks: int = _NONLINEARITY_RUNS,
@@ -404,14 +404,14 @@ def linear_covariance(
 
     Examples
     --------
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> result = go.linear_covariance(experiment, checks=0)
     >>> print(result.sources)
     ('initial.q', 'initial.v', 'gauge')
     >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
-    expect(experiment, Experiment, "what linear_covariance() got", "give an Experiment")
+    expect(experiment, Scenario, "what linear_covariance() got", "give an Experiment")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
     checks = read_integer(checks, "the number of runs to compare with", 0)
     flight, dispersions = experiment.flight, experiment.dispersions

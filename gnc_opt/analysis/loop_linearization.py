@@ -27,7 +27,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
-from gnc_opt.simulation.compiled_loop import LEG, Flight
+from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.signals import Places
 from gnc_opt.simulation.wiring import Wiring
 
@@ -84,7 +84,7 @@ class Linearization:
         The loop has events, whose instants scatter, or re-plans: neither has a derivative at a fixed time.
     """
 
-    flight: Flight
+    flight: CompiledLoop
     wiring: Wiring
     columns: Sequence[int]
     hold: bool = False

@@ -270,7 +270,7 @@ def _along(
     """Return the response of a loop with its probe, and the integration steps per minor step that its modes
     need; 0 if it has as many.
     """
-    flight = opened.flight(**run)
+    flight = opened.compile(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):

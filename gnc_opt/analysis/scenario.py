@@ -22,12 +22,12 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import Flown, gathered
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_dispersions
-from gnc_opt.simulation.monte_carlo import Criteria, Judge, read_criteria
+from gnc_opt.simulation.monte_carlo import Criteria, OutcomeClassifier, read_criteria
 from gnc_opt.simulation.outcome import RunStatus
 
-_FLOWN = (RunStatus.OK, RunStatus.INACCURATE)
+_FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 """How runs end that have not failed."""
 
 _UNIFORM_MIN = 1e-300
@@ -35,7 +35,7 @@ _UNIFORM_MIN = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Scenario:
     """A closed loop on one flight, with the dispersions of its runs and the measures evaluated on them.
 
     The words are those of `monte_carlo`, the random numbers those of ``seed``.
@@ -64,7 +64,7 @@ class Experiment:
 
     Examples
     --------
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> print(experiment.size, experiment.noise_size)  # random numbers of a run, and of each of its control steps
     2 1
     """
@@ -76,7 +76,7 @@ class Experiment:
     dispersions: Dispersions = field(default_factory=dict, kw_only=True)
     parameters: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
     target: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
-    judge: Mapping[str, Judge] | None = field(default=None, kw_only=True)
+    judge: Mapping[str, OutcomeClassifier] | None = field(default=None, kw_only=True)
     seed: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -93,9 +93,9 @@ class Experiment:
         }  # the flight is enough to fly
 
     @cached_property
-    def flight(self) -> Flight:
+    def flight(self) -> CompiledLoop:
         """The flight, numeric."""
-        return self.loop.flight(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
+        return self.loop.compile(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
 
     @cached_property
     def criteria(self) -> Criteria:

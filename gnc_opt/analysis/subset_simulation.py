@@ -3,7 +3,7 @@ r"""Failure probability by subset simulation: rare failures, step by step throug
 The probability of a rare failure is a product of conditional ones that are not rare,
 :math:`p = P(F_1) P(F_2 | F_1) \ldots`, where F_i is what exceeds a level that a tenth of the runs before exceeded. Runs
 within a level are made from those that exceeded the last one by a Markov chain over all standard normal numbers of a
-run (`Experiment`), dispersions and noise alike,
+run (`Scenario`), dispersions and noise alike,
 
 .. math:: z' = \sqrt{1 - s^2}\, z + s\, \xi, \qquad \xi \sim N(0, 1),
 
@@ -30,7 +30,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from gnc_opt.analysis.scenario import Experiment
+from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.arguments import expect, read_integer, read_numbers, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -76,7 +76,7 @@ class FailureProbability:
     Examples
     --------
     >>> from gnc_opt.analysis import failure_probability
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
     P(max(overshoot) > 0.006) = 0.000229 (3e-05 to 0.0017, 95 %), 638 runs in 3 repetitions
@@ -100,7 +100,7 @@ class FailureProbability:
 
 
 def failure_probability(
-    experiment: Experiment,
+    experiment: Scenario,
     measure: str,
     limit: float,
     *,
@@ -145,14 +145,14 @@ def failure_probability(
     Examples
     --------
     >>> from gnc_opt.analysis import failure_probability
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
     >>> print(rare.low < rare.probability < rare.high, rare.runs)
     True 638
     """
     name = "failure_probability()"
-    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    expect(experiment, Scenario, f"what {name} got", "give an Experiment")
     experiment.require(measure)
     bound = float(read_numbers(limit, f"the limit of '{measure}'").reshape(-1)[0])
     if not np.isfinite(bound):
@@ -224,7 +224,7 @@ class Estimate:
 class _Search:
     """Common data of all repetitions."""
 
-    experiment: Experiment
+    experiment: Scenario
     measure: str
     limit: float
     count: int

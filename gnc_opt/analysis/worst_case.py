@@ -12,11 +12,19 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from gnc_opt.analysis.scenario import Experiment, normal_numbers
+from gnc_opt.analysis.scenario import Scenario, normal_numbers
 from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.dispersions import Ball, Choice, Dispersion, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.dispersions import (
+    Choice,
+    Dispersion,
+    Normal,
+    RandomDirection,
+    RandomRotation,
+    Uniform,
+    UniformInBall,
+)
 from gnc_opt.simulation.run import Run
 
 _FAILED = 1e150
@@ -46,7 +54,7 @@ class WorstCase:
     >>> from gnc_opt.analysis import worst_case
     >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
     >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
     >>> print(worst.value > worst.nominal, worst.runs)
     True 135
@@ -70,7 +78,7 @@ class WorstCase:
 
 
 def worst_case(
-    experiment: Experiment,
+    experiment: Scenario,
     measure: str,
     *,
     generations: int = 40,
@@ -80,7 +88,8 @@ def worst_case(
     Parameters
     ----------
     experiment : Experiment
-        Its dispersions are bounded: `Uniform`, `Ball`, `Normal` with ``truncate`` and the like. How probable a value
+        Its dispersions are bounded: `Uniform`, `UniformInBall`, `Normal` with ``truncate`` and the like.
+        How probable a value
         is does not matter; the seed is that of the search.
     measure : str
         As in `Campaign.measure`, or one of the experiment's ``judge``.
@@ -101,12 +110,12 @@ def worst_case(
     >>> from gnc_opt.analysis import worst_case
     >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
     >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
     >>> print(f"{worst.parameters['initial.q'][0]:.3f}")  # as far as it can be
     0.900
     """
-    expect(experiment, Experiment, "what worst_case() got", "give an Experiment")
+    expect(experiment, Scenario, "what worst_case() got", "give an Experiment")
     experiment.require(measure)
     generations = read_integer(generations, "the number of generations of worst_case()", 1)
     dispersions = experiment.dispersions
@@ -135,7 +144,7 @@ def worst_case(
     generator = np.random.default_rng(experiment.seed)
     search = scipy.optimize.differential_evolution(
         cost, [(0.0, 1.0)] * experiment.size, maxiter=generations, popsize=people, seed=generator,
-        vectorized=True, updating="deferred", polish=False, init="sobol",
+        vectorized=True, updating="deferred", solve_indirect=False, init="sobol",
     )  # fmt: skip
     best = _polished(cost, search.x)
     P = experiment.columns(normal_numbers(best[:, None]))
@@ -164,7 +173,7 @@ def _polished(cost: Callable[[Array], Array], start: Array) -> Array:
 def _bounded(dispersion: Dispersion) -> bool:
     if isinstance(dispersion, Normal):
         return dispersion.truncate is not None
-    if isinstance(dispersion, (Sphere, Turn)):
-        magnitude = dispersion.radius if isinstance(dispersion, Sphere) else dispersion.angle
+    if isinstance(dispersion, (RandomDirection, RandomRotation)):
+        magnitude = dispersion.radius if isinstance(dispersion, RandomDirection) else dispersion.angle
         return not isinstance(magnitude, Dispersion) or _bounded(magnitude)
-    return isinstance(dispersion, (Uniform, Ball, Choice))
+    return isinstance(dispersion, (Uniform, UniformInBall, Choice))

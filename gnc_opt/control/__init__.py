@@ -1,13 +1,15 @@
 """Design of discrete-time controllers from a model; each is a symbolic law. C and FMU export."""
 
-from gnc_opt.control.c_export.export import CodeOptions, FlightCode, export_c
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.error_dynamics import Deviation
+from typing import Any
+
+from gnc_opt.control.c_export.export import CCode, CCodeOptions, export_c
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.fmu_export import MockupUnit, export_fmu
+from gnc_opt.control.fmu_export import Fmu, export_fmu
 from gnc_opt.control.gain_schedule import design_gain_schedule
 from gnc_opt.control.hierarchical_sliding_mode import design_hierarchical_sliding_mode
 from gnc_opt.control.input_output_linearization import (
@@ -34,25 +36,25 @@ from gnc_opt.control.reference import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.renamed import check_renamed
 
 __all__ = [
-    "CodeOptions",
+    "CCode",
+    "CCodeOptions",
     "ConstantRate",
     "Controller",
-    "Deviation",
-    "Explanation",
+    "DesignReport",
+    "ErrorDynamics",
     "ExponentialRate",
-    "Fact",
-    "FlightCode",
-    "MockupUnit",
+    "Fmu",
     "PowerRate",
     "Reference",
+    "ReportEntry",
     "SaturationLayer",
     "Sign",
     "SuperTwisting",
     "SuperTwistingObserver",
     "TanhLayer",
-    "bridge_dropouts",
     "bryson",
     "decoupling_matrix",
     "design_feedback_linearization",
@@ -66,11 +68,18 @@ __all__ = [
     "export_c",
     "export_fmu",
     "feedforward",
-    "first_memory",
+    "initial_state_function",
     "law",
     "lie_derivative",
     "output_errors",
     "relative_degrees",
     "trim",
+    "with_dropout_handling",
     "zero_dynamics",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Report the present name of a former one."""
+    check_renamed(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -17,8 +17,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.control_limits import clip
-from gnc_opt.control.controller import Controller, FlightLaw, first_memory, law
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.controller import Controller, FlightLaw, initial_state_function, law
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.model.variables import Layout, Variable
@@ -158,7 +158,7 @@ class ProgrammeCode:
 
 
 def flight_law(
-    code: ProgrammeCode, deviation: Deviation, controller: Controller, reference: Any
+    code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
     """Return the form of a predictive controller for flight code: its memory is the last command and the alarm."""
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
@@ -174,12 +174,12 @@ def flight_law(
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
     u = clip(u_ff + v, lower, upper)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
-    parts = (Variable("previous_command", m), Variable("qp_alarm", 1))
+    parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     assert controller.dt is not None and controller.span is not None
     form = Controller(
         name=controller.name,
         step=law(t, x, r, z, u, ca.vertcat(u, ca.if_else(solved, alarm, 1))),
-        start=first_memory(t, x, r, first),
+        start=initial_state_function(t, x, r, first),
         states=controller.states,
         commands=controller.commands,
         signals=signals,

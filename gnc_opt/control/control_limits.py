@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.design_report import Fact
+from gnc_opt.control.design_report import ReportEntry
 from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
@@ -59,7 +59,7 @@ def saturated(u: Any, limits: Authority | None) -> Any:
     return u if limits is None else clip(u, *limits)
 
 
-def reserve_shares(reference: Reference, limits: Authority | None) -> list[Fact]:
+def reserve_shares(reference: Reference, limits: Authority | None) -> list[ReportEntry]:
     """Return the fact about the share of the limits that the feedforward leaves, one number per control."""
     if limits is None:
         return []
@@ -70,7 +70,7 @@ def reserve_shares(reference: Reference, limits: Authority | None) -> list[Fact]
     remark = (
         "least distance of the feedforward to its limits, share of half their range; what feedback can use"
     )
-    return [Fact("saturation reserve", _distance(u, limits).min(axis=1) / half, "", remark)]
+    return [ReportEntry("saturation reserve", _distance(u, limits).min(axis=1) / half, "", remark)]
 
 
 def require_reserve(
@@ -80,7 +80,7 @@ def require_reserve(
     *,
     gain: Array | None = None,
     dt: float | None = None,
-) -> list[Fact]:
+) -> list[ReportEntry]:
     """Return the fact about the least authority that is left at ``times`` (s), in the unit of its control.
 
     Parameters
@@ -122,7 +122,9 @@ def require_reserve(
         )
     beside = "beside the feedforward" if gain is None else "least of all, beside feedforward and gain"
     return [
-        Fact("saturation reserve", float(left[row, column]), unit, f"control '{label}' {where}, {beside}")
+        ReportEntry(
+            "saturation reserve", float(left[row, column]), unit, f"control '{label}' {where}, {beside}"
+        )
     ]
 
 
@@ -131,7 +133,9 @@ def _distance(u: Array, limits: Authority) -> Array:
     return np.asarray(np.minimum(limits[1][:, None] - u, u - limits[0][:, None]))
 
 
-def reference_beyond(reference: Reference, places: Sequence[int], lower: Array, upper: Array) -> list[Fact]:
+def reference_beyond(
+    reference: Reference, places: Sequence[int], lower: Array, upper: Array
+) -> list[ReportEntry]:
     """Return the facts about how far the reference is beyond limits of states, for those that it exceeds.
 
     Parameters
@@ -155,7 +159,7 @@ def reference_beyond(reference: Reference, places: Sequence[int], lower: Array, 
         if over[k] > _BESIDE * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
             name, unit = f"reference beyond the limits of {label}", reference.states.units[place]
             facts.append(
-                Fact(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")
+                ReportEntry(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")
             )
     if facts:
         warn_user("; ".join(map(str, facts)))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_label, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import CNumbers
-from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.design_report import DesignReport
 from gnc_opt.control.error_dynamics import sampled_system
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout, as_point
@@ -96,7 +96,7 @@ class Controller:
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; it is constant after the second. None: unknown.
     unbridged : Controller, optional
-        The same law without its provision for lost samples, see `bridge_dropouts`.
+        The same law without its provision for lost samples, see `with_dropout_handling`.
 
     Examples
     --------
@@ -113,7 +113,7 @@ class Controller:
     signals: Layout
     memory: Layout
     schedule: Schedule
-    explanation: Explanation
+    explanation: DesignReport
     dt: float | None = None
     alarms: tuple[str, ...] = ()
     span: tuple[float, float] | None = None
@@ -135,7 +135,7 @@ class Controller:
         """Names, sizes and units of the states that the law feeds back and its reference is of."""
         return self.states if self.estimated is None else self.estimated
 
-    def explain(self) -> Explanation:
+    def explain(self) -> DesignReport:
         """Return the facts of the design: gains, poles or margins, bounds and reserves; print them to read them."""
         return self.explanation
 
@@ -250,7 +250,7 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
     return ca.Function("law", [t, x, r, z], [u, z_next, *enough], _INPUTS, names)
 
 
-def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:
+def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
     """Return the CasADi function of the first memory from its symbols and the expression z.
 
     Parameters
@@ -263,9 +263,9 @@ def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.control import first_memory
+    >>> from gnc_opt.control import initial_state_function
     >>> t, x, r = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0)
-    >>> start = first_memory(t, x, r, 3 * x[0])
+    >>> start = initial_state_function(t, x, r, 3 * x[0])
     >>> print(start(0.0, [1.0, 0.0], []))
     3
     """

@@ -15,9 +15,9 @@ import numpy as np
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, Schedule, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact, number_text
-from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
+from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals, reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
@@ -129,7 +129,7 @@ def _singular_everywhere(errors: OutputErrors, reference: Reference, times: Arra
     return True
 
 
-def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[Fact]:
+def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[ReportEntry]:
     """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
     t = reference.final_time
     zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))
@@ -140,10 +140,10 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
             f"eigenvalue {number_text(worst)} 1/s of {zeros.dimension} at the end of the reference; "
             "steer other outputs or another mix of them."
         )
-    facts = [Fact("dimension of the zero dynamics", zeros.dimension)]
+    facts = [ReportEntry("dimension of the zero dynamics", zeros.dimension)]
     if zeros.dimension:
         remark = "frozen at the end of the reference"
-        facts.append(Fact("eigenvalues of the zero dynamics", zeros.eigenvalues, "1/s", remark))
+        facts.append(ReportEntry("eigenvalues of the zero dynamics", zeros.eigenvalues, "1/s", remark))
     return facts
 
 
@@ -179,7 +179,7 @@ def guarded_controller(
     guarded: GuardedLaw,
     *,
     dt: float | None,
-    explanation: Explanation,
+    explanation: DesignReport,
 ) -> Controller:
     """Return the controller of a law with its guards."""
     memory, nominal = guarded.memory, guarded.nominal
@@ -212,7 +212,7 @@ def guarded_controller(
     guarded_law = Controller(
         name=name,
         step=law(pair.t, pair.x, r, z, u, after),
-        start=first_memory(pair.t, pair.x, r, start),
+        start=initial_state_function(pair.t, pair.x, r, start),
         states=model.states,
         commands=model.controls,
         signals=reference_signals(reference, *inner_signals),
@@ -223,7 +223,7 @@ def guarded_controller(
         span=(reference.initial_time, reference.final_time),
         alarms=alarms,
     )
-    return bridge_dropouts(guarded_law)
+    return with_dropout_handling(guarded_law)
 
 
 class Nominal:

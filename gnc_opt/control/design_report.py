@@ -13,7 +13,7 @@ from gnc_opt.tolerances import ROUNDING
 
 
 @dataclass(frozen=True)
-class Fact:
+class ReportEntry:
     """One statement about a design.
 
     Attributes
@@ -45,7 +45,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Explanation(Strict):
+class DesignReport(Strict):
     """The facts of one design; ``explanation["closed-loop poles"]`` returns a value, ``print`` shows all.
 
     Attributes
@@ -61,7 +61,7 @@ class Explanation(Strict):
     """
 
     title: str
-    facts: tuple[Fact, ...] = ()
+    facts: tuple[ReportEntry, ...] = ()
 
     def __getitem__(self, name: str) -> object:
         for fact in self.facts:
@@ -69,7 +69,7 @@ class Explanation(Strict):
                 return fact.value
         raise unknown_name("fact", name, f"the explanation of {self.title}", [f.name for f in self.facts])
 
-    def __iter__(self) -> Iterator[Fact]:
+    def __iter__(self) -> Iterator[ReportEntry]:
         return iter(self.facts)
 
     def __str__(self) -> str:

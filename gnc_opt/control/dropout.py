@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.tolerances import LARGEST
@@ -37,7 +37,9 @@ _NEVER = -1.0
 """Count of lost samples before the first good one."""
 
 
-def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike | None = None) -> Controller:
+def with_dropout_handling(
+    controller: Controller, *, hold: int = HOLD, safe: ArrayLike | None = None
+) -> Controller:
     """Return a controller that bridges lost samples, or bridges them otherwise than it did.
 
     Parameters
@@ -62,8 +64,8 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
 
     Examples
     --------
-    >>> from gnc_opt.control import bridge_dropouts
-    >>> careful = bridge_dropouts(regulator, hold=1, safe=[0.0])
+    >>> from gnc_opt.control import with_dropout_handling
+    >>> careful = with_dropout_handling(regulator, hold=1, safe=[0.0])
     >>> memory = careful.initial_memory(0.0, [1.0, 0.0])
     >>> for x in ([1.0, 0.0], [np.nan, 0.0], [np.nan, 0.0]):  # the last good sample once, then the safe command
     ...     u, memory = careful(0.0, x, memory)
@@ -91,7 +93,7 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
     easy = None if inner.easy is None else _functions(inner, inner.easy, hold, given)[0]
     flight = inner.flight
     if flight is not None:
-        flight = replace(flight, controller=bridge_dropouts(flight.controller, hold=hold, safe=safe))
+        flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
     words = "the feedforward" if given is None else f"the command {given}"
     remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
     told = inner.explanation
@@ -101,7 +103,9 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         start=start,
         memory=Layout("memory", (*inner.memory.variables, *own), f"controller '{inner.name}'"),
         alarms=(*inner.alarms, INVALID),
-        explanation=Explanation(told.title, (*told.facts, Fact("dropouts", str(hold), remark=remark))),
+        explanation=DesignReport(
+            told.title, (*told.facts, ReportEntry("dropouts", str(hold), remark=remark))
+        ),
         unbridged=inner,
         flight=flight,
         easy=easy,
@@ -133,7 +137,7 @@ def _functions(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any,
     )
     step = law(t, x, r, z, ca.if_else(works, u, spare), z_next, *enough)
     begun = ca.if_else(good, ca.vertcat(first, x), 0)
-    return step, first_memory(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
+    return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 
 
 def _feedforward(inner: Controller, r: Any) -> Any:

@@ -97,7 +97,7 @@ def _name(name: str) -> str:
     return re.sub(r"\W+", "_", name)
 
 
-class Deviation:
+class ErrorDynamics:
     """Errors of a model's states and their linear dynamics along a reference.
 
     Attributes
@@ -108,8 +108,8 @@ class Deviation:
 
     Examples
     --------
-    >>> from gnc_opt.control import Deviation
-    >>> A, B = Deviation(cart).linearize(0.0, [1.0, 0.0], [0.0])
+    >>> from gnc_opt.control import ErrorDynamics
+    >>> A, B = ErrorDynamics(cart).linearize(0.0, [1.0, 0.0], [0.0])
     >>> print(A.tolist(), B.tolist())
     [[0.0, 1.0], [0.0, 0.0]] [[0.0], [1.0]]
     """

@@ -30,7 +30,7 @@ from gnc_opt.control.decoupling import (
     guarded_controller,
     guarded_inverse,
 )
-from gnc_opt.control.design_report import Explanation, Fact, number_text
+from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
 from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.reference import Reference, read_plant
@@ -104,7 +104,7 @@ def design_feedback_linearization(
     -----
     Whether E stays regular, and the errors decay, from a distant start and within the limits of the actuators is
     answered by a run: ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)]).simulate(x0, tf)``. It ends
-    as ``ALARM`` if E becomes singular and as ``DIVERGED`` if the state leaves all bounds.
+    as ``CONTROLLER_ALARM`` if E becomes singular and as ``DIVERGED`` if the state leaves all bounds.
 
     Examples
     --------
@@ -122,10 +122,12 @@ def design_feedback_linearization(
     gain = _gain(errors, poles, gains, Q, R)
     closed = _poles(errors, gain)
     facts = [
-        Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
-        Fact("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
-        Fact("closed-loop poles", closed, "1/s"),
-        Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
+        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
+        ReportEntry("closed-loop poles", closed, "1/s"),
+        ReportEntry(
+            "smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"
+        ),
         *zeros,
         *_sampling_facts(errors, gain, dt),
         *require_reserve(reference, authority, reference_times(reference)),
@@ -147,7 +149,7 @@ def design_feedback_linearization(
         reference,
         GuardedLaw(u, inverse.regular, fallback=spare),
         dt=dt,
-        explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
+        explanation=DesignReport(f"feedback linearisation of '{model.name}'", tuple(facts)),
     )
 
 
@@ -251,7 +253,7 @@ def _poles(errors: OutputErrors, gain: Array) -> Array:
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
-def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list[Fact]:
+def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
     if dt is None:
         return []
     dt = read_positive(dt, "the control step dt", DesignError)
@@ -263,4 +265,4 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
             f"control steps of {dt:g} s are too long for these poles: the sampled errors have the spectral radius "
             f"{radius:.4g}; give a shorter dt or slower poles."
         )
-    return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
+    return [ReportEntry("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]

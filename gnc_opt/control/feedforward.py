@@ -12,8 +12,8 @@ import numpy as np
 
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, Schedule, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.reference import Reference
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
@@ -93,15 +93,19 @@ def feedforward(reference: Reference) -> Controller:
     return Controller(
         name="feedforward",
         step=law(t, x, r, z, r[states : states + controls], z),
-        start=first_memory(t, x, r, z),
+        start=initial_state_function(t, x, r, z),
         states=reference.states,
         commands=reference.controls,
         signals=signals,
         memory=Layout("memory", (), "feedforward"),
         schedule=ReferenceSchedule(reference),
         span=(reference.initial_time, reference.final_time),
-        explanation=Explanation(
+        explanation=DesignReport(
             "feedforward (open loop)",
-            (Fact("feedback", "none", remark="errors of the initial state and of the model stay or grow"),),
+            (
+                ReportEntry(
+                    "feedback", "none", remark="errors of the initial state and of the model stay or grow"
+                ),
+            ),
         ),
     )

@@ -21,7 +21,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gnc_opt.archive import written_whole
-from gnc_opt.control.c_export.export import FlightCode, export_c, flight_form
+from gnc_opt.control.c_export.export import CCode, export_c, flight_form
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
 
@@ -34,7 +34,7 @@ _SAME_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class MockupUnit:
+class Fmu:
     """A functional mock-up unit that was written.
 
     Attributes
@@ -70,7 +70,7 @@ def export_fmu(
     dt: float | None = None,
     span: tuple[float, float] | None = None,
     binary: bool | None = None,
-) -> MockupUnit:
+) -> Fmu:
     """Write a controller as a functional mock-up unit, FMI 2.0 for co-simulation.
 
     Inputs are the measured states, outputs the commands, both Real with the names and units of the model, and an alarm
@@ -138,7 +138,7 @@ def export_fmu(
             members[f"binaries/{place}/{name}"] = _compiled(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     _write_archive(file, members)
-    return MockupUnit(file, code.name, guid, code.dt, place)
+    return Fmu(file, code.name, guid, code.dt, place)
 
 
 def _guid(sources: Path) -> str:
@@ -148,7 +148,7 @@ def _guid(sources: Path) -> str:
     return digest.hexdigest()[:32]
 
 
-def _law_header(controller: Controller, code: FlightCode, guid: str) -> str:
+def _law_header(controller: Controller, code: CCode, guid: str) -> str:
     """Definitions that ``fmi2_cosimulation.c`` needs of a law."""
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
@@ -168,7 +168,7 @@ def _law_header(controller: Controller, code: FlightCode, guid: str) -> str:
     )
 
 
-def _description(controller: Controller, code: FlightCode, guid: str) -> bytes:
+def _description(controller: Controller, code: CCode, guid: str) -> bytes:
     """``modelDescription.xml``."""
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -255,7 +255,7 @@ def _platform() -> str:
     return _FOLDERS[sys.platform] + bits
 
 
-def _compiled(compiler: str, sources: Path, code: FlightCode, name: str) -> bytes:
+def _compiled(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
     # no contraction to fused operations: the same digits as the law in Python
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     files = [str(sources / _INTERFACE.name), str(code.source)]

@@ -28,10 +28,10 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant
@@ -98,7 +98,7 @@ def design_gain_schedule(
     [-1.736]
     """
     reference = read_plant(model, reference, "design_gain_schedule")
-    deviation, cost = Deviation(model), read_cost(model, Q, R, None)
+    deviation, cost = ErrorDynamics(model), read_cost(model, Q, R, None)
     grids = _grids(over)
     if not callable(at):
         raise ArgumentError(
@@ -123,11 +123,11 @@ def design_gain_schedule(
             weight = weight * more
         gain = gain + weight * ca.DM(values)
     nothing = ca.SX.sym("z", 0)
-    return bridge_dropouts(
+    return with_dropout_handling(
         Controller(
             name="gain schedule",
             step=law(t, x, r, nothing, u_ff - gain @ deviation.expression(x, x_ref), nothing),
-            start=first_memory(t, x, r, ca.SX(0, 1)),
+            start=initial_state_function(t, x, r, ca.SX(0, 1)),
             states=model.states,
             commands=model.controls,
             signals=reference_signals(reference),
@@ -135,7 +135,9 @@ def design_gain_schedule(
             schedule=ReferenceSchedule(reference),
             dt=points.dt,
             span=(reference.initial_time, reference.final_time),
-            explanation=Explanation(f"gain schedule of '{model.name}' over {', '.join(grids)}", tuple(facts)),
+            explanation=DesignReport(
+                f"gain schedule of '{model.name}' over {', '.join(grids)}", tuple(facts)
+            ),
         )
     )
 
@@ -144,7 +146,7 @@ def design_gain_schedule(
 class _Points:
     """Operating points: their sampled plants and gains, of the errors of states that are not ``given``."""
 
-    deviation: Deviation
+    deviation: ErrorDynamics
     cost: QuadraticCost
     at: OperatingPoint
     dt: float
@@ -215,7 +217,7 @@ def _given(model: Model, x: ca.SX, scheduling: ca.SX) -> tuple[str, ...]:
 
 def _facts(
     points: _Points, grids: dict[str, Array], corners: list[tuple[float, ...]], gains: list[Array]
-) -> list[Fact]:
+) -> list[ReportEntry]:
     """Return the properties of the frozen loops at the points and half way between them."""
     shape = [grid.size for grid in grids.values()]
     table = np.reshape(gains, (*shape, *gains[0].shape))
@@ -235,13 +237,15 @@ def _facts(
         )
     told = "frozen, real part"
     given = (
-        [Fact("taken as given", ", ".join(points.given), "", "no control moves them")] if points.given else []
+        [ReportEntry("taken as given", ", ".join(points.given), "", "no control moves them")]
+        if points.given
+        else []
     )
     return [
-        Fact("operating points", len(corners)),
+        ReportEntry("operating points", len(corners)),
         *given,
-        Fact("slowest pole at the points", at_points, "1/s", told),
-        Fact("slowest pole between them", poles[worst], "1/s", f"{told}, {_where(middles[worst])}"),
+        ReportEntry("slowest pole at the points", at_points, "1/s", told),
+        ReportEntry("slowest pole between them", poles[worst], "1/s", f"{told}, {_where(middles[worst])}"),
     ]
 
 
@@ -256,7 +260,7 @@ def _grids(over: Mapping[str, ArrayLike]) -> dict[str, Array]:
     return grids
 
 
-def _variable(deviation: Deviation, name: str, t: ca.SX, x: ca.SX) -> ca.SX:
+def _variable(deviation: ErrorDynamics, name: str, t: ca.SX, x: ca.SX) -> ca.SX:
     """Return a scheduling variable as an expression of the measured state."""
     model = deviation.model
     if name in model.states:

@@ -32,8 +32,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits, saturated
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, Nominal, guarded_controller, guarded_inverse
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain_errors
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference import Reference, read_plant
@@ -101,11 +101,11 @@ def design_integral_sliding_mode(
     Examples
     --------
     >>> from gnc_opt.control import ConstantRate, SaturationLayer
-    >>> from gnc_opt.simulation import Constant
+    >>> from gnc_opt.simulation import ConstantDisturbance
     >>> reaching = {"reaching": ConstantRate(0.5), "boundary": SaturationLayer(0.1)}
     >>> law = go.design_integral_sliding_mode(cart, [0, 0], nominal=regulator, **reaching, bound=0.2, dt=0.1)
     >>> for each in (regulator, law):
-    ...     windy = go.ClosedLoop(cart, each, disturbances=[Constant("wind", 0.2, on="a")])
+    ...     windy = go.ClosedLoop(cart, each, disturbances=[ConstantDisturbance("wind", 0.2, on="a")])
     ...     print(f"{windy.simulate([1.0, 0.0], tf=20.0).miss('q'):.2f} m off")
     0.22 m off
     0.00 m off
@@ -127,9 +127,9 @@ def design_integral_sliding_mode(
         *integral(u_nominal + (saturated(u, switching.limits) - u)),
     ]
     facts += [
-        Fact("s at the start", 0.0, remark="no reaching phase"),
+        ReportEntry("s at the start", 0.0, remark="no reaching phase"),
         *switching.facts(),
-        Fact("singular values of B", singular, remark=f"at the start; G is the {projection}"),
+        ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
         *switching.reserve(errors, reference),
     ]
     return guarded_controller(
@@ -138,7 +138,7 @@ def design_integral_sliding_mode(
         reference,
         GuardedLaw(u, inverse.regular, tuple(memory), fallback=u_nominal, nominal=inner),
         dt=switching.dt,
-        explanation=Explanation(f"integral sliding mode of '{model.name}'", tuple(facts)),
+        explanation=DesignReport(f"integral sliding mode of '{model.name}'", tuple(facts)),
     )
 
 
@@ -196,12 +196,12 @@ def _integrated(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
 
 def _nominal(
     pair: Pair, reference: Reference, nominal: Controller | ArrayLike, dt: float
-) -> tuple[Nominal | None, Any, list[Fact]]:
+) -> tuple[Nominal | None, Any, list[ReportEntry]]:
     """Return the nominal controller (if it is one), its command and its facts."""
     if isinstance(nominal, Controller):
         nominal.step_length(dt)
         inner = Nominal(nominal, pair)
-        return inner, inner.command, [Fact("nominal law", nominal.name), *nominal.explanation.facts]
+        return inner, inner.command, [ReportEntry("nominal law", nominal.name), *nominal.explanation.facts]
     gain = read_numbers(nominal, "the nominal gain K", DesignError)
     shape = (pair.u.numel(), pair.model.errors.size)
     if gain.shape != shape:
@@ -213,13 +213,17 @@ def _nominal(
             f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
             f"{radius:.6g} with steps of {dt:g} s; design it with design_lqr."
         )
-    facts = [Fact("K", gain), Fact("nominal poles", poles, "1/s"), Fact("nominal spectral radius", radius)]
+    facts = [
+        ReportEntry("K", gain),
+        ReportEntry("nominal poles", poles, "1/s"),
+        ReportEntry("nominal spectral radius", radius),
+    ]
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
 def _poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference and the spectral radius of the sampled loop."""
     t = reference.final_time
-    a, b = Deviation(pair.model).linearize(t, reference.x(t), reference.u(t))
+    a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))
     held_a, held_b = zero_order_hold(a, b, dt)
     return np.asarray(np.linalg.eigvals(a - b @ gain)), spectral_radius(held_a - held_b @ gain)

@@ -1,6 +1,6 @@
 r"""Linear-quadratic regulator: continuous, sampled, with integral action.
 
-In the error coordinates of `Deviation`, ``de/dt = A e + B v`` with v the command beyond the feedforward, the law
+In the error coordinates of `ErrorDynamics`, ``de/dt = A e + B v`` with v the command beyond the feedforward, the law
 :math:`v = -K e - K_i \zeta` minimises
 
 .. math:: \int e^T Q e + v^T R v + 2 e^T N v + \zeta^T Q_i \zeta \; dt, \qquad \dot\zeta = C e .
@@ -32,10 +32,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, reserve_shares
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.loop_margins import margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
@@ -56,28 +56,28 @@ def regulator_facts(
     *,
     name: str = "closed-loop poles",
     remark: str = "slowest first",
-) -> list[Fact]:
+) -> list[ReportEntry]:
     """Return the facts of a regulator and its plant (A, B), sampled with dt (s) or continuous."""
     poles = continuous_poles(regulator.poles, dt)
     residual = "left side over its largest term, computed from P alone"
     return [
-        Fact(name, poles, "1/s", remark),
+        ReportEntry(name, poles, "1/s", remark),
         *_margin_facts(*plant, regulator.gain, dt),
-        Fact("Riccati residual", regulator.residual, "", residual),
+        ReportEntry("Riccati residual", regulator.residual, "", residual),
     ]
 
 
-def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Fact]:
+def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
     """Return the facts about the margins at the plant's input."""
     found = margins(a, b, gain, dt)
     alpha = found.disk
     both = f"all gains at once by a factor {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
-        Fact("gain margin up", found.gain_up, "", "per control, the others closed"),
-        Fact("gain margin down", found.gain_down, "", "per control, the others closed"),
-        Fact("phase margin", np.degrees(found.phase), "deg", "per control, the others closed"),
-        Fact("delay margin", found.delay, "s", "per control, the others closed"),
-        Fact("disk margin", alpha, "", both),
+        ReportEntry("gain margin up", found.gain_up, "", "per control, the others closed"),
+        ReportEntry("gain margin down", found.gain_down, "", "per control, the others closed"),
+        ReportEntry("phase margin", np.degrees(found.phase), "deg", "per control, the others closed"),
+        ReportEntry("delay margin", found.delay, "s", "per control, the others closed"),
+        ReportEntry("disk margin", alpha, "", both),
     ]
 
 
@@ -140,7 +140,7 @@ def design_lqr(
     [-2.7321]
     """
     reference = read_plant(model, reference, "design_lqr")
-    deviation = Deviation(model)
+    deviation = ErrorDynamics(model)
     a, b = constant_linearization(deviation, reference)
     cost = read_cost(model, Q, R, N)
     integrals = _integrals(deviation, reference, integral)
@@ -160,9 +160,9 @@ def design_lqr(
         schedule=_WithStep(ReferenceSchedule(reference)) if integrals.size else ReferenceSchedule(reference),
         dt=dt,
         span=(reference.initial_time, reference.final_time),
-        explanation=Explanation(f"{name} of '{model.name}'", tuple(facts)),
+        explanation=DesignReport(f"{name} of '{model.name}'", tuple(facts)),
     )
-    return bridge_dropouts(regulator)
+    return with_dropout_handling(regulator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class _WithStep:
         return np.vstack([self.schedule(times, dt), np.full((1, np.size(times)), dt)])
 
 
-def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[Array, Array]:
+def constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are the same all along the reference, else raise `DesignError`."""
     times = reference_times(reference, _LINEARIZATION_SAMPLES)
     controls = reference.u(times)
@@ -207,7 +207,7 @@ def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[
 
 
 def _integrals(
-    deviation: Deviation, reference: Reference, integral: Mapping[str, ArrayLike] | None
+    deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
 ) -> _Integrals:
     model = deviation.model
     variables, rows, weights = [], [], []
@@ -242,7 +242,7 @@ def _integrals(
 
 
 def _solve(
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     plant: tuple[Array, Array],
     cost: QuadraticCost,
     integrals: _Integrals,
@@ -272,7 +272,7 @@ def _solve(
 
 
 def _law(
-    model: Model, deviation: Deviation, gain: Array, integrals: _Integrals, limits: Authority | None
+    model: Model, deviation: ErrorDynamics, gain: Array, integrals: _Integrals, limits: Authority | None
 ) -> tuple[object, object, Layout]:
     states, controls = model.states.size, model.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
@@ -287,11 +287,15 @@ def _law(
         z_next = z + r[-1] * _integrand(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
             z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
-    return law(t, x, r, z, u, z_next), first_memory(t, x, r, ca.SX.zeros(integrals.size)), integrals.memory
+    return (
+        law(t, x, r, z, u, z_next),
+        initial_state_function(t, x, r, ca.SX.zeros(integrals.size)),
+        integrals.memory,
+    )
 
 
 def _integrand(
-    deviation: Deviation, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
+    deviation: ErrorDynamics, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
 ) -> ca.SX:
     model = deviation.model
     parts = []
@@ -303,15 +307,19 @@ def _integrand(
     return ca.vertcat(*parts)
 
 
-def _facts(solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None) -> list[Fact]:
+def _facts(
+    solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None
+) -> list[ReportEntry]:
     poles = continuous_poles(solution.poles, dt)
-    facts = [Fact("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))]
+    facts = [
+        ReportEntry("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))
+    ]
     if dt is not None:
-        facts.append(Fact("sampled poles", solution.poles, "", "z"))
+        facts.append(ReportEntry("sampled poles", solution.poles, "", "z"))
     fastest = np.isinf(poles)
     damping = np.where(
         fastest, 1.0, -np.where(fastest, 0.0, poles.real) / np.abs(np.where(fastest, 1.0, poles))
     )
-    facts.append(Fact("damping", damping, "", "of each closed-loop pole"))
+    facts.append(ReportEntry("damping", damping, "", "of each closed-loop pole"))
     remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
     return [*facts, *regulator_facts(solution, plant, dt, remark=remark)]

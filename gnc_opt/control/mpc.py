@@ -42,10 +42,10 @@ from gnc_opt.control.control_limits import (
     require_reserve,
     reserve_shares,
 )
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.horizon_qp import Horizon, Rows
 from gnc_opt.control.lqr import regulator_facts
@@ -133,7 +133,7 @@ def design_mpc(
     -------
     Controller
         Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start; the active-set method begins without)
-        and the alarm ``qp_alarm``, 1 from the first programme on that was not solved.
+        and the alarm ``qp_failed``, 1 from the first programme on that was not solved.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def design_mpc(
         )
     dt = read_positive(dt, "the control step dt")
     count = _steps(read_positive(horizon, "the horizon"), dt)
-    deviation = Deviation(model)
+    deviation = ErrorDynamics(model)
     gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
@@ -203,9 +203,9 @@ def design_mpc(
         memory=memory,
         schedule=schedule,
         dt=dt,
-        alarms=("qp_alarm",),
+        alarms=("qp_failed",),
         span=(reference.initial_time, reference.final_time),
-        explanation=Explanation(
+        explanation=DesignReport(
             f"{name} of '{model.name}' along {reference!r}",
             (
                 *_facts(gains, windows, rows, model.states, solver),
@@ -215,7 +215,7 @@ def design_mpc(
         ),
     )
     code = _programme_code(windows, rows, model)
-    return bridge_dropouts(replace(plain, flight=flight_law(code, deviation, plain, reference)))
+    return with_dropout_handling(replace(plain, flight=flight_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ class _Schedule:
 
 
 def _law(
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     schedule: _Schedule,
     rows: Rows,
     signals: Layout,
@@ -330,12 +330,12 @@ def _law(
         ca.if_else(solved, lam_a, 0),
         ca.if_else(solved, alarm, 1),
     )
-    parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_alarm": 1}
+    parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_failed": 1}
     memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")
     first = clip(u_ff[:m], rows.lower, rows.upper)
     return (
         law(t, x, r, z, u, after, *([solved] if easy else [])),
-        first_memory(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
+        initial_state_function(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
         memory,
     )
 
@@ -442,7 +442,7 @@ def _rates(value: ArrayLike, model: Model, dt: float) -> Array:
     return rates * dt
 
 
-def _subtracts(deviation: Deviation, name: str) -> bool:
+def _subtracts(deviation: ErrorDynamics, name: str) -> bool:
     """Whether the error of a state is x - x_ref, tested at a point without symmetries."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
@@ -451,7 +451,7 @@ def _subtracts(deviation: Deviation, name: str) -> bool:
 
 
 def _state_rows(
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     limits: Mapping[str, tuple[ArrayLike, ArrayLike]],
     hard: Sequence[str],
     price: Array,
@@ -491,17 +491,19 @@ def _state_rows(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout, solver: str) -> list[Fact]:
+def _facts(
+    gains: SampledGains, windows: _Windows, rows: Rows, states: Layout, solver: str
+) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
     n = windows.gains.steps[-1].a.shape[0]
     size, limits = (m + n + len(rows.soft)) * count, (n + rows.count) * count
     remark = f"{size} unknowns, {limits} rows, by {solver}"
     first = windows(0)
     facts = [
-        Fact("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
+        ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
         *_limit_facts(rows, states),
-        Fact("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
-        Fact("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
+        ReportEntry("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
+        ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
     if gains.steady is not None:
         last = gains.steps[-1]
@@ -510,12 +512,12 @@ def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout, s
     return facts
 
 
-def _limit_facts(rows: Rows, states: Layout) -> list[Fact]:
+def _limit_facts(rows: Rows, states: Layout) -> list[ReportEntry]:
     """Return the facts about which limits are hard and which soft."""
     soft = [states.labels[rows.states[i]] for i in rows.soft]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft]
     rates = ["rates of controls"] if rows.change is not None else []
-    facts = [Fact("hard limits", ", ".join(["controls", *rates, *hard]), remark="kept, or alarm")]
+    facts = [ReportEntry("hard limits", ", ".join(["controls", *rates, *hard]), remark="kept, or alarm")]
     return facts + (
-        [Fact("soft limits", ", ".join(soft), remark="left as little as possible")] if soft else []
+        [ReportEntry("soft limits", ", ".join(soft), remark="left as little as possible")] if soft else []
     )

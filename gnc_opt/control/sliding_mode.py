@@ -45,7 +45,7 @@ from gnc_opt.control.decoupling import (
     guarded_controller,
     guarded_inverse,
 )
-from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.reaching_laws import (
@@ -97,9 +97,11 @@ def surface_controller(
     switching = replace(switching, stretch=_stretch(drift, errors, reference, switching.dt))
     memory, u = _command(s, drift, errors, inverse, switching, options.observer)
     facts = [
-        Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         *_surface_facts(errors, coefficients, switching),
-        Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
+        ReportEntry(
+            "smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"
+        ),
         *zeros,
         *switching.reserve(errors, reference),
     ]
@@ -109,7 +111,7 @@ def surface_controller(
         reference,
         GuardedLaw(u, inverse.regular, tuple(memory)),
         dt=switching.dt,
-        explanation=Explanation(title, tuple(facts)),
+        explanation=DesignReport(title, tuple(facts)),
     )
 
 
@@ -187,14 +189,18 @@ def _weigh(c: Array, chain: Any, order: int) -> Any:
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
 
-def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switching: Switching) -> list[Fact]:
+def _surface_facts(
+    errors: OutputErrors, coefficients: Sequence[Array], switching: Switching
+) -> list[ReportEntry]:
     """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
     pairs = list(zip(errors.labels, coefficients, strict=True))
-    poles = [Fact(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1]
+    poles = [
+        ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
+    ]
     facts, bands = [*poles, *switching.facts()], switching.sampled_bands
     if bands is not None:
         steady = np.array([band * _peak_gain(c) for band, c in zip(bands, coefficients, strict=True)])
-        facts.append(Fact("steady error bound", steady, remark="of the outputs, from the band of s"))
+        facts.append(ReportEntry("steady error bound", steady, remark="of the outputs, from the band of s"))
     return facts
 
 
@@ -322,29 +328,29 @@ class Switching:
             return []
         return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
-    def facts(self) -> list[Fact]:
+    def facts(self) -> list[ReportEntry]:
         """Return the bands of s and the sampling limit."""
         remark = "where a disturbance at its bound may hold s, continuous control"
-        facts = [Fact("band of s", self.bands, remark=remark)]
+        facts = [ReportEntry("band of s", self.bands, remark=remark)]
         if self.dt is not None and isinstance(self.boundary, Sign):
             facts += self._chattering(self.dt)
         slope = self.reaching.slope(self.boundary)
         if np.isfinite(slope):
             remark = "longer control steps chatter in the boundary layer"
-            facts.append(Fact("sampling limit", 2 / slope, "s", remark))
+            facts.append(ReportEntry("sampling limit", 2 / slope, "s", remark))
         return facts
 
-    def _chattering(self, dt: float) -> list[Fact]:
+    def _chattering(self, dt: float) -> list[ReportEntry]:
         """Return the fact about the |s| within which a law without a boundary layer switches, if that is known."""
         if isinstance(self.reaching, SuperTwisting):
             remark = "of the sampled law, under any constant disturbance"
-            return [Fact("chattering band of s", self._twisted(dt), remark=remark)]
+            return [ReportEntry("chattering band of s", self._twisted(dt), remark=remark)]
         if not np.isfinite(self._switched):
             return []
         remark = "one control step at full gain, disturbed at the bound"
-        return [Fact("chattering band of s", self.sampled_bands, remark=remark)]
+        return [ReportEntry("chattering band of s", self.sampled_bands, remark=remark)]
 
-    def reserve(self, errors: OutputErrors, reference: Reference) -> list[Fact]:
+    def reserve(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
         """Return the fact about the authority that is left on the reference beyond the switching gain, if it has one.
 
         Raises

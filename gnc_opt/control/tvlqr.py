@@ -1,6 +1,6 @@
 r"""Time-varying linear-quadratic regulator along a reference.
 
-Backward along the reference, between its jumps, with :math:`v = u - u_{ff}` and the errors e of `Deviation`,
+Backward along the reference, between its jumps, with :math:`v = u - u_{ff}` and the errors e of `ErrorDynamics`,
 
 .. math:: -\dot P = A^T P + P A - K^T R K + Q, \qquad K = R^{-1} (B^T P + N^T), \qquad P(t_f) = S,
 
@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits, read_limits, reserve_shares
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost
@@ -120,7 +120,7 @@ def design_tvlqr(
         "the reference of design_tvlqr()",
         "give a Reference of the trajectory to follow",
     )
-    deviation = Deviation(model)
+    deviation = ErrorDynamics(model)
     cost = read_cost(model, Q, R, N)
     gains = riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
@@ -137,12 +137,12 @@ def design_tvlqr(
         schedule=GainSchedule(gains, ReferenceSchedule(reference)),
         dt=dt,
         span=(reference.initial_time, reference.final_time),
-        explanation=Explanation(f"{name} of '{model.name}' along {reference!r}", tuple(facts)),
+        explanation=DesignReport(f"{name} of '{model.name}' along {reference!r}", tuple(facts)),
     )
-    return bridge_dropouts(regulator)
+    return with_dropout_handling(regulator)
 
 
-def _law(deviation: Deviation) -> tuple[Any, Any]:
+def _law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     states, controls, errors = (
         layout.size for layout in (deviation.model.states, deviation.model.controls, deviation.errors)
     )
@@ -151,29 +151,29 @@ def _law(deviation: Deviation) -> tuple[Any, Any]:
     x_ref, u_ff = r[:states], r[states : states + controls]
     gain = ca.reshape(r[states + controls :], errors, controls).T  # row by row
     u = u_ff - gain @ deviation.expression(x, x_ref)
-    return law(t, x, r, z, u, z), first_memory(t, x, r, ca.SX(0, 1))
+    return law(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
 def _facts(
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     reference: Reference,
     gains: ContinuousGains | SampledGains,
     cost: QuadraticCost,
-) -> list[Fact]:
+) -> list[ReportEntry]:
     times = reference_times(reference, _GAIN_SAMPLES)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)
     facts = [
-        Fact("largest gain", largest, "", f"of |K(t)| over the reference, rows: {rows}"),
-        Fact(
+        ReportEntry("largest gain", largest, "", f"of |K(t)| over the reference, rows: {rows}"),
+        ReportEntry(
             "gain after the end",
             gains.tail,
             "",
             "steady" if gains.steady is not None else "the last one, held",
         ),
-        Fact("smallest eigenvalue of P", float(eigenvalues[:, 0].min()), "", "over the reference"),
-        Fact("largest eigenvalue of P", float(eigenvalues[:, 1].max()), "", "over the reference"),
+        ReportEntry("smallest eigenvalue of P", float(eigenvalues[:, 0].min()), "", "over the reference"),
+        ReportEntry("largest eigenvalue of P", float(eigenvalues[:, 1].max()), "", "over the reference"),
     ]
     dt = gains.dt if isinstance(gains, SampledGains) else None
     if gains.steady is not None:
@@ -185,9 +185,9 @@ def _facts(
     if isinstance(gains, ContinuousGains) and gains.pieces:
         worst = riccati_defect(gains, cost)
         facts.append(
-            Fact("Riccati defect", worst, "", "of P(t), by finite differences, over its largest term")
+            ReportEntry("Riccati defect", worst, "", "of P(t), by finite differences, over its largest term")
         )
     if isinstance(gains, SampledGains) and gains.gains:
         remark = "cost of the law, added up forward, against P"
-        facts.append(Fact("Riccati defect", cost_defect(gains), "", remark))
+        facts.append(ReportEntry("Riccati defect", cost_defect(gains), "", remark))
     return facts

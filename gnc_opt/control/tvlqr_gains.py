@@ -22,7 +22,7 @@ import scipy
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.riccati import Steady, gain_of, steady
@@ -50,7 +50,7 @@ class LinearizationTable:
     reference : Reference
     """
 
-    def __init__(self, deviation: Deviation, reference: Reference) -> None:
+    def __init__(self, deviation: ErrorDynamics, reference: Reference) -> None:
         self.deviation, self.reference = deviation, reference
         start, end = reference.initial_time, reference.final_time
         edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
@@ -140,7 +140,7 @@ class ContinuousGains:
     """Gains from the Riccati equation; see `Gains`."""
 
     reference: Reference
-    deviation: Deviation
+    deviation: ErrorDynamics
     table: LinearizationTable
     r: Array
     n: Array
@@ -202,7 +202,7 @@ class SampledGains:
 
 
 def riccati_gains(
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     reference: Reference,
     cost: QuadraticCost,
     *,
@@ -224,7 +224,7 @@ def riccati_gains(
     return ContinuousGains(reference, deviation, table, cost.r, cost.n, pieces, last, tail, regulator)
 
 
-def _terminal(terminal: Weight, deviation: Deviation) -> Array:
+def _terminal(terminal: Weight, deviation: ErrorDynamics) -> Array:
     weight = read_weight(terminal, deviation.errors, "the terminal weight")
     require_semidefinite(weight, deviation.errors.labels, "the terminal weight")
     return weight
@@ -239,7 +239,7 @@ def resting_control(reference: Reference) -> Array:
 def _tail_regulator(
     plant: tuple[Array, Array],
     cost: QuadraticCost,
-    deviation: Deviation,
+    deviation: ErrorDynamics,
     end: Array | None,
     *,
     sampled: bool,
@@ -292,7 +292,7 @@ def _integrate(
 
 
 def _sampled(
-    deviation: Deviation, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
+    deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))

@@ -234,7 +234,7 @@ def _state_space(model: Model, variable: Variable) -> Space:
 
     def retraction(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.moved_expression(whole(ref), error)[place]
+        return model.retraction_expression(whole(ref), error)[place]
 
     return Space(variable.size, errors[variable.name].size, difference, retraction)
 

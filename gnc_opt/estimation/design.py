@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_label, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
-from gnc_opt.control.design_report import Explanation, Fact
+from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.riccati import steady, unreached
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError
@@ -226,15 +226,15 @@ class FilterDesign:
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
-            explanation=Explanation(f"{title} of '{model.name}'", tuple(self._facts())),
+            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._facts())),
         )
 
-    def _facts(self) -> list[Fact]:
+    def _facts(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
-            Fact("estimated", ", ".join(labels)),
-            Fact("first sigma", self.sigma0),
-            Fact("process noise", self.noise, "", "unit/s^0.5"),
+            ReportEntry("estimated", ", ".join(labels)),
+            ReportEntry("first sigma", self.sigma0),
+            ReportEntry("process noise", self.noise, "", "unit/s^0.5"),
         ]
         for channel in self.augmented.channels:
             m = channel.measurement
@@ -242,7 +242,7 @@ class FilterDesign:
             late = f", {channel.delay * self.dt:g} s late" if channel.delay else ""
             gate = f", gate {m.gate:g}" if m.gate is not None else ""
             facts.append(
-                Fact(
+                ReportEntry(
                     f"measurement of {channel.name}",
                     m.values("sigma", channel.space.errors),
                     channel.variable.unit,
@@ -251,9 +251,9 @@ class FilterDesign:
             )
         facts += self._steady_facts(labels)
         what = "steps in a row without a sample that are predicted; then no estimate"
-        return [*facts, Fact("hold", str(self.hold), remark=what)]
+        return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
-    def _steady_facts(self, labels: tuple[str, ...]) -> list[Fact]:
+    def _steady_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
         """Return the unobservable states and the steady accuracy of the linear model at the first state
         without command.
         """
@@ -262,7 +262,7 @@ class FilterDesign:
         unseen = sorted(
             {label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index
         )
-        facts = [Fact("not seen", ", ".join(unseen) or "nothing", remark=where)]
+        facts = [ReportEntry("not seen", ", ".join(unseen) or "nothing", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:
@@ -276,7 +276,9 @@ class FilterDesign:
         )
         return [
             *facts,
-            Fact("steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}"),
+            ReportEntry(
+                "steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}"
+            ),
         ]
 
     def _linear(self) -> tuple[Array, Array, Array, Array]:
@@ -346,7 +348,7 @@ def _deviations(model: Model, given: Deviations, what: str) -> Array:
 def _check_way_back(model: Model, x0: Array) -> None:
     """Refuse a retraction that is not the way back of its difference, to first order at the first state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
-    there = model.error_expression(model.moved_expression(x, e), x)
+    there = model.error_expression(model.retraction_expression(x, e), x)
     both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
     value, slope = (np.asarray(m.full()) for m in both(x0, np.zeros(model.errors.size)))
     miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.model.variables import Layout, as_point
@@ -78,10 +78,10 @@ class Estimator:
     error: Any
     sizes: dict[str, int]
     dt: float
-    explanation: Explanation
+    explanation: DesignReport
     gates: dict[str, float] = field(default_factory=dict)
 
-    def explain(self) -> Explanation:
+    def explain(self) -> DesignReport:
         """Return the facts of the design; print them to read them."""
         return self.explanation
 
@@ -136,7 +136,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     """Return the controller that feeds back an estimate.
 
     Without a sample for longer than the estimator's ``hold``, the controller gets NaN and its own provision
-    for lost samples acts, see `bridge_dropouts`.
+    for lost samples acts, see `with_dropout_handling`.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"controller '{controller.name}' fed by '{estimator.name}'",
         ),
         dt=estimator.dt,
-        explanation=Explanation(
+        explanation=DesignReport(
             f"{told.title}, fed by the {estimator.explanation.title}",
             (*told.facts, *estimator.explanation.facts),
         ),
@@ -219,7 +219,7 @@ def _functions(
     step = law(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
     x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
-    return step, first_memory(t, y, r, begun)
+    return step, initial_state_function(t, y, r, begun)
 
 
 def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:

@@ -37,9 +37,9 @@ import scipy
 
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
 from gnc_opt.environment import one_thread
@@ -264,7 +264,7 @@ def design_neighbouring_optimal(
     Returns
     -------
     Controller
-        Its memory has ``switch_times`` and ``final_time`` (s) as they are planned now, ``tracking`` (1 in the last
+        Its memory has ``switching_times`` and ``final_time`` (s) as they are planned now, ``tracking`` (1 in the last
         part), ``miss`` (predicted, in shares of the accepted errors) and the memory of the regulator.
 
     Raises
@@ -301,7 +301,7 @@ def design_neighbouring_optimal(
     signals = reference_signals(plan.reference)
     law_, start = guidance.functions(signals.size)
     own = (
-        Variable("switch_times", plan.times.size - 1, "s"),
+        Variable("switching_times", plan.times.size - 1, "s"),
         Variable("final_time", 1, "s"),
         Variable("tracking"),
         Variable("miss"),
@@ -318,9 +318,9 @@ def design_neighbouring_optimal(
         dt=step,
         alarms=inner.alarms,
         span=(plan.reference.initial_time, plan.reference.final_time),
-        explanation=Explanation(f"{name} of '{plan.reference.model.name}'", tuple(guidance.facts())),
+        explanation=DesignReport(f"{name} of '{plan.reference.model.name}'", tuple(guidance.facts())),
     )
-    return bridge_dropouts(controller)
+    return with_dropout_handling(controller)
 
 
 def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
@@ -428,11 +428,11 @@ class _Guidance:
         u = ca.if_else(tracking, command, means)
         after = ca.vertcat(tau, tracking, miss, ca.if_else(tracking, memory, own))
         first = ca.vertcat(self.optimum.tau, 0, 0, inner.start(t, x, r))
-        return law(t, x, r, z, u, after), first_memory(t, x, r, first)
+        return law(t, x, r, z, u, after), initial_state_function(t, x, r, first)
 
     # --- what can be said -----------------------------------------------------------------------------------
 
-    def facts(self) -> list[Fact]:
+    def facts(self) -> list[ReportEntry]:
         """Return the facts of the design."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
@@ -441,22 +441,24 @@ class _Guidance:
                 f", by a prediction that may miss the end by {OFF:g} of the accepted errors: larger Q, finer"
             )
         return [
-            Fact("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
-            Fact("switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"),
-            Fact(
+            ReportEntry("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
+            ReportEntry(
+                "switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"
+            ),
+            ReportEntry(
                 "least curvature", best.curvature, "", "of the flight time along what keeps the end, times it"
             ),
-            Fact(
+            ReportEntry(
                 "last part",
                 ending.length,
                 "s",
                 f"a reserve of {100 * ending.reserve:g} % for '{self.regulator.name}'",
             ),
-            Fact(
+            ReportEntry(
                 "steps per arc",
                 str(self.prediction.steps),
                 "",
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
-            Fact("operations", str(self.correct.n_instructions()), "", "of a correction"),
+            ReportEntry("operations", str(self.correct.n_instructions()), "", "of a correction"),
         ]

@@ -19,9 +19,9 @@ import scipy
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, first_memory, law
-from gnc_opt.control.design_report import Explanation, Fact
-from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.controller import Controller, initial_state_function, law
+from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError
@@ -96,7 +96,7 @@ def design_neighbouring_extremal(
     controller = Controller(
         name=name,
         step=law(t, x, r, z, u, end),
-        start=first_memory(t, x, r, end),
+        start=initial_state_function(t, x, r, end),
         states=model.states,
         commands=model.controls,
         signals=signals,
@@ -104,9 +104,9 @@ def design_neighbouring_extremal(
         schedule=schedule,
         dt=step,
         span=(plan.leg.initial_time, plan.leg.final_time),
-        explanation=Explanation(f"{name} of '{plan.name}'", tuple(_facts(plan, found))),
+        explanation=DesignReport(f"{name} of '{plan.name}'", tuple(_facts(plan, found))),
     )
-    return bridge_dropouts(controller)
+    return with_dropout_handling(controller)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +132,16 @@ class ExtremalSchedule:
         return np.vstack([self.reference(times, dt), self.gains(np.atleast_1d(times)), end])
 
 
-def _facts(plan: SmoothPlan, found: Feedback) -> list[Fact]:
+def _facts(plan: SmoothPlan, found: Feedback) -> list[ReportEntry]:
     states, controls = ", ".join(plan.leg.states.labels), ", ".join(plan.leg.controls.labels)
     facts = [
-        Fact("end", plan.leg.final_time, "s", "free" if plan.free_end else "given"),
-        Fact("largest gain", np.max(np.abs(found.gain), axis=0), "", f"of |K(t)|, rows: {controls}"),
-        Fact("gains stay from", float(found.times[-1]), "s"),
+        ReportEntry("end", plan.leg.final_time, "s", "free" if plan.free_end else "given"),
+        ReportEntry("largest gain", np.max(np.abs(found.gain), axis=0), "", f"of |K(t)|, rows: {controls}"),
+        ReportEntry("gains stay from", float(found.times[-1]), "s"),
     ]
     if plan.free_end:
         facts.append(
-            Fact(
+            ReportEntry(
                 "end by deviation", found.end_gain[0], "", f"s per unit of each state at the start: {states}"
             )
         )

@@ -256,7 +256,7 @@ class Model(Strict):
 
         The controls are ``name_magnitude``, >= 0, and ``name_direction``; a phase keeps the direction within the
         unit ball, or on the unit sphere where the norm has a lower limit > 0 or something is not affine in the
-        direction. ``Phase.bounds_norm`` takes the range of the norm, ``Phase.guess`` that of ``name``, which solutions
+        direction. ``Phase.norm_bounds`` takes the range of the norm, ``Phase.guess`` that of ``name``, which solutions
         know, too, and which is also an output.
 
         Within the ball the norm of the vector is at most the magnitude. If everything is affine in the vector, the
@@ -509,7 +509,7 @@ class Model(Strict):
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
         return ca.vertcat(*self._differences.errors(self.states, x, x_ref))
 
-    def moved_expression(self, x_ref: Any, e: Any) -> Any:
+    def retraction_expression(self, x_ref: Any, e: Any) -> Any:
         """Return the stacked SX states that are the errors e (n_errors, 1) away from x_ref (n_states, 1), both SX.
 
         Raises

@@ -23,12 +23,12 @@ if TYPE_CHECKING:  # the same names for type checkers
         guess_from_data,
     )
     from gnc_opt.planning.problem.guess.simulation import (
-        simulate_guess,
+        guess_from_simulation,
     )
     from gnc_opt.planning.refinement import (
         RefinementLimits,
-        polish,
         refine,
+        solve_indirect,
     )
     from gnc_opt.planning.solution import (
         PhaseSolution,
@@ -41,8 +41,8 @@ if TYPE_CHECKING:  # the same names for type checkers
     )
     from gnc_opt.planning.solution.verdict import (
         Condition,
+        ConditionResult,
         LowerBound,
-        Result,
         Verdict,
     )
     from gnc_opt.planning.solution.warm_start import (
@@ -58,12 +58,12 @@ if TYPE_CHECKING:  # the same names for type checkers
         Minimum,
         Multistart,
         Sweep,
-        continue_in,
+        continuation,
         multistart,
         sweep,
     )
-    from gnc_opt.planning.study.lower_bound import (
-        bound_below,
+    from gnc_opt.planning.study.lower_bounds import (
+        lower_bound,
     )
     from gnc_opt.planning.study.sensitivity import (
         Sensitivity,
@@ -81,6 +81,7 @@ __all__ = [
     "Arc",
     "ArcKind",
     "Condition",
+    "ConditionResult",
     "Continuation",
     "ContinuationStatus",
     "History",
@@ -94,7 +95,6 @@ __all__ = [
     "RefinementLimits",
     "RefinementStatus",
     "Resolver",
-    "Result",
     "Sensitivity",
     "Solution",
     "SolveError",
@@ -102,17 +102,17 @@ __all__ = [
     "Status",
     "Sweep",
     "Verdict",
-    "bound_below",
-    "continue_in",
+    "continuation",
     "guess_from_data",
+    "guess_from_simulation",
     "guess_from_solution",
     "load",
+    "lower_bound",
     "multistart",
-    "polish",
     "refine",
     "sensitivity",
-    "simulate_guess",
     "solve",
+    "solve_indirect",
     "sweep",
     "verify",
     "verify_trajectory",
@@ -124,17 +124,17 @@ _NAMES_OF_MODULES = {
     "planning.problem": "Phase Problem",
     "planning.problem.arcs": "Arc ArcKind",
     "planning.problem.guess.data": "guess_from_data",
-    "planning.problem.guess.simulation": "simulate_guess",
-    "planning.refinement": "RefinementLimits polish refine",
+    "planning.problem.guess.simulation": "guess_from_simulation",
+    "planning.refinement": "RefinementLimits solve_indirect refine",
     "planning.solution": "PhaseSolution Solution load",
     "planning.solution.history": "History RefinementStatus",
-    "planning.solution.verdict": "Condition LowerBound Result Verdict",
+    "planning.solution.verdict": "Condition LowerBound ConditionResult Verdict",
     "planning.solution.warm_start": "guess_from_solution",
     "planning.solver": "Resolver solve",
     "planning.study": (
-        "Continuation ContinuationStatus Minimum Multistart Sweep continue_in multistart sweep"
+        "Continuation ContinuationStatus Minimum Multistart Sweep continuation multistart sweep"
     ),
-    "planning.study.lower_bound": "bound_below",
+    "planning.study.lower_bounds": "lower_bound",
     "planning.study.sensitivity": "Sensitivity sensitivity",
     "planning.transcription.mesh": "Mesh",
     "planning.verification": "verify verify_trajectory",

@@ -99,7 +99,7 @@ class Resolver:
 
     @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
-        """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
+        """Return the solution of a variation; ``solution.provenance["way"]`` names the `SolveMethod` it was found.
 
         A variation may begin on the way of the known one, ``problem.with_time(initial=t).with_initial(...)``: what of
         it lies after that time is the start.
@@ -143,7 +143,7 @@ class Resolver:
                 f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
                 "from the start: vary it less, or leave out cold=False."
             )
-        return said(solve(problem, tol=self.tol), Way.COLD)
+        return said(solve(problem, tol=self.tol), SolveMethod.COLD)
 
     def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
@@ -166,7 +166,7 @@ class Resolver:
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return said(found, Way.WARM) if found.status.solved else None
+        return said(found, SolveMethod.WARM) if found.status.solved else None
 
 
 def _variables(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
@@ -176,7 +176,7 @@ def _variables(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
     }
 
 
-class Way(Enum):
+class SolveMethod(Enum):
     """How a problem was solved again, from a known solution; ``solution.provenance["way"]`` names it."""
 
     SWITCH_TIMES = "switch times"
@@ -293,7 +293,7 @@ def solve(
             return _refined_again(problem, guess, tol, progress, throw)
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
     if guess is not None:
-        solution = said(solution, Way.WARM)
+        solution = said(solution, SolveMethod.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
         raise SolveError(failure_message(solution), solution)
     if tol is None or not solution.status.solved:
@@ -303,10 +303,10 @@ def solve(
         left = max(options.max_wall_time - (time.perf_counter() - begin), SHORTEST)
         limits = replace(limits, max_wall_time=min(left, limits.max_wall_time or left))
     final = refine(solution, tol=tol, structure=structure, check=check, limits=limits, progress=progress)
-    return final if guess is None else said(final, Way.WARM)
+    return final if guess is None else said(final, SolveMethod.WARM)
 
 
-def said(solution: Solution, way: Way) -> Solution:
+def said(solution: Solution, way: SolveMethod) -> Solution:
     """Return a solution that says how it was found."""
     told = replace(solution, provenance={**solution.provenance, "way": way.value})
     return told.with_verdict(solution.verdict)
@@ -333,13 +333,13 @@ def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: boo
 def solve_by_switching_times(problem: Problem, known: KnownFlight | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
     found = None if known is None else known.vary(problem)
-    return None if found is None else said(found, Way.SWITCH_TIMES)
+    return None if found is None else said(found, SolveMethod.SWITCH_TIMES)
 
 
 def solve_by_known_arcs(problem: Problem, known: KnownArcs, tol: float, judged: Judged) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
     found = known.vary(problem, tol, judged)
-    return None if found is None else said(found, Way.WARM)
+    return None if found is None else said(found, SolveMethod.WARM)
 
 
 def _is_refined(known: Solution) -> bool:
@@ -362,11 +362,11 @@ def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool
     meshes, start = first_meshes(known), on_the_way(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:
-        return said(warm, Way.WARM)
+        return said(warm, SolveMethod.WARM)
     if warm.status.solved:
         warm = refine(warm, tol=tol, progress=progress)
         if warm.converged or _stopped(warm):
-            return said(warm, Way.WARM)
+            return said(warm, SolveMethod.WARM)
     cold = solve(
         problem,
         mesh=meshes,
@@ -375,7 +375,7 @@ def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool
         progress=progress,
         throw=throw and not warm.status.solved,
     )
-    return said(warm, Way.WARM) if _is_nearer(warm, cold) else said(cold, Way.COLD)
+    return said(warm, SolveMethod.WARM) if _is_nearer(warm, cold) else said(cold, SolveMethod.COLD)
 
 
 def _is_nearer(warm: Solution, cold: Solution) -> bool:

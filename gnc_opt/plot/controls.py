@@ -142,7 +142,7 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
     nodes = np.atleast_2d(signal(leg.point_times))[i]
     ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.0, zorder=4)
-    t, flown = sample(leg.flown_control(name), leg.flown.jumps)
+    t, flown = sample(leg.saturated_control(name), leg.flown.jumps)
     ax.plot(t, flown[i], zorder=3, **_FLOWN)
     row = leg.controls.slice(name).start + i
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
@@ -167,7 +167,7 @@ def _draw_composed(
     """Draw all components of a control that is made of two, as flown."""
     for leg in legs:
         if control in leg.composed_controls:
-            signal = leg.flown_control(control.name)
+            signal = leg.saturated_control(control.name)
             shown = component_labels(control.name, signal, labels)
             draw_components(ax, *sample(signal, leg.flown.jumps), shown)
     ax.set_ylabel(axis_label(name_text(control.name), control.variable.unit))

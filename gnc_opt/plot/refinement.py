@@ -17,14 +17,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from gnc_opt.planning.solution.history import History
-from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
 from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
 
 _LOOKS = {
-    Result.PASS: (COLORS[2], "o", "PASS"),
-    Result.FAIL: (COLORS[1], "X", "FAIL"),
-    Result.CANNOT_TELL: (COLORS[4], "D", "CANNOT TELL"),
+    ConditionResult.PASS: (COLORS[2], "o", "PASS"),
+    ConditionResult.FAIL: (COLORS[1], "X", "FAIL"),
+    ConditionResult.INCONCLUSIVE: (COLORS[4], "D", "INCONCLUSIVE"),
 }
 _VERDICT_LEAST, _VERDICT_MOST = 1e-12, 1e12
 """Ends of the axis, in tolerances."""
@@ -74,7 +74,7 @@ def _offence(condition: Condition) -> float:
     """Violation to draw, in tolerances; 1 or more fails."""
     value, tolerance = condition.value, condition.tolerance
     if not np.isfinite(value):
-        return _VERDICT_MOST if condition.result is Result.FAIL else 1.0
+        return _VERDICT_MOST if condition.result is ConditionResult.FAIL else 1.0
     missing = value if tolerance > 0 else value - tolerance
     share = missing / (abs(tolerance) or CONDITION_TOLERANCE)
     return float(np.clip(share, _VERDICT_LEAST, _VERDICT_MOST))

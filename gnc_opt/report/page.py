@@ -18,7 +18,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, mesh_text
-from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
 from gnc_opt.text import table
 
 _KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -114,8 +114,12 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 
 
 def verdict_counts(verdict: Verdict) -> str:
-    """Return "11 pass, 0 fail, 2 cannot tell"."""
-    words = {Result.PASS: "pass", Result.FAIL: "fail", Result.CANNOT_TELL: "cannot tell"}
+    """Return "11 pass, 0 fail, 2 inconclusive"."""
+    words = {
+        ConditionResult.PASS: "pass",
+        ConditionResult.FAIL: "fail",
+        ConditionResult.INCONCLUSIVE: "inconclusive",
+    }
     results = [condition.result for condition in verdict.conditions]
     return ", ".join(f"{results.count(result)} {word}" for result, word in words.items())
 
@@ -125,7 +129,7 @@ def number_text(value: float) -> str:
     return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
 
 
-_TONES = {Result.PASS: "good", Result.FAIL: "bad", Result.CANNOT_TELL: "open"}
+_TONES = {ConditionResult.PASS: "good", ConditionResult.FAIL: "bad", ConditionResult.INCONCLUSIVE: "open"}
 
 
 def page(
@@ -185,12 +189,12 @@ def _answer(solution: Solution) -> str:
     quality = known_quality(solution)
     if quality is not None:
         rows += [
-            ("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_where}"),
+            ("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_location}"),
             (
                 "outside its bounds",
-                f"{quality.max_bound_violation:.2g} of their range: {quality.bound_where}",
+                f"{quality.max_bound_violation:.2g} of their range: {quality.bound_location}",
             ),
-            ("miss when flown", f"{quality.terminal_error:.2g} relative: {quality.terminal_where}"),
+            ("miss when flown", f"{quality.propagation_error:.2g} relative: {quality.propagation_location}"),
         ]
     rows += [(f"broken: {broken.name}", f"{broken.amount:.2g}") for broken in solution.violations]
     if not solution.status.solved:
@@ -207,12 +211,12 @@ def _verdict(verdict: Verdict | None) -> str:
 
 
 def _condition(condition: Condition) -> str:
-    opened = " open" if condition.result is Result.FAIL else ""
+    opened = " open" if condition.result is ConditionResult.FAIL else ""
     return (
         f"<details{opened}><summary>{chip(condition.result.value, _TONES[condition.result])}"
         f"<b>{escape(condition.name)}</b><span>{number_text(condition.value)}, tolerance "
         f"{condition.tolerance:.0e}</span></summary>"
-        f"<p>{escape(condition.offence_text)}</p><p>{escape(condition.meaning)}</p></details>"
+        f"<p>{escape(condition.location_text)}</p><p>{escape(condition.meaning)}</p></details>"
     )
 
 

@@ -9,10 +9,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
 from gnc_opt.report.page import number_text, verdict_counts
 
-_STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "yellow"}
+_STYLES = {
+    ConditionResult.PASS: "green",
+    ConditionResult.FAIL: "bold red",
+    ConditionResult.INCONCLUSIVE: "yellow",
+}
 
 
 def verdict_table(verdict: Verdict) -> Table:
@@ -29,7 +33,7 @@ def verdict_table(verdict: Verdict) -> Table:
 
 
 def verdict_headline(verdict: Verdict) -> Text:
-    """Return "verdict on '...': ok, 11 pass, 0 fail, 2 cannot tell", in colour."""
+    """Return "verdict on '...': ok, 11 pass, 0 fail, 2 inconclusive", in colour."""
     style = "green" if verdict.ok else "bold red" if verdict.failed else "yellow"
     return Text.assemble(
         f"verdict on '{verdict.problem_name}': ", (verdict.word, style), f" ({verdict_counts(verdict)})"
@@ -49,5 +53,5 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
         Text(condition.result.value, _STYLES[condition.result]),
         Text(number_text(condition.value)),
         Text(f"{condition.tolerance:.0e}"),
-        Text(condition.offence_text),
+        Text(condition.location_text),
     )

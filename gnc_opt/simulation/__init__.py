@@ -1,10 +1,12 @@
 """The closed loop of plant, controller, actuators, sensors, disturbances and events: runs and campaigns."""
 
+from typing import Any
+
+from gnc_opt.renamed import check_renamed
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
-    Hold,
     Lag,
     MinimumImpulse,
     Pwm,
@@ -14,58 +16,71 @@ from gnc_opt.simulation.actuators import (
     Saturation,
     ScaleFactor,
     SchmittTrigger,
+    ZeroOrderHold,
 )
 from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.compiled_loop import Flight
-from gnc_opt.simulation.dispersions import Ball, Choice, Normal, Sphere, Turn, Uniform
-from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
-from gnc_opt.simulation.events import Event, Occurrence
-from gnc_opt.simulation.external_plant import PlantFlight, fly_plant
-from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.dispersions import (
+    Choice,
+    Normal,
+    RandomDirection,
+    RandomRotation,
+    Uniform,
+    UniformInBall,
+)
+from gnc_opt.simulation.disturbances import (
+    ConstantDisturbance,
+    Disturbance,
+    ExpressionDisturbance,
+    PiecewiseConstantNoise,
+    SinusoidalDisturbance,
+)
+from gnc_opt.simulation.events import Event, EventOccurrence
+from gnc_opt.simulation.external_plant import ExternalPlantRun, simulate_external_plant
+from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.measures import Envelope
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.sensors import Bias, Noise, Outage, RandomWalk, Sampling, Scale, SensorDelay
+from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, Sampling, Scale, SensorDelay, SensorOutage
 from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
 
 __all__ = [
     "Allocation",
-    "Ball",
     "Bias",
     "Block",
     "Campaign",
     "Choice",
     "ClosedLoop",
-    "Constant",
+    "CompiledLoop",
+    "ConstantDisturbance",
     "Deadband",
     "Delay",
     "Disturbance",
-    "Ending",
     "Envelope",
     "Event",
-    "Expression",
-    "Flight",
-    "Hold",
+    "EventOccurrence",
+    "ExpressionDisturbance",
+    "ExternalPlantRun",
+    "FinalValues",
     "Lag",
     "MinimumImpulse",
     "Mixer",
     "Noise",
     "NonNegativeAllocation",
     "Normal",
-    "Occurrence",
-    "Outage",
     "Outcome",
-    "PlantFlight",
+    "PiecewiseConstantNoise",
     "Pwm",
     "Pwpf",
     "Quantisation",
     "Quantity",
-    "RandomHold",
+    "RandomDirection",
+    "RandomRotation",
     "RandomWalk",
     "RateLimit",
     "Replan",
@@ -77,12 +92,19 @@ __all__ = [
     "ScaleFactor",
     "SchmittTrigger",
     "SensorDelay",
-    "Sinusoid",
-    "Sphere",
+    "SensorOutage",
+    "SinusoidalDisturbance",
     "ThrusterSet",
-    "Turn",
     "Uniform",
+    "UniformInBall",
     "WheelArray",
-    "fly_plant",
+    "ZeroOrderHold",
     "monte_carlo",
+    "simulate_external_plant",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Report the present name of a former one."""
+    check_renamed(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

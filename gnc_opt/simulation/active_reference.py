@@ -38,7 +38,7 @@ class Replan:
     objective : float
         Its cost.
     way : str
-        How it was found, see `gnc_opt.planning.solver.Way`.
+        How it was found, see `gnc_opt.planning.solver.SolveMethod`.
 
     Examples
     --------

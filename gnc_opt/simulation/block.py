@@ -112,7 +112,7 @@ class Block:
         return False
 
     @property
-    def in_trim(self) -> bool:
+    def starts_at_trim(self) -> bool:
         """Whether it begins with the feedforward."""
         return False
 

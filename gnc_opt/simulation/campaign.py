@@ -17,7 +17,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular import Records, named
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
 from gnc_opt.simulation.measures import Envelope, Measures, envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
@@ -106,7 +106,7 @@ class Campaign(Strict):
     measured: Mapping[str, Array]
     interrupted: bool
     layouts: Mapping[str, Layout] = field(repr=False)
-    flight: Flight | None = field(default=None, repr=False)
+    flight: CompiledLoop | None = field(default=None, repr=False)
     fingerprint: str = field(default="", repr=False)
     memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
@@ -145,7 +145,7 @@ class Campaign(Strict):
         """Return what was drawn for a parameter, (size, m)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
-    def happened(self, event: str) -> Any:
+    def event_occurred(self, event: str) -> Any:
         """Return whether an event happened in each run, bool array (m,)."""
         return self.event_counts[self._measures.layout("event").slice(event)][0] > 0
 
@@ -253,7 +253,7 @@ class Campaign(Strict):
     @property
     def event_totals(self) -> dict[str, int]:
         """In how many runs each event happened."""
-        return {name: int(np.sum(self.happened(name))) for name in self._measures.layout("event").names}
+        return {name: int(np.sum(self.event_occurred(name))) for name in self._measures.layout("event").names}
 
     @property
     def failures(self) -> dict[int, Outcome]:
@@ -290,14 +290,14 @@ class Campaign(Strict):
         ArgumentError
             There is no such run, or it cannot be flown.
         GncOptError
-            The campaign was loaded from a file: use ``Campaign.load(path, flight=loop.flight(...))``.
+            The campaign was loaded from a file: use ``Campaign.load(path, flight=loop.compile(...))``.
         """
         places = np.flatnonzero(self.indices == index)
         if not places.size:
             raise ArgumentError(f"the campaign has no run {index}: its {len(self)} runs count from 0.")
         if self.flight is None:
             raise GncOptError(
-                "the campaign came from a file and cannot fly: load it with flight=loop.flight(x0, tf=...)."
+                "the campaign came from a file and cannot fly: load it with flight=loop.compile(x0, tf=...)."
             )
         return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
 
@@ -354,14 +354,14 @@ class Campaign(Strict):
         return CAMPAIGN_FILES.write(path, self)
 
     @classmethod
-    def load(cls, path: str | Path, flight: Flight | None = None) -> Campaign:
+    def load(cls, path: str | Path, flight: CompiledLoop | None = None) -> Campaign:
         """Read a campaign that `save` wrote.
 
         Parameters
         ----------
         path : str or Path
         flight : Flight, optional
-            ``loop.flight(x0, tf=...)`` of the same loop, for `rerun`.
+            ``loop.compile(x0, tf=...)`` of the same loop, for `rerun`.
 
         Raises
         ------
@@ -382,7 +382,7 @@ class Campaign(Strict):
         return len(self.outcomes)
 
 
-def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
+def _require_same(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
     """Refuse a flight that would not fly a run of the campaign with the same bits."""
     span = (float(flight.times[0]), float(flight.times[-1]))
     if flight.layout.labels != campaign.layouts["parameter"].labels:

@@ -24,9 +24,9 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, in_words
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, dispersed
-from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import sample_steps
 from gnc_opt.workers import Done, WorkerDied
@@ -37,7 +37,7 @@ MOST_PER_FILE = 25
 _PATTERN = "runs * to *.npz"
 
 
-def stored(folder: Path, mission: Mission, runs: int) -> list[Flown]:
+def stored(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
     """Return the runs below number ``runs`` that are in the folder; it is made if it is not there.
 
     Raises
@@ -71,7 +71,7 @@ def _load(path: Path) -> Campaign:
         ) from error
 
 
-def _require_same(part: Campaign, mission: Mission, path: Path) -> None:
+def _require_same(part: Campaign, mission: CampaignTask, path: Path) -> None:
     first = int(part.indices[0])
     why = ""
     if part.fingerprint != mission.flight.fingerprint:
@@ -88,7 +88,7 @@ def _require_same(part: Campaign, mission: Mission, path: Path) -> None:
 
 def _flown(part: Campaign, count: int) -> Flown:
     first = int(part.indices[0])
-    ending = Ending(
+    ending = FinalValues(
         states=part.states[:, :count],
         errors=None,
         memory=part.memory[:, :count],
@@ -108,7 +108,7 @@ def _flown(part: Campaign, count: int) -> Flown:
     return Flown(range(first, first + count), part.parameters[:, :count], ending)
 
 
-def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array) -> Campaign:
+def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array) -> Campaign:
     """Return the campaign of these batches of runs; ``goal`` (n_states,) is what ends are compared with."""
 
     def joined(attribute: str, size: int) -> Array:
@@ -182,10 +182,10 @@ Batch: TypeAlias = range
 
 
 @dataclass(frozen=True, eq=False)
-class Mission:
+class CampaignTask:
     """The flight, and how runs differ."""
 
-    flight: Flight
+    flight: CompiledLoop
     dispersions: Dispersions
     seed: int
 
@@ -224,7 +224,7 @@ class Flown:
 
     batch: Batch
     parameters: Array | None
-    ending: Ending | None
+    ending: FinalValues | None
     mishap: str = ""
     died: bool = False
 

@@ -19,12 +19,12 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
 from gnc_opt.simulation.active_reference import PlanUpdater
 from gnc_opt.simulation.block import Block
-from gnc_opt.simulation.compiled_loop import LEG, Flight
+from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
-from gnc_opt.simulation.outcome import Judge
+from gnc_opt.simulation.outcome import OutcomeClassifier
 from gnc_opt.simulation.quantities import Quantities, Quantity, read_quantities
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.step_selection import StepSelection
@@ -74,7 +74,7 @@ class ClosedLoop:
         flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
-    plausible : float or mapping
+    divergence_limits : float or mapping
         Size of the plant's states, one for all or by name, beyond which a run counts as *diverged* at the end of a
         control step (a limit on the way is one on a quantity, or an event); default 1e15 in any unit, also for the
         states that a mapping leaves out.
@@ -104,7 +104,7 @@ class ClosedLoop:
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
     substeps: int | None = field(default=None, kw_only=True)
-    plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
+    divergence_limits: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
     _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
     _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
@@ -143,8 +143,12 @@ class ClosedLoop:
             )
             followed, signals = self.controller.followed, self.controller.signals
             self.replanner.check(followed, signals, self.dt, lambda t: self.controller.signal(t, self.dt))
-        plausible = _read_plausible(self.plausible, self.plant.states)
-        set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, plausible))
+        divergence_limits = _read_plausible(self.divergence_limits, self.plant.states)
+        set_(
+            self,
+            "wiring",
+            wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
+        )
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 
@@ -215,14 +219,14 @@ class ClosedLoop:
 
     # --- runs ---------------------------------------------------------------------------------------------
 
-    def flight(
+    def compile(
         self,
         x0: ArrayLike | Mapping[str, ArrayLike],
         *,
         t0: float = 0.0,
         tf: float,
         parameters: Mapping[str, ArrayLike] | None = None,
-    ) -> Flight:
+    ) -> CompiledLoop:
         """Return the loop made ready for many runs over one time span; it can be sent to other processes.
 
         Parameters
@@ -253,7 +257,7 @@ class ClosedLoop:
             self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
         return self._on_the_way.get(substeps)
 
-    def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
+    def _accurate(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.modes(times[0], *self._at_start(nominal))
@@ -314,7 +318,7 @@ class ClosedLoop:
         Run
             Also of a run that fails: ``run.outcome`` says what happened and when.
         """
-        flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
+        flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)
 
     def kernel(self, substeps: int) -> Kernel:
@@ -330,8 +334,8 @@ class ClosedLoop:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
-        return Flight(
+    def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
+        return CompiledLoop(
             kernel=self.kernel(substeps),
             companion=self.kernel(2 * substeps),
             substeps=substeps,
@@ -356,12 +360,12 @@ class ClosedLoop:
             estimates=self._estimates(),
         )
 
-    def _judge(self) -> Judge:
-        return Judge(
+    def _judge(self) -> OutcomeClassifier:
+        return OutcomeClassifier(
             tuple(watched_labels(self.wiring)),
             tuple(alarm_labels(self.wiring)),
             self.plant.states,
-            self.wiring.plausible,
+            self.wiring.divergence_limits,
             self.wiring.events.layout.names,
             tuple(event.name for event in self.events if event.failure),
             self.accuracy,

@@ -17,14 +17,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
-from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, Folded, native
+from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, native
 from gnc_opt.simulation.error_estimate import integration_errors
-from gnc_opt.simulation.events import Occurrence, occurrences
-from gnc_opt.simulation.final_values import Ending
+from gnc_opt.simulation.events import EventOccurrence, occurrences
+from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.loop_kernel import Kernel
-from gnc_opt.simulation.outcome import Judge, Outcome, RunStatus
-from gnc_opt.simulation.quantities import Quantities, Recorder
+from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
+from gnc_opt.simulation.quantities import Quantities, QuantityRecorder
 from gnc_opt.simulation.run import Run
 
 LEG = 1000
@@ -32,7 +32,7 @@ LEG = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class CompiledLoop:
     """A closed loop ready for many runs; see `ClosedLoop.flight`.
 
     Attributes
@@ -76,7 +76,7 @@ class Flight:
 
     Examples
     --------
-    >>> flight = loop.flight([1.0, 0.0], tf=8.0)
+    >>> flight = loop.compile([1.0, 0.0], tf=8.0)
     >>> print(flight.n_steps, flight.layout.names)
     80 ('initial.q', 'initial.v', 'gauge.sigma')
     """
@@ -99,7 +99,7 @@ class Flight:
     memory: Layout
     errors: Any
     error_layout: Layout
-    judge: Judge
+    judge: OutcomeClassifier
     minor_steps: int
     events: Layout = field(default_factory=lambda: Layout("event"))
     replanner: PlanUpdater | None = None
@@ -143,7 +143,7 @@ class Flight:
             digest.update(self.quantities.along.serialize().encode())
         return digest.hexdigest()
 
-    def natively(self, runs: int) -> Flight:
+    def natively(self, runs: int) -> CompiledLoop:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
@@ -156,7 +156,7 @@ class Flight:
             flight._fly(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
-    def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
+    def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
 
         Parameters
@@ -246,7 +246,7 @@ class Flight:
         lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
         log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        events: list[Occurrence] = []
+        events: list[EventOccurrence] = []
         course, last, recorder = self._course(), self.n_steps, self._recorder(1)
         legs = self.legs(seed, known, course)
         for first, rows in legs:
@@ -375,8 +375,12 @@ class Flight:
         starts = range(0, self.n_steps, every)
         return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
 
-    def _recorder(self, runs: int) -> Recorder | None:
-        return None if self.quantities is None else Recorder(self.quantities, self.kernel, self.times, runs)
+    def _recorder(self, runs: int) -> QuantityRecorder | None:
+        return (
+            None
+            if self.quantities is None
+            else QuantityRecorder(self.quantities, self.kernel, self.times, runs)
+        )
 
     def _course(self) -> ActiveReference:
         return ActiveReference(
@@ -408,7 +412,7 @@ class Flight:
             folded.fly(x, rows, c, end)
 
     def _logged(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> tuple[Array, Array]:
-        """Do the same, and return states and logs of the run, see `Folded.logged`."""
+        """Do the same, and return states and logs of the run, see `StepExecutor.logged`."""
         run, companion = self._folded
         columns, logs = run.logged(X[0], rows, C[0])
         companion.fly(X[1], rows, C[1], final[1])
@@ -444,8 +448,8 @@ class Flight:
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
     @cached_property
-    def _folded(self) -> tuple[Folded, Folded]:
-        return Folded(self.kernel, self.libraries[0]), Folded(self.companion, self.libraries[1])
+    def _folded(self) -> tuple[StepExecutor, StepExecutor]:
+        return StepExecutor(self.kernel, self.libraries[0]), StepExecutor(self.companion, self.libraries[1])
 
     def _followed_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
@@ -458,20 +462,20 @@ class Flight:
         refused: dict[int, str],
         followed: Array,
         replans: Array | None = None,
-    ) -> Ending:
+    ) -> FinalValues:
         """Return how runs have ended, from the kernels' states of them and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
         parts = self.kernel.state.split(final)
         errors, judged = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
         outcomes = tuple(
-            Outcome(RunStatus.REFUSED, refused[i])
+            Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
             else self.judge.outcome(parts, i, judged[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
         counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
-        return Ending(
+        return FinalValues(
             parts["plant"],
             None if self.followed_rows is None else self._relative(parts["plant"], followed),
             parts["memory"],

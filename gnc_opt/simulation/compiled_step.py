@@ -31,7 +31,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.loop_kernel import Kernel
 
 
-class Folded:
+class StepExecutor:
     """The step of a kernel, folded.
 
     Parameters

@@ -158,12 +158,12 @@ class ControlStep:
     def first_outputs(self, tick: Tick, r: Any) -> dict[str, Any]:
         """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
         wiring, memory = self.wiring, {}
-        signals = wiring.feedforward(r) if wiring.in_trim else {}
+        signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
             block, p = link.block, self.parameters_of(link)
-            signal = take(signals, link.on) if wiring.in_trim else ca.SX.zeros(link.size)
+            signal = take(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.start(signal, p, tick)
-            if wiring.in_trim:
+            if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
                 signals = put(signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal)
         return memory
@@ -284,7 +284,7 @@ class ControlStep:
                 ca.fabs(flag) <= 0, alarm, i + 1.0
             )  # not "!= 0": that is false for NaN in some VMs
         divergence = ca.SX(0)
-        for i, largest in reversed(list(enumerate(wiring.plausible))):
+        for i, largest in reversed(list(enumerate(wiring.divergence_limits))):
             divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)
         for name, code in (("fault", fault), ("divergence", divergence), ("alarm", alarm)):
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)

@@ -1,7 +1,8 @@
 """Dispersions: how a parameter or an initial state differs from its nominal value from run to run.
 
 All but `Choice` are deviations from the nominal value; ``relative=True`` makes them shares of it. A vector gets
-independent deviations for its components, except from those with a random direction (`Sphere`, `Ball`, `Turn`).
+independent deviations for its components, except from those with a random direction (`RandomDirection`,
+`UniformInBall`, `RandomRotation`).
 """
 
 from __future__ import annotations
@@ -185,7 +186,7 @@ Magnitude: TypeAlias = float | Normal | Uniform
 
 
 @dataclass(frozen=True)
-class Sphere(Dispersion):
+class RandomDirection(Dispersion):
     """A deviation in a random direction, all equally probable.
 
     Parameters
@@ -195,8 +196,8 @@ class Sphere(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal, Sphere
-    >>> dispersions = {"initial.r": Sphere(10.0), "initial.v": Sphere(Normal(0.1))}
+    >>> from gnc_opt.simulation import Normal, RandomDirection
+    >>> dispersions = {"initial.r": RandomDirection(10.0), "initial.v": RandomDirection(Normal(0.1))}
     """
 
     radius: Magnitude
@@ -212,7 +213,7 @@ class Sphere(Dispersion):
 
 
 @dataclass(frozen=True)
-class Ball(Dispersion):
+class UniformInBall(Dispersion):
     """A deviation to any point within ``radius`` (unit of the vector), all points equally probable.
 
     Parameters
@@ -222,8 +223,8 @@ class Ball(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Ball
-    >>> dispersions = {"initial.r": Ball(10.0)}  # within 10 m
+    >>> from gnc_opt.simulation import UniformInBall
+    >>> dispersions = {"initial.r": UniformInBall(10.0)}  # within 10 m
     """
 
     radius: float
@@ -241,7 +242,7 @@ class Ball(Dispersion):
 
 
 @dataclass(frozen=True)
-class Turn(Dispersion):
+class RandomRotation(Dispersion):
     """An attitude turned about a random axis, all equally probable.
 
     The attitude is a unit quaternion, scalar part first, or modified Rodrigues parameters: four components or three.
@@ -253,8 +254,8 @@ class Turn(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal, Turn
-    >>> dispersions = {"initial.q_BL": Turn(Normal(np.radians(5.0)))}
+    >>> from gnc_opt.simulation import Normal, RandomRotation
+    >>> dispersions = {"initial.q_BL": RandomRotation(Normal(np.radians(5.0)))}
     """
 
     angle: Magnitude

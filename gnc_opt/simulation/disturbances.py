@@ -54,7 +54,7 @@ class Disturbance(Block):
 
 
 @dataclass(frozen=True)
-class Constant(Disturbance):
+class ConstantDisturbance(Disturbance):
     """The same ``level`` all the time.
 
     Parameters
@@ -64,8 +64,8 @@ class Constant(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Constant
-    >>> block = Constant("wind", 0.1, on="v")
+    >>> from gnc_opt.simulation import ConstantDisturbance
+    >>> block = ConstantDisturbance("wind", 0.1, on="v")
     """
 
     level: ArrayLike
@@ -78,7 +78,7 @@ class Constant(Disturbance):
 
 
 @dataclass(frozen=True)
-class Sinusoid(Disturbance):
+class SinusoidalDisturbance(Disturbance):
     """``amplitude * sin(frequency * t + phase)``, frequency in rad/s, phase in rad.
 
     Parameters
@@ -92,8 +92,8 @@ class Sinusoid(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Sinusoid
-    >>> block = Sinusoid("flutter", 0.1, 2.0, on="v")
+    >>> from gnc_opt.simulation import SinusoidalDisturbance
+    >>> block = SinusoidalDisturbance("flutter", 0.1, 2.0, on="v")
     """
 
     amplitude: ArrayLike
@@ -112,7 +112,7 @@ class Sinusoid(Disturbance):
 
 
 @dataclass(frozen=True)
-class RandomHold(Disturbance):
+class PiecewiseConstantNoise(Disturbance):
     """Normal random values with standard deviation ``sigma``, each held for ``period`` (s).
 
     Parameters
@@ -123,8 +123,8 @@ class RandomHold(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import RandomHold
-    >>> block = RandomHold("gusts", 0.1, period=0.5, on="v")
+    >>> from gnc_opt.simulation import PiecewiseConstantNoise
+    >>> block = PiecewiseConstantNoise("gusts", 0.1, period=0.5, on="v")
     """
 
     sigma: ArrayLike
@@ -160,7 +160,7 @@ class RandomHold(Disturbance):
 
 
 @dataclass(frozen=True)
-class Expression(Disturbance):
+class ExpressionDisturbance(Disturbance):
     """Any function ``function(t, x, p)`` of time (s), the plant's states and the block's parameters, by name.
 
     Parameters
@@ -172,7 +172,7 @@ class Expression(Disturbance):
 
     Examples
     --------
-    >>> drag = Expression("drag", lambda t, x, p: -p["c"] * x["v"], {"c": 0.1}, on="v")
+    >>> drag = ExpressionDisturbance("drag", lambda t, x, p: -p["c"] * x["v"], {"c": 0.1}, on="v")
     """
 
     function: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]

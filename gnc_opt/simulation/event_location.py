@@ -286,8 +286,8 @@ class _Passage:
         endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
         sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
         through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))
-        happened = w["count"] - v["count"]
-        for code, ends in ((len(self.events) + 1, endless), *self._unkept(through, happened)):
+        event_occurred = w["count"] - v["count"]
+        for code, ends in ((len(self.events) + 1, endless), *self._unkept(through, event_occurred)):
             ends = ca.logic_and(ends, w["stop"] < 0.5)
             w["stop"] = ca.if_else(ends, code, w["stop"])
             w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
@@ -296,12 +296,12 @@ class _Passage:
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
         return ca.Function("happen", given, [self.places.join(w)])
 
-    def _unkept(self, through: Any, happened: Any) -> Iterator[tuple[int, Any]]:
+    def _unkept(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
         """Yield, of each event with a reset, the code and whether it has left a row of its own that falls through."""
         for j, event in enumerate(self.events.declared):
             if event.reset:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
-                yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), happened[j])
+                yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
     def _improve(self) -> Any:
         """One step of the search, unless it has ended."""

@@ -118,7 +118,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Occurrence:
+class EventOccurrence:
     """An event that happened.
 
     Attributes
@@ -149,11 +149,11 @@ class Occurrence:
 
 def occurrences(
     told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
-) -> list[Occurrence]:
+) -> list[EventOccurrence]:
     """Return the events in the logs, by columns, of the first steps of a leg."""
     shape = (EVENTS_PER_STEP_MAX, n_states)
     return [
-        Occurrence(
+        EventOccurrence(
             names[int(told["codes"][k, step]) - 1],
             float(told["times"][k, step]),
             told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs of the whole leg

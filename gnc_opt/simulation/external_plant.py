@@ -22,7 +22,7 @@ from gnc_opt.tolerances import STEP_SLACK
 
 @runtime_checkable
 class Plant(Protocol):
-    """What `fly_plant` asks of a plant, in turns: measure, step, measure, step."""
+    """What `simulate_external_plant` asks of a plant, in turns: measure, step, measure, step."""
 
     def measure(self, t: float) -> ArrayLike:
         """Return the controller's measurements at t (s), (n_states,) in its order; NaN for lost samples."""
@@ -32,7 +32,7 @@ class Plant(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PlantFlight:
+class ExternalPlantRun:
     """A run of a user-defined plant.
 
     Attributes
@@ -50,8 +50,8 @@ class PlantFlight:
 
     Examples
     --------
-    >>> from gnc_opt.simulation import PlantFlight
-    >>> flight = PlantFlight(np.array([0.0, 0.1]), np.ones((2, 2)), np.zeros((1, 1)), np.zeros((0, 1)), ())
+    >>> from gnc_opt.simulation import ExternalPlantRun
+    >>> flight = ExternalPlantRun(np.array([0.0, 0.1]), np.ones((2, 2)), np.zeros((1, 1)), np.zeros((0, 1)), ())
     >>> print(flight.measured.shape)
     (2, 2)
     """
@@ -63,9 +63,9 @@ class PlantFlight:
     alarms: tuple[str, ...]
 
 
-def fly_plant(
+def simulate_external_plant(
     controller: Controller, plant: Plant, *, tf: float, t0: float = 0.0, dt: float | None = None
-) -> PlantFlight:
+) -> ExternalPlantRun:
     """Fly a plant that is a Python object under a controller.
 
     Parameters
@@ -90,7 +90,7 @@ def fly_plant(
 
     Examples
     --------
-    >>> from gnc_opt.simulation import fly_plant
+    >>> from gnc_opt.simulation import simulate_external_plant
     >>> class Sled:
     ...     x = np.array([1.0, 0.0])
     ...     def measure(self, t):
@@ -98,7 +98,7 @@ def fly_plant(
     ...     def step(self, t, u, dt):
     ...         q, v = self.x
     ...         self.x = np.array([q + dt * v + dt**2 / 2 * u[0], v + dt * u[0]])
-    >>> flight = fly_plant(regulator, Sled(), tf=8.0)
+    >>> flight = simulate_external_plant(regulator, Sled(), tf=8.0)
     >>> print(np.round(flight.measured[:, -1], 3), flight.alarms)
     [-0.002  0.001] ()
     """
@@ -125,7 +125,7 @@ def fly_plant(
         memory[:, k] = z
         plant.step(float(t), commands[:, k].copy(), dt)
     raised = tuple(a for a in controller.alarms if np.any(memory[controller.memory.slice(a), -1] != 0))
-    return PlantFlight(times, measured, commands, memory, raised)
+    return ExternalPlantRun(times, measured, commands, memory, raised)
 
 
 def _measured(controller: Controller, plant: Plant, t: float) -> Array:

@@ -9,7 +9,7 @@ from gnc_opt.simulation.outcome import Outcome
 
 
 @dataclass(frozen=True)
-class Ending:
+class FinalValues:
     """Final values and figures of merit of n runs.
 
     Attributes
@@ -42,7 +42,7 @@ class Ending:
 
     Examples
     --------
-    >>> flight = loop.flight([1.0, 0.0], tf=8.0)
+    >>> flight = loop.compile([1.0, 0.0], tf=8.0)
     >>> ending = flight.final(np.tile(flight.nominal[:, None], 3), [1, 2, 3])
     >>> print(ending.states.shape, np.abs(ending.errors).max() < 0.01)
     (2, 3) True

@@ -23,8 +23,8 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
     MOST_PER_FILE,
     Batch,
+    CampaignTask,
     Flown,
-    Mission,
     batches,
     flown_parts,
     gathered,
@@ -33,11 +33,11 @@ from gnc_opt.simulation.campaign_batch import (
     stored,
 )
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.workers import Done, Shared, WorkerPool
 
-Judge = Callable[[Campaign], ArrayLike]
+OutcomeClassifier = Callable[[Campaign], ArrayLike]
 """A measure of one's own: returns a number per run, (m,)."""
 
 
@@ -47,9 +47,9 @@ class Criteria:
 
     target: Mapping[str, ArrayLike] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
-    judge: Mapping[str, Judge] = field(default_factory=dict)
+    judge: Mapping[str, OutcomeClassifier] = field(default_factory=dict)
 
-    def goal(self, flight: Flight) -> Array:
+    def goal(self, flight: CompiledLoop) -> Array:
         """Return what states are compared with at the end (n_states,); not-a-number where there is nothing."""
         goal = np.full(flight.states.size, np.nan)
         if flight.reference is not None:
@@ -101,7 +101,7 @@ def _limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
-def _measured(name: str, judge: Judge, campaign: Campaign) -> Array:
+def _measured(name: str, judge: OutcomeClassifier, campaign: Campaign) -> Array:
     try:
         values = np.asarray(judge(campaign), dtype=float)
     except (TypeError, ValueError) as error:
@@ -127,7 +127,7 @@ def monte_carlo(
     parameters: Mapping[str, ArrayLike] | None = None,
     target: Mapping[str, ArrayLike] | None = None,
     limits: Mapping[str, float] | None = None,
-    judge: Mapping[str, Judge] | None = None,
+    judge: Mapping[str, OutcomeClassifier] | None = None,
     executor: Executor | Literal["serial"] | None = None,
     checkpoint: str | Path | None = None,
     progress: bool = False,
@@ -191,11 +191,11 @@ def monte_carlo(
     read_integer(n, "the number of runs of monte_carlo()", 1)
     read_integer(seed, "the seed of monte_carlo()", 0)
     dispersions = {} if dispersions is None else dispersions
-    flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
+    flight = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
     flight = flight.natively(n)
     criteria = read_criteria(target, judge, limits)
-    mission = Mission(flight, dict(dispersions), int(seed))
+    mission = CampaignTask(flight, dict(dispersions), int(seed))
     empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
     criteria.check(empty)
     folder = None if checkpoint is None else Path(checkpoint)
@@ -214,7 +214,7 @@ def monte_carlo(
         if before:
             show(*_tally(before))
         todo = batches(n, [part.batch for part in before], *([] if folder is None else [MOST_PER_FILE]))
-        done = pool.run(Mission.fly, todo, keep, halves)
+        done = pool.run(CampaignTask.fly, todo, keep, halves)
     flown = sorted(
         [*before, *(part for batch in done for part in flown_parts(batch))], key=lambda part: part.batch.start
     )
@@ -235,7 +235,7 @@ def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, i
     return campaign_meter(total)
 
 
-def _shared(mission: Mission, executor: Executor | Literal["serial"] | None) -> Shared[Mission]:
+def _shared(mission: CampaignTask, executor: Executor | Literal["serial"] | None) -> Shared[CampaignTask]:
     remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
@@ -266,7 +266,7 @@ def _refuse_total_loss(flown: Sequence[Flown]) -> None:
     raise GncOptError(f"not one run could be flown ({flown[0].mishap}): {remedy}.")
 
 
-def _with_parameters(flown: Sequence[Flown], mission: Mission) -> list[Flown]:
+def _with_parameters(flown: Sequence[Flown], mission: CampaignTask) -> list[Flown]:
     """Return the batches with the parameters of those that never came back drawn again."""
     found = []
     for part in flown:

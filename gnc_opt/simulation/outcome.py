@@ -33,7 +33,7 @@ _UNKEPT = (
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class OutcomeClassifier:
     """What a run has to keep.
 
     Attributes
@@ -42,7 +42,7 @@ class Judge:
         Quantities that must stay finite, and entries of the memory that must stay 0.
     states : Layout
         Of the plant.
-    plausible : array (n_states,)
+    divergence_limits : array (n_states,)
         Size of the states beyond which a run has diverged.
     events : tuple of str
         By the codes that end a run, code 1 first.
@@ -55,7 +55,7 @@ class Judge:
     watched: tuple[str, ...]
     alarms: tuple[str, ...]
     states: Layout
-    plausible: Array
+    divergence_limits: Array
     events: tuple[str, ...]
     failures: tuple[str, ...]
     accuracy: float
@@ -67,16 +67,18 @@ class Judge:
             return Outcome(RunStatus.NOT_FINITE, self.watched[watched - 1], float(parts["fault time"][0, i]))
         if diverged:
             k = diverged - 1
-            what = f"state '{self.states.labels[k]}' beyond {self.plausible[k]:g}"
+            what = f"state '{self.states.labels[k]}' beyond {self.divergence_limits[k]:g}"
             return Outcome(RunStatus.DIVERGED, what, float(parts["divergence time"][0, i]))
         if alarm:
-            return Outcome(RunStatus.ALARM, self.alarms[alarm - 1], float(parts["alarm time"][0, i]))
+            return Outcome(
+                RunStatus.CONTROLLER_ALARM, self.alarms[alarm - 1], float(parts["alarm time"][0, i])
+            )
         name, time = self._stop(parts, i)
         if name in self.failures or (name and name not in self.events):
-            return Outcome(RunStatus.STOPPED, name, time)
+            return Outcome(RunStatus.TERMINATED_BY_EVENT, name, time)
         if not error <= self.accuracy:
             why = _LOST if error > 1 else ""
-            return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}{why}")
+            return Outcome(RunStatus.INTEGRATION_ERROR, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
     def _stop(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
@@ -94,7 +96,7 @@ class RunStatus(Enum):
     OK : everything stayed finite, no alarm, the integration within the required accuracy.
     INACCURATE : the integration's own error estimate exceeds the required accuracy.
     ALARM : the controller reported that it could not meet its guarantees.
-    DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
+    DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
         condition of an event, or a quantity, is NaN.
     STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno),
@@ -104,12 +106,12 @@ class RunStatus(Enum):
     """
 
     OK = "ok"
-    INACCURATE = "inaccurate"
-    ALARM = "alarm"
+    INTEGRATION_ERROR = "inaccurate"
+    CONTROLLER_ALARM = "alarm"
     DIVERGED = "diverged"
     NOT_FINITE = "not finite"
-    STOPPED = "stopped"
-    REFUSED = "refused"
+    TERMINATED_BY_EVENT = "stopped"
+    INVALID_PARAMETERS = "refused"
     LOST = "lost"
 
 

@@ -44,7 +44,7 @@ AT_A_TIME = 100
 """Control steps that are looked at in one call."""
 
 
-class Recorder:
+class QuantityRecorder:
     """What is kept of the quantities of n runs, and which were not-a-number.
 
     Parameters

@@ -20,7 +20,7 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.tabular import Records, named
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
-from gnc_opt.simulation.events import Occurrence
+from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.text import preformatted
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
@@ -166,7 +166,7 @@ class Run(Strict):
     outcome: Outcome
     seed: str
     layouts: Mapping[str, Layout] = field(repr=False)
-    events: tuple[Occurrence, ...] = ()
+    events: tuple[EventOccurrence, ...] = ()
     replans: tuple[Replan, ...] = ()
 
     def __str__(self) -> str:
@@ -215,7 +215,7 @@ class Run(Strict):
         """Return what was applied to a control of the plant, mean over each control step."""
         return self._logged("applied", name, self.applied, True)
 
-    def remembered(self, name: str) -> Logged:
+    def controller_state(self, name: str) -> Logged:
         """Return an entry of the controller's memory."""
         return self._logged("memory", name, self.memory, False)
 
@@ -295,7 +295,7 @@ class Run(Strict):
         """Return for how long (s) a limit acted on a command, (size,)."""
         return self.saturation[self.layouts["command"].slice(name)]
 
-    def chattering(self, name: str) -> Array:
+    def total_variation(self, name: str) -> Array:
         """Return the total variation of a command, (size,): the sum of its changes (unit of the command)."""
         return self.variation[self.layouts["command"].slice(name)]
 
@@ -366,7 +366,7 @@ RUN_FILES = FileFormat(
     Run,
     "run",
     4,
-    Packing((Run, Outcome, RunStatus, Layout, Variable, Occurrence, Replan)),
+    Packing((Run, Outcome, RunStatus, Layout, Variable, EventOccurrence, Replan)),
     alike=(2, 3),  # 2 knows no events, 3 no re-plans
 )
 
@@ -374,7 +374,7 @@ _MOST_TOLD = 4
 """Events that are printed."""
 
 
-def _told(events: Sequence[Occurrence]) -> str:
+def _told(events: Sequence[EventOccurrence]) -> str:
     more = f", ... ({len(events)})" if len(events) > _MOST_TOLD else ""
     return ", ".join(str(event) for event in events[:_MOST_TOLD]) + more
 

@@ -223,7 +223,7 @@ class SensorDelay(Block):
 
 
 @dataclass(frozen=True)
-class Outage(Block):
+class SensorOutage(Block):
     """The sensor fails: not-a-number from ``begin`` until before ``end`` (s), always or only ``where`` something holds.
 
     Parameters
@@ -237,7 +237,7 @@ class Outage(Block):
 
     Examples
     --------
-    >>> too_far = Outage("too far", where=lambda t, x: x["q"] - 100.0, on="q")
+    >>> too_far = SensorOutage("too far", where=lambda t, x: x["q"] - 100.0, on="q")
     """
 
     begin: float = -math.inf

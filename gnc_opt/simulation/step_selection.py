@@ -24,7 +24,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.compiled_loop import Flight
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
@@ -108,7 +108,7 @@ class StepSelection:
         # the run itself will say what is not finite
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def reached(self, flight_with: Callable[[int], Flight], modes: Array) -> Flight:
+    def reached(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
         """Return the flight with as many integration steps as its accuracy needs.
 
         First as many as its modes need; then twice as many until the nominal run and its companion agree, or until

@@ -104,7 +104,7 @@ class Wiring:
         Control step, s.
     minor_steps : int
         Parts of a control step.
-    plausible : array (n_states,)
+    divergence_limits : array (n_states,)
         Size of the plant's states beyond which a run has diverged.
     events : Events
     """
@@ -116,7 +116,7 @@ class Wiring:
     disturbances: tuple[Link, ...]
     dt: float
     minor_steps: int
-    plausible: Array
+    divergence_limits: Array
     events: Events
 
     @property
@@ -131,9 +131,9 @@ class Wiring:
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
 
     @property
-    def in_trim(self) -> bool:
+    def starts_at_trim(self) -> bool:
         """Whether an actuator begins with the feedforward."""
-        return any(link.block.in_trim for link in self.actuators)
+        return any(link.block.starts_at_trim for link in self.actuators)
 
     def feedforward(self, r: Any) -> dict[str, Any]:
         """Return the feedforward (SX) of every command by name, from a row r of the schedule."""
@@ -190,7 +190,12 @@ class Blocks:
 
 
 def wire(
-    plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int, plausible: Array
+    plant: Model,
+    controller: Controller,
+    blocks: Blocks,
+    dt: float,
+    minor_steps: int,
+    divergence_limits: Array,
 ) -> Wiring:
     """Put the blocks in their places.
 
@@ -215,7 +220,15 @@ def wire(
     pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events = Events.of(plant, blocks.events)
     wiring = Wiring(
-        plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible, events
+        plant,
+        controller,
+        tuple(actuators),
+        sensors,
+        tuple(pushes),
+        dt,
+        minor_steps,
+        divergence_limits,
+        events,
     )
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
@@ -239,7 +252,7 @@ def _check_sensing(wiring: Wiring) -> None:
 
 
 def _check_trim(wiring: Wiring) -> None:
-    begun = [link.block.name for link in wiring.actuators if link.block.in_trim]
+    begun = [link.block.name for link in wiring.actuators if link.block.starts_at_trim]
     for name in wiring.controller.commands.names if begun else ():
         if f"{name}_ff" not in wiring.controller.signals:
             raise ArgumentError(

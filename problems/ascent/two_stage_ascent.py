@@ -80,7 +80,7 @@ def build() -> go.Problem:
         model, pressure, acceleration = stage(name)
         leg = problem.phase(name, model)
         leg.bounds(h=(0.0, 600e3), v_r=(-1000.0, 4000.0), v_t=(-100.0, 9000.0), m=limits)
-        leg.bounds_norm(T=(0.0, THRUST[name]))
+        leg.norm_bounds(T=(0.0, THRUST[name]))
         leg.path("dynamic pressure", pressure, upper=MAX_PRESSURE)
         leg.path("axial acceleration", acceleration, upper=MAX_ACCELERATION)
         legs.append(leg)

@@ -49,7 +49,7 @@ def build(max_torque: float = MAX_TORQUE) -> go.Problem:
     stop.time(initial=0.0, final=(5.0, 500.0))
     stop.initial(w=FIRST_RATES)
     stop.final(w=np.zeros(3))
-    stop.bounds_norm(u=(0.0, max_torque))
+    stop.norm_bounds(u=(0.0, max_torque))
     problem.minimize(stop.final_time)
     return problem
 

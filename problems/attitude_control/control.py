@@ -44,7 +44,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import Controller, bridge_dropouts, law
+from gnc_opt.control import Controller, law, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
 from gnc_opt.simulation import (
     Bias,
@@ -52,13 +52,13 @@ from gnc_opt.simulation import (
     ClosedLoop,
     Noise,
     Normal,
-    Outage,
     Quantity,
+    RandomRotation,
     RandomWalk,
     Sampling,
     ScaleFactor,
     SensorDelay,
-    Turn,
+    SensorOutage,
     Uniform,
     monte_carlo,
 )
@@ -130,7 +130,7 @@ def within_limits(controller: Controller) -> Controller:
     h, most = x[craft.states.slice("h")], SHARE * MAX_MOMENTUM
     torques = clip(torques, (h - most) / CLOSING, (h + most) / CLOSING)
     torques = clip(torques, -SHARE * MAX_TORQUE, SHARE * MAX_TORQUE)
-    return bridge_dropouts(
+    return with_dropout_handling(
         replace(
             inner,
             step=law(t, x, r, z, torques, after),
@@ -167,7 +167,7 @@ LIMITS = {
 """rad, N m, rpm."""
 
 DISPERSIONS: dict[str, Dispersion] = {
-    "initial.q": Turn(Uniform(0.0, float(np.radians(1.0)))),
+    "initial.q": RandomRotation(Uniform(0.0, float(np.radians(1.0)))),
     "initial.omega": Normal(float(np.radians(0.02))),
     "initial.h": Normal(50.0 * WHEEL_INERTIA * RPM),
     "plant.inertia": Uniform(-0.05, 0.05, relative=True),
@@ -190,8 +190,8 @@ def loop(name: str, *, bias: bool = True) -> ClosedLoop:
         [ScaleFactor("motors", np.ones(4), on="T")],
         [
             Noise("star tracker", TRACKER_NOISE, quaternion_retraction, on="q"),
-            Outage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - TRACKER_RATE, on="q"),
-            Outage("glare", 60.0, 80.0, on="q"),
+            SensorOutage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - TRACKER_RATE, on="q"),
+            SensorOutage("glare", 60.0, 80.0, on="q"),
             Sampling("exposures", TRACKER_PERIOD, on="q"),
             SensorDelay("image processing", TRACKER_DELAY, on="q"),
             Noise("gyro", GYRO_NOISE, on="omega"),

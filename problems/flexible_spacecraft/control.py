@@ -24,17 +24,17 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.control import (
     Controller,
-    Explanation,
-    Fact,
+    DesignReport,
     Reference,
+    ReportEntry,
     bryson,
     design_tvlqr,
-    first_memory,
+    initial_state_function,
     law,
 )
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation import ClosedLoop, Constant, Disturbance, Saturation, Sinusoid
+from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Disturbance, Saturation, SinusoidalDisturbance
 from gnc_opt.spacecraft import (
     FlexibleBody,
     cross,
@@ -125,21 +125,21 @@ def quasi_sliding_mode(
     u = gains.torque(x[attitude], x[rate], frame, body, followed)
     name = "RQSMC" if gains.k else "QSMC"
     facts = (
-        Fact("slope c", gains.c, "1/s"),
-        Fact("reaching law", np.array([gains.eps, gains.k, gains.delta]), "", "eps, k, delta"),
-        Fact("torque per unit of the reaching law", np.array(gains.gain), "", "diagonal of G"),
+        ReportEntry("slope c", gains.c, "1/s"),
+        ReportEntry("reaching law", np.array([gains.eps, gains.k, gains.delta]), "", "eps, k, delta"),
+        ReportEntry("torque per unit of the reaching law", np.array(gains.gain), "", "diagonal of G"),
     )
     return Controller(
         name=name,
         step=law(t, x, r, z, u, z),
-        start=first_memory(t, x, r, z),
+        start=initial_state_function(t, x, r, z),
         states=states,
         commands=controls,
         signals=signals,
         memory=Layout("memory", (), name),
         schedule=ReferenceSchedule(reference),
         span=(reference.initial_time, reference.final_time),
-        explanation=Explanation(f"{name} of '{model.name}' along {reference!r}", facts),
+        explanation=DesignReport(f"{name} of '{model.name}' along {reference!r}", facts),
     )
 
 
@@ -157,8 +157,8 @@ def tvlqr(reference: Reference) -> Controller:
 def mean_disturbance(amplitude: float = DISTURBANCE) -> tuple[Disturbance, ...]:
     """Return the published disturbance, sin t and a random part, with the latter at its mean: others can compute it."""
     return (
-        Sinusoid("wave", amplitude, 1.0, on="torque"),
-        Constant("push", amplitude / 2, on="torque"),
+        SinusoidalDisturbance("wave", amplitude, 1.0, on="torque"),
+        ConstantDisturbance("push", amplitude / 2, on="torque"),
     )
 
 

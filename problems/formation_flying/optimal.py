@@ -110,8 +110,8 @@ class Plan:
         """Return the thrust acceleration (m/s^2), (3,) or (3, n_times)."""
         leg = self.solution.phase()
         if "a" in leg.controls:
-            return np.asarray(leg.flown_control("a")(t))
-        return np.asarray(leg.flown_control("push")(t)) - np.asarray(leg.flown_control("pull")(t))
+            return np.asarray(leg.saturated_control("a")(t))
+        return np.asarray(leg.saturated_control("push")(t)) - np.asarray(leg.saturated_control("pull")(t))
 
     def states(self, t: Any) -> Array:
         """Return r and v, (6,) or (6, n_times)."""

@@ -59,7 +59,7 @@ def build() -> go.Problem:
     descent.initial(h=PERILUNE, theta=0.0, v_r=0.0, v_t=speed, m=START_MASS)
     descent.final(h=GATE, v_r=-5.0, v_t=15.0)
     descent.bounds(h=(0.0, 30e3), v_r=(-200.0, 200.0), v_t=(-50.0, 2000.0), m=(5000.0, START_MASS))
-    descent.bounds_norm(T=THRUST)
+    descent.norm_bounds(T=THRUST)
     problem.maximize(descent.final_state("m"))
     return problem
 

@@ -61,7 +61,7 @@ def build() -> go.Problem:
     descent.initial(r=START, v=np.zeros(3), m=START_MASS)
     descent.final(r=SITE, v=np.zeros(3))
     descent.bounds(m=(500.0, START_MASS))
-    descent.bounds_norm(T=(0.0, MAX_THRUST))
+    descent.norm_bounds(T=(0.0, MAX_THRUST))
     problem.maximize(descent.final_state("m"))
     return problem
 

@@ -63,7 +63,7 @@ def build() -> go.Problem:
         leg.bounds(
             x=(-2000.0, 2000.0), z=(0.0, 5000.0), vx=(-200.0, 200.0), vz=(-400.0, 50.0), m=(20e3, 30e3)
         )
-    burn.bounds_norm(T=THRUST)
+    burn.norm_bounds(T=THRUST)
     burn.path("tilt", tilt, lower=0.0)
     problem.maximize(burn.final_state("m"))
     return problem

@@ -60,7 +60,7 @@ def build(slope: float | None = 86.0) -> go.Problem:
     descent.initial(**START)
     descent.final(r=[0.0, 0.0, 0.0], v=[0.0, 0.0, 0.0])
     descent.bounds(mass=(1505.0, 1905.0))
-    descent.bounds_norm(T=(0.3 * FULL, 0.8 * FULL))
+    descent.norm_bounds(T=(0.3 * FULL, 0.8 * FULL))
     if slope is not None:
         across = ca.sqrt(r[1] ** 2 + r[2] ** 2 + APEX**2) - APEX
         descent.path("glide slope", across - r[0] * np.tan(np.radians(slope)), upper=0.0)

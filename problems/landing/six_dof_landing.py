@@ -84,7 +84,7 @@ def build() -> go.Problem:
     descent.initial(m=WET, r=[200.0, 100.0, 500.0], v=[-50.0, 20.0, -80.0], q=upright, w=np.zeros(3))
     descent.final(r=np.zeros(3), v=[0.0, 0.0, -5.0], q=upright, w=np.zeros(3))
     descent.bounds(m=(DRY, WET), w=(-BODY_RATE, BODY_RATE))
-    descent.bounds_norm(T=THRUST)
+    descent.norm_bounds(T=THRUST)
     descent.path("glide slope", (r[2] / np.tan(GLIDE_SLOPE)) ** 2 - r[0] ** 2 - r[1] ** 2, lower=0.0)
     descent.path("tilt", q[1] ** 2 + q[2] ** 2, upper=np.sin(TILT / 2) ** 2)
     descent.path("gimbal", thrust[2] - size * np.cos(GIMBAL), lower=0.0)

@@ -59,7 +59,7 @@ def build(days: float = 348.79) -> go.Problem:
     cruise.initial(**EARTH, mass=1000.0)
     cruise.final(**MARS)
     cruise.bounds(mass=(300.0, 1000.0))
-    cruise.bounds_norm(T=(0.0, MOST))
+    cruise.norm_bounds(T=(0.0, MOST))
     problem.maximize(cruise.final_state("mass"))
 
     # Less than one revolution outwards, on an arc of growing radius.

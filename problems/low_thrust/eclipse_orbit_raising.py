@@ -59,7 +59,7 @@ def build() -> go.Problem:
     leg.initial(r=START, theta=0.0, v_r=0.0, v_t=first)
     leg.final(r=TARGET, v_r=0.0, v_t=last)
     leg.bounds(r=(1.2, 4.0))
-    leg.bounds_norm(u=(0.0, 1.0))
+    leg.norm_bounds(u=(0.0, 1.0))
     leg.guess(r=(START, TARGET), theta=(0.0, 4.0), v_t=(first, last), u=[0.0, 1.0])
     problem.minimize(leg.final_time)
     return problem

@@ -84,7 +84,7 @@ def build(revolutions: float = 2.5) -> go.Problem:
     elements = (-1.0, 1.0)
     leg.bounds(P=(5.0, 60.0), ex=elements, ey=elements, hx=elements, hy=elements, L=(3.0, 80.0))
     leg.bounds(m=(1000.0, START["m"]))
-    leg.bounds_norm(u=(0.0, 1.0))
+    leg.norm_bounds(u=(0.0, 1.0))
     leg.guess(
         P=(START["P"], TARGET["P"]),
         ex=(START["ex"], 0.0),

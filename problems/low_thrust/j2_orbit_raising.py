@@ -67,7 +67,7 @@ def build() -> go.Problem:
     tilt = leg.final_state("h") ** 2 + leg.final_state("k") ** 2
     problem.constrain("inclination", tilt, equals=LAST_TILT**2)
     leg.bounds(p=(0.9, 1.5), f=(-0.3, 0.3), g=(-0.3, 0.3), h=(-1.0, 1.0), k=(-1.0, 1.0))
-    leg.bounds_norm(u=(0.0, 1.0))
+    leg.norm_bounds(u=(0.0, 1.0))
     leg.guess(
         [0.0, 2 * np.pi * REVOLUTIONS],
         p=(START, TARGET),

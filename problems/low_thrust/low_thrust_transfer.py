@@ -1,6 +1,6 @@
 r"""Low-thrust transfer in modified equinoctial elements: eight revolutions, least propellant.
 
-Teaches two things. A spiral needs a trajectory as its guess, and `simulate_guess` flies one: thrust along the
+Teaches two things. A spiral needs a trajectory as its guess, and `guess_from_simulation` flies one: thrust along the
 velocity, a law in the symbols of the model. And elements that vary slowly make eight revolutions a problem of a few
 dozen points per state, where Cartesian coordinates would need thousands.
 
@@ -138,7 +138,7 @@ def build() -> go.Problem:
         L=(np.pi, 20 * np.pi),
         w=(0.01, 2.0),
     )
-    burn.bounds_norm(u=(1.0, 1.0))
+    burn.norm_bounds(u=(1.0, 1.0))
     F, G, H, K = (burn.final_state(name) for name in "fghk")
     problem.constrain("eccentricity", F**2 + G**2, equals=0.73550320568829**2)
     problem.constrain("inclination", H**2 + K**2, equals=0.61761258786099**2)
@@ -146,7 +146,7 @@ def build() -> go.Problem:
     problem.constrain("perigee", G * H - K * F, upper=0.0)
     problem.maximize(burn.final_state("w"))
     along = frame @ (v / ca.norm_2(v))
-    return go.simulate_guess(problem, {"u": along}, duration=DURATION)
+    return go.guess_from_simulation(problem, {"u": along}, duration=DURATION)
 
 
 REFERENCE = Reference(0.2201791266, "Betts 2010, section 6.3", 1e-8, "lb")

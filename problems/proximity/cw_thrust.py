@@ -54,7 +54,7 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
     approach.time(initial=0.0, final=duration)
     approach.initial(**START)
     approach.final(r=[0.0, 0.0, 0.0], v=[0.0, 0.0, 0.0])
-    approach.bounds_norm(a=(0.0, limit))
+    approach.norm_bounds(a=(0.0, limit))
     problem.minimize(approach.integral(size, "fuel"))
     return problem
 

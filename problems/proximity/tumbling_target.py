@@ -40,7 +40,7 @@ def build() -> go.Problem:
     approach = problem.phase("approach", chaser)
     approach.time(initial=0.0, final=(5.0, 200.0))
     approach.initial(r=START, v=START_SPEED)
-    approach.bounds_norm(a=(0.0, MAX_ACCELERATION))
+    approach.norm_bounds(a=(0.0, MAX_ACCELERATION))
     angle = PHASE + SPIN * approach.final_time
     port = PORT * ca.vertcat(ca.cos(angle), ca.sin(angle))
     speed = PORT * SPIN * ca.vertcat(-ca.sin(angle), ca.cos(angle))

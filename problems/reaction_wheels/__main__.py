@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.simulation import Constant, Saturation
+from gnc_opt.simulation import ConstantDisturbance, Saturation
 from problems._example import run
 from problems.reaction_wheels.control import CONTROL_STEP, design_tracker, peak_speed
 from problems.reaction_wheels.model import DURATION, INERTIA, REST, wheel_model
@@ -26,7 +26,7 @@ def tracked(solution: go.Solution) -> str:
         wheel_model(inertia),
         design_tracker(solution, limit),
         actuators=[Saturation("motors", -limit, limit)],
-        disturbances=[Constant("push", np.asarray(PUSH) / inertia, on="omega")],
+        disturbances=[ConstantDisturbance("push", np.asarray(PUSH) / inertia, on="omega")],
         dt=CONTROL_STEP,
     )
     flown = loop.simulate(REST, tf=DURATION)

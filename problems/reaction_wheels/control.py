@@ -30,8 +30,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve_continuous_are
 
 import gnc_opt as go
-from gnc_opt.control import Explanation, Fact, first_memory, law
-from gnc_opt.control.error_dynamics import Deviation
+from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law
+from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.riccati import steady
 from gnc_opt.model.variables import Layout
@@ -75,7 +75,7 @@ def lqr_gains(
     Weights of the rates, of the quaternion's vector part and of the body torque, as in the paper. At rest the wheels'
     momenta neither move the body nor are they weighed; the errors of the model are *twice* the vector part.
     """
-    a, b = Deviation(wheel_model(drive="body")).linearize(0.0, REST, np.zeros(3))
+    a, b = ErrorDynamics(wheel_model(drive="body")).linearize(0.0, REST, np.zeros(3))
     labels = tuple(f"e[{i}]" for i in range(6))
     weights = np.diag([attitude / 4] * 3 + [rate] * 3)
     optimum = steady(a[:6, :6], b[:6], weights, effort * np.eye(3), np.zeros((6, 3)), labels)
@@ -212,18 +212,18 @@ def design_quaternion_lqr(
     near: Any = error[0] if factor == "scalar part" else 1.0
     k_q, k_w = gains
     body = -2 * k_q * near * error[1:] - ca.DM(np.asarray(k_w, dtype=float)) * x[states.slice("omega")]
-    facts = (Fact("K_q", k_q, "N m"), Fact("K_omega", np.asarray(k_w), "N m s"))
+    facts = (ReportEntry("K_q", k_q, "N m"), ReportEntry("K_omega", np.asarray(k_w), "N m s"))
     return go.Controller(
         name="LQR",
         step=law(t, x, r, z, body, z),
-        start=first_memory(t, x, r, z),
+        start=initial_state_function(t, x, r, z),
         states=states,
         commands=controls,
         signals=signals,
         memory=Layout("memory", (), "quaternion feedback"),
         schedule=ReferenceSchedule(reference),
         span=(0.0, 0.0),
-        explanation=Explanation("quaternion feedback, equation (60)", facts),
+        explanation=DesignReport("quaternion feedback, equation (60)", facts),
     )
 
 
@@ -259,7 +259,7 @@ def design_tracker(solution: go.Solution, reserve: float) -> go.Controller:
     effort = np.eye(4) / ACCEPTED_TORQUE**2
     body = np.diag([1 / ATTITUDE_ERROR**2] * 3 + [1 / RATE_ERROR**2] * 3)
     null = np.outer(NULL, NULL) / (2 * NULL_ERROR) ** 2  # of the component along the unit null vector
-    a, b = Deviation(craft).linearize(0.0, resting(reference.x(reference.final_time)[:4]), np.zeros(4))
+    a, b = ErrorDynamics(craft).linearize(0.0, resting(reference.x(reference.final_time)[:4]), np.zeros(4))
     labels = tuple(f"e[{i}]" for i in range(6))
     rest = steady(a[:6, :6], b[:6], body, effort, np.zeros((6, 4)), labels)
     # of z' = -u with weights w and r the cost to go is (w r)^(1/2) z^2

@@ -60,7 +60,7 @@ class Channel:
     """The bang-bang structure of one control: its sign at the start and the times (s) at which it changes."""
 
     initial_sign: int
-    switch_times: tuple[float, ...]
+    switching_times: tuple[float, ...]
 
 
 def _channels(*rows: tuple[int, tuple[float, ...]]) -> dict[str, Channel]:
@@ -133,18 +133,18 @@ def switch_mesh(case: int = 1, degree: int = 8, *, movable: bool = False) -> go.
 
 
 def switch_arcs(case: int = 1) -> NDArray[np.int64]:
-    """Return the sign of every control (6) in every segment of `switch_mesh`, for ``Problem.with_arcs``."""
+    """Return the sign of every control (6) in every segment of `switch_mesh`, for ``Problem.with_fixed_arcs``."""
     check_case(case)
     edges = np.array([0.0, *_all_switches(case)])
     rows = [
-        channel.initial_sign * (-1) ** np.searchsorted(channel.switch_times, edges, side="right")
+        channel.initial_sign * (-1) ** np.searchsorted(channel.switching_times, edges, side="right")
         for channel in SWITCHES[case].values()
     ]
     return np.array(rows, dtype=np.int64)
 
 
 def _all_switches(case: int) -> list[float]:
-    return sorted(t for channel in SWITCHES[case].values() for t in channel.switch_times)
+    return sorted(t for channel in SWITCHES[case].values() for t in channel.switching_times)
 
 
 def figures(solution: go.Solution, directory: str | Path | None = None) -> Mapping[str, Any]:

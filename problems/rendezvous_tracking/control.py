@@ -44,21 +44,21 @@ from gnc_opt.control import (
     feedforward,
 )
 from gnc_opt.simulation import (
-    Ball,
     Block,
     Campaign,
     ClosedLoop,
-    Constant,
+    ConstantDisturbance,
     Disturbance,
     Lag,
     Noise,
     Normal,
     Quantisation,
+    RandomDirection,
+    RandomRotation,
     Run,
     Saturation,
-    Sphere,
-    Turn,
     Uniform,
+    UniformInBall,
     monte_carlo,
 )
 from gnc_opt.simulation.dispersions import Dispersion
@@ -201,11 +201,11 @@ class Conditions:
         return {
             "plant.mass": Normal(self.mass, relative=True, truncate=3.0),
             "plant.inertia": Uniform(-self.inertia, self.inertia, relative=True),
-            "initial.r_L": Ball(self.position),
-            "initial.sigma": Turn(Uniform(0.0, float(np.deg2rad(self.attitude)))),
+            "initial.r_L": UniformInBall(self.position),
+            "initial.sigma": RandomRotation(Uniform(0.0, float(np.deg2rad(self.attitude)))),
             "torque lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
             "force lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
-            "differential force.level": Sphere(self.push / MASS),
+            "differential force.level": RandomDirection(self.push / MASS),
         }
 
 
@@ -298,7 +298,7 @@ class Tracking:
     @property
     def disturbances(self) -> list[Disturbance]:
         """What pushes."""
-        return [Constant("differential force", np.zeros(3), on="v_L")]
+        return [ConstantDisturbance("differential force", np.zeros(3), on="v_L")]
 
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the closed loop with all effects, before they are dispersed."""

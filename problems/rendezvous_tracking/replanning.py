@@ -22,7 +22,15 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
+from gnc_opt.control import (
+    Controller,
+    DesignReport,
+    Reference,
+    ReportEntry,
+    initial_state_function,
+    law,
+    with_dropout_handling,
+)
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals
 from gnc_opt.estimation import output_feedback
@@ -80,21 +88,21 @@ def follower(reference: Reference) -> Controller:
         torque[0] * turn + torque[1] * (planned[:3] - x[:3]), apply(mrp_to_dcm(x[3:6]), push)
     )
     facts = [
-        Fact(f"gains of {what}", np.concatenate(each))
+        ReportEntry(f"gains of {what}", np.concatenate(each))
         for what, each in (("attitude and rate", torque), ("position and velocity", force))
     ]
-    return bridge_dropouts(
+    return with_dropout_handling(
         Controller(
             name="follower",
             step=law(t, x, row, z, u, row[18]),
-            start=first_memory(t, x, row, row[18]),
+            start=initial_state_function(t, x, row, row[18]),
             states=reference.model.states,
             commands=reference.model.controls,
             signals=signals,
             memory=Layout("memory", (Variable("final_time", 1, "s"),)),
             schedule=_schedule(reference),
             dt=DT,
-            explanation=Explanation(f"follower of '{reference.model.name}'", tuple(facts)),
+            explanation=DesignReport(f"follower of '{reference.model.name}'", tuple(facts)),
         )
     )
 

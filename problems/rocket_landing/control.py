@@ -41,7 +41,15 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
+from gnc_opt.control import (
+    Controller,
+    DesignReport,
+    Reference,
+    ReportEntry,
+    initial_state_function,
+    law,
+    with_dropout_handling,
+)
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.guidance import Replanner
@@ -55,7 +63,7 @@ from gnc_opt.simulation import (
     Noise,
     Normal,
     ScaleFactor,
-    Sinusoid,
+    SinusoidalDisturbance,
     Uniform,
     monte_carlo,
 )
@@ -78,7 +86,7 @@ def regulator(reference: Reference) -> Controller:
     def thrust(t: ca.SX, r: ca.SX, v: ca.SX, m: ca.SX, row: ca.SX) -> ca.SX:
         return row[7:] + m * (k_1 * (row[:3] - r) + k_2 * (row[3:6] - v))
 
-    facts = (Fact("gain of position", k_1, "1/s^2"), Fact("gain of velocity", k_2, "1/s"))
+    facts = (ReportEntry("gain of position", k_1, "1/s^2"), ReportEntry("gain of velocity", k_2, "1/s"))
     return _controller("regulator", reference, facts, thrust)
 
 
@@ -93,29 +101,29 @@ def zem_zev(reference: Reference, final_time: float) -> Controller:
         zev = target - (v + left * gravity)
         return m * (6 / left**2 * zem - 2 / left * zev)
 
-    return _controller("ZEM/ZEV", reference, (Fact("end", final_time, "s"),), thrust)
+    return _controller("ZEM/ZEV", reference, (ReportEntry("end", final_time, "s"),), thrust)
 
 
 def _controller(
-    name: str, reference: Reference, facts: tuple[Fact, ...], thrust: Callable[..., ca.SX]
+    name: str, reference: Reference, facts: tuple[ReportEntry, ...], thrust: Callable[..., ca.SX]
 ) -> Controller:
     model, signals = reference.model, reference_signals(reference)
     t, x, row, z = ca.SX.sym("t"), ca.SX.sym("x", 7), ca.SX.sym("row", signals.size), ca.SX.sym("z", 0)
     wanted = thrust(t, x[:3], x[3:6], x[6], row)
     least, most = (share * FULL for share in ENGINES)
     u = wanted * ca.fmin(ca.fmax(norm(wanted), least), most) / norm(wanted)
-    return bridge_dropouts(
+    return with_dropout_handling(
         Controller(
             name=name,
             step=law(t, x, row, z, u, z),
-            start=first_memory(t, x, row, z),
+            start=initial_state_function(t, x, row, z),
             states=model.states,
             commands=model.controls,
             signals=signals,
             memory=Layout("memory"),
             schedule=ReferenceSchedule(reference),
             dt=DT,
-            explanation=Explanation(f"{name} of '{model.name}'", facts),
+            explanation=DesignReport(f"{name} of '{model.name}'", facts),
         )
     )
 
@@ -194,7 +202,7 @@ class Landing:
                 Noise("Doppler radar", 0.02, on="v"),
                 Bias("mass gauge", 0.0, on="mass"),
             ],
-            [Sinusoid("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
+            [SinusoidalDisturbance("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
             events=[
                 Event("touchdown", height, "falling", where=downward <= HARD),
                 Event("crash", height, "falling", where=downward > HARD, failure=True),
@@ -257,5 +265,5 @@ def _propellant(campaign: Campaign) -> Array:
 
 def _landed(campaign: Campaign, values: Array) -> Array:
     """Return values of runs that have met the ground, not-a-number of the others."""
-    met = campaign.happened("touchdown") | campaign.happened("crash")
+    met = campaign.event_occurred("touchdown") | campaign.event_occurred("crash")
     return np.where(met, values, np.nan)

@@ -103,7 +103,7 @@ def descent(plan: go.Solution) -> Reference:
     leg = plan.phase()
     end, last = leg.final_time, leg.x(leg.final_time)
     onward = np.concatenate([last[3:6], np.zeros(4)])
-    weight, thrust = last[6] * GRAVITY * UP, leg.flown_control("T")
+    weight, thrust = last[6] * GRAVITY * UP, leg.saturated_control("T")
 
     def x(times: Array) -> Array:
         return leg.x(np.minimum(times, end)) + np.outer(onward, np.maximum(times - end, 0.0))

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import Explanation, Fact, SuperTwistingObserver
+from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver
 from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
 from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
@@ -174,15 +174,18 @@ def design_swing_law(
     )
 
 
-def _explain(errors: OutputErrors, reference: go.Reference, reaching: Reaching) -> Explanation:
+def _explain(errors: OutputErrors, reference: go.Reference, reaching: Reaching) -> DesignReport:
     t = reference.final_time
     x, u = reference.x(t), reference.u(t)
     effect = float(errors.pair.along(reference, np.array([t]), errors.decoupling)[0][0, 0])
     zeros = zero_dynamics(errors, t, x, u).eigenvalues
-    facts = [Fact("G at the end of the reference", effect), Fact("eigenvalues on S = 0", zeros, "1/s")]
+    facts = [
+        ReportEntry("G at the end of the reference", effect),
+        ReportEntry("eigenvalues on S = 0", zeros, "1/s"),
+    ]
     if isinstance(reaching, PredictiveReaching):
-        facts.append(Fact("gain away from the limits", reaching.gain(effect), remark="-v / sigma"))
-    return Explanation("hierarchical sliding mode with predictive reaching", tuple(facts))
+        facts.append(ReportEntry("gain away from the limits", reaching.gain(effect), remark="-v / sigma"))
+    return DesignReport("hierarchical sliding mode with predictive reaching", tuple(facts))
 
 
 # --- following a plan -------------------------------------------------------------------------------------
@@ -202,7 +205,7 @@ def held(solution: go.Solution, duration: float = DURATION) -> go.Reference:
         return np.where(t <= end, leg.x(np.minimum(t, end)), after.state(np.maximum(t - end, 0.0)))
 
     def control(t: Array) -> Array:
-        return np.where(t <= end, leg.flown_control("gamma_rate")(np.minimum(t, end)), 0.0).reshape(1, -1)
+        return np.where(t <= end, leg.saturated_control("gamma_rate")(np.minimum(t, end)), 0.0).reshape(1, -1)
 
     jumps = [float(t) for t in leg.breaks if 0 < t < end]
     return go.Reference.from_functions(

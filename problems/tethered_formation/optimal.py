@@ -125,7 +125,7 @@ class Optimum:
     @cached_property
     def effort(self) -> float:
         """Integral of the squared rate of the thrust angle, rad^2/s."""
-        return self._integral(np.asarray(self.leg.flown_control("gamma_rate")(self._grid)) ** 2)
+        return self._integral(np.asarray(self.leg.saturated_control("gamma_rate")(self._grid)) ** 2)
 
     @cached_property
     def loss(self) -> float:

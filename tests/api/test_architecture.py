@@ -21,7 +21,7 @@ DESIGNS = """
     design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
     design_sliding_mode design_tvlqr
 """
-STATEMENTS = "continue_in from_casadi from_functions monte_carlo multistart solve"
+STATEMENTS = "continuation from_casadi from_functions monte_carlo multistart solve"
 WITH_MANY = {*DESIGNS.split(), *STATEMENTS.split()}
 """Functions with more: their keywords are independent of each other, and are read best where they are called."""
 

@@ -23,26 +23,27 @@ import gnc_opt
 EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
-        DesignError Experiment Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
+        DesignError Scenario DesignReport GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
         Multistart Outcome Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementLimits RefinementStatus Resolver
-        Result Run RunStatus
+        ConditionResult Run RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
-        UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
+        UnknownNameError Verdict lower_bound bryson continuation design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_neighbouring_extremal design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         linear_covariance load
-        monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
+        monte_carlo multistart output_feedback solve_indirect refine sensitivity guess_from_simulation
+        smooth_abs solve sweep
         table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        CodeOptions ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode
-        MockupUnit PowerRate Reference SaturationLayer Sign SuperTwisting
-        SuperTwistingObserver TanhLayer bridge_dropouts bryson decoupling_matrix
+        CCodeOptions ConstantRate Controller ErrorDynamics DesignReport ExponentialRate ReportEntry CCode
+        Fmu PowerRate Reference SaturationLayer Sign SuperTwisting
+        SuperTwistingObserver TanhLayer with_dropout_handling bryson decoupling_matrix
         design_feedback_linearization design_gain_schedule design_hierarchical_sliding_mode
         design_integral_sliding_mode design_lqr design_mpc design_sliding_mode design_tvlqr export_c
-        export_fmu feedforward first_memory law lie_derivative output_errors relative_degrees trim
+        export_fmu feedforward initial_state_function law lie_derivative output_errors relative_degrees trim
         zero_dynamics
     """,
     "gnc_opt.estimation": """
@@ -53,16 +54,17 @@ EXPECTED = {
         GuidanceOptions Replanner design_neighbouring_extremal design_neighbouring_optimal
     """,
     "gnc_opt.simulation": """
-        Allocation Ball Bias Block Campaign Choice ClosedLoop Constant Deadband Delay Disturbance
-        Ending Envelope Event Expression Flight Hold Lag MinimumImpulse Mixer Noise
-        NonNegativeAllocation Normal Occurrence Outage Outcome PlantFlight Pwm Pwpf Quantisation
-        Quantity RandomHold RandomWalk RateLimit Replan Run RunStatus Sampling Saturation Scale
-        ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn Uniform WheelArray
-        fly_plant monte_carlo
+        Allocation UniformInBall Bias Block Campaign Choice ClosedLoop ConstantDisturbance Deadband Delay Disturbance
+        FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag MinimumImpulse Mixer Noise
+        NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome ExternalPlantRun Pwm Pwpf Quantisation
+        Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Sampling Saturation Scale
+        ScaleFactor SchmittTrigger SensorDelay SinusoidalDisturbance RandomDirection ThrusterSet
+        RandomRotation Uniform WheelArray
+        simulate_external_plant monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Consistency Correlations Experiment FailureProbability InnovationTest
-        LinearCovariance LoopResponse Share SobolIndices WorstCase consistency correlations
+        CovarianceCheck Consistency Correlations Scenario FailureProbability InnovationTest
+        LinearCovariance LoopResponse IntervalEstimate SobolIndices WorstCase consistency correlations
         failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """

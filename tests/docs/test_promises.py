@@ -82,7 +82,7 @@ def values(page: Page, key: str) -> set[str]:
 @pytest.fixture(scope="module")
 def solution() -> go.Solution:
     """One with a structure, a history and a bound."""
-    return go.bound_below(go.solve(minimum_fuel.build(), tol=1e-6))
+    return go.lower_bound(go.solve(minimum_fuel.build(), tol=1e-6))
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_json_of_a_search_lists_every_key() -> None:
         ("status", go.Status),
         ("structure[].kind", set(ArcKind) - {ArcKind.RELEASED, ArcKind.EASED}),  # of no finished solution
         ("refinement.status", go.RefinementStatus),
-        ("verdict.conditions[].result", go.Result),
+        ("verdict.conditions[].result", go.ConditionResult),
     ],
 )
 def test_json_summary_lists_every_value(key: str, kind: Iterable[Enum]) -> None:
@@ -157,8 +157,17 @@ def test_control_lists_every_design() -> None:
 
 def test_control_lists_everything_a_loop_can_hold() -> None:
     made_of = {name for name in simulation.__all__ if inspect.isclass(getattr(simulation, name))}
-    results = {"Block", "Campaign", "ClosedLoop", "Ending", "Flight", "Outcome", "Run", "RunStatus"}
-    results |= {"Consistency", "Envelope", "InnovationTest", "Occurrence", "Replan", "PlantFlight"}
+    results = {
+        "Block",
+        "Campaign",
+        "ClosedLoop",
+        "FinalValues",
+        "CompiledLoop",
+        "Outcome",
+        "Run",
+        "RunStatus",
+    }
+    results |= {"Consistency", "Envelope", "InnovationTest", "EventOccurrence", "Replan", "ExternalPlantRun"}
     told = told_in_table(doc("simulation")) | told_in_table(doc("campaigns", "control"))
     assert made_of - results <= told, made_of - results - told
 

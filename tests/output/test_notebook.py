@@ -67,8 +67,8 @@ def test_verdict(solution: go.Solution) -> None:
 
 
 def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) -> None:
-    condition = go.Condition("cost", go.Result.FAIL, 0.5, 1e-5, HOSTILE, f"It is {HOSTILE}.")
-    passed = go.Condition("cost", go.Result.PASS, 0.0, 1e-5, HOSTILE, f"It is {HOSTILE}.")
+    condition = go.Condition("cost", go.ConditionResult.FAIL, 0.5, 1e-5, HOSTILE, f"It is {HOSTILE}.")
+    passed = go.Condition("cost", go.ConditionResult.PASS, 0.0, 1e-5, HOSTILE, f"It is {HOSTILE}.")
     assert f"It is {HOSTILE}." in "".join(parsed(go.Verdict(HOSTILE, (condition,))).itertext())
     assert parsed(go.Verdict(HOSTILE, (passed,))).find("pre") is None
 

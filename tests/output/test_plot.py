@@ -15,7 +15,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import Mesh
-from gnc_opt.planning.solution.history import Pass
+from gnc_opt.planning.solution.history import RefinementIteration
 from gnc_opt.plot import (
     plot_controls,
     plot_costates,
@@ -245,7 +245,9 @@ def refinement(*solved: bool) -> go.History:
     passes = []
     for i, ok in enumerate(solved):
         mesh = Mesh.uniform(2 + i, 3)
-        passes.append(Pass({"leg": mesh}, {"leg": mesh.breaks}, 10.0**-i, "", 1.0, ok, 5, 0.1, "-"))
+        passes.append(
+            RefinementIteration({"leg": mesh}, {"leg": mesh.breaks}, 10.0**-i, "", 1.0, ok, 5, 0.1, "-")
+        )
     return go.History(go.RefinementStatus.FAILED, 1e-9, tuple(passes), 0, "")
 
 
@@ -261,7 +263,7 @@ def test_a_single_pass_has_whole_numbers_at_its_axes() -> None:
 def test_degrees_beside_few_passes_are_told_without_overlap(passes: int) -> None:
     mesh = Mesh.uniform(9, 3)
     mesh = replace(mesh, degrees=tuple(range(3, 12)))
-    one = Pass({"leg": mesh}, {"leg": mesh.breaks}, 1.0, "", 1.0, True, 5, 0.1, "-")
+    one = RefinementIteration({"leg": mesh}, {"leg": mesh.breaks}, 1.0, "", 1.0, True, 5, 0.1, "-")
     figure = plot_refinement(go.History(go.RefinementStatus.FAILED, 1e-9, (one,) * passes, 0, ""))
     figure.draw_without_rendering()
     degrees = figure.axes[-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gnc_opt.planning import Condition, Result, Verdict
+from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.plot import plot_verdict
 from gnc_opt.plot.refinement import _offence
 
@@ -13,16 +13,16 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
     conditions = tuple(
         Condition(name, result, value, 1e-5, "somewhere", "a meaning")
         for name, result, value in (
-            ("dynamics", Result.PASS, 0.0),
-            ("bounds", Result.FAIL, 0.3),
-            ("singular arcs", Result.CANNOT_TELL, float("nan")),
+            ("dynamics", ConditionResult.PASS, 0.0),
+            ("bounds", ConditionResult.FAIL, 0.3),
+            ("singular arcs", ConditionResult.INCONCLUSIVE, float("nan")),
         )
     )
     figure = plot_verdict(Verdict("toy", conditions))
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["dynamics", "bounds", "singular arcs"]
     handles, labels = axes.get_legend_handles_labels()
-    assert labels == ["PASS (1)", "FAIL (1)", "CANNOT TELL (1)", "tolerance"] and len(handles) == 4
+    assert labels == ["PASS (1)", "FAIL (1)", "INCONCLUSIVE (1)", "tolerance"] and len(handles) == 4
     assert axes.get_xlabel() == "worst offence, in tolerances"
     assert "NOT ok" in axes.get_title()
 
@@ -30,20 +30,20 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
 @pytest.mark.parametrize(
     ("value", "tolerance", "result", "drawn"),
     [
-        (3e-5, 1e-5, Result.FAIL, 3.0),
-        (2e-9, 1e-5, Result.PASS, 2e-4),
-        (1e3, 1e4, Result.PASS, 0.1),  # a condition with a tolerance of its own
-        (-0.4, -1e-6, Result.PASS, 1e-12),  # a margin that is there is no offence, however large
-        (-0.4, 1e-5, Result.PASS, 1e-12),
-        (2e-6, -1e-6, Result.FAIL, 3.0),  # one that is missing is
-        (2e-5, 0.0, Result.FAIL, 2.0),
-        (float("inf"), 1e-5, Result.FAIL, 1e12),
-        (float("nan"), 1e-5, Result.CANNOT_TELL, 1.0),
+        (3e-5, 1e-5, ConditionResult.FAIL, 3.0),
+        (2e-9, 1e-5, ConditionResult.PASS, 2e-4),
+        (1e3, 1e4, ConditionResult.PASS, 0.1),  # a condition with a tolerance of its own
+        (-0.4, -1e-6, ConditionResult.PASS, 1e-12),  # a margin that is there is no offence, however large
+        (-0.4, 1e-5, ConditionResult.PASS, 1e-12),
+        (2e-6, -1e-6, ConditionResult.FAIL, 3.0),  # one that is missing is
+        (2e-5, 0.0, ConditionResult.FAIL, 2.0),
+        (float("inf"), 1e-5, ConditionResult.FAIL, 1e12),
+        (float("nan"), 1e-5, ConditionResult.INCONCLUSIVE, 1.0),
     ],
 )
 def test_offences_are_drawn_in_tolerances(
-    value: float, tolerance: float, result: Result, drawn: float
+    value: float, tolerance: float, result: ConditionResult, drawn: float
 ) -> None:
     offence = _offence(Condition("one", result, value, tolerance, "somewhere", "a meaning"))
     assert offence == pytest.approx(drawn, rel=1e-12)
-    assert (offence > 1.0) == (result is Result.FAIL)
+    assert (offence > 1.0) == (result is ConditionResult.FAIL)

@@ -15,7 +15,7 @@ from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning import Condition, Result, Verdict
+from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
@@ -24,16 +24,18 @@ from gnc_opt.report.verdict_table import verdict_text
 VERDICT = Verdict(
     "cart",
     (
-        Condition("dynamics", Result.PASS, 2.1e-10, 1e-5, "phase leg, q", "dx/dt = f must hold."),
+        Condition("dynamics", ConditionResult.PASS, 2.1e-10, 1e-5, "phase leg, q", "dx/dt = f must hold."),
         Condition(
             "control signs",
-            Result.FAIL,
+            ConditionResult.FAIL,
             0.25,
             1e-5,
             "phase leg, t = 1 s, a[0]",
             "Each control obeys its sign.",
         ),
-        Condition("singular arcs", Result.CANNOT_TELL, float("nan"), 1e-5, "nowhere", "No costates."),
+        Condition(
+            "singular arcs", ConditionResult.INCONCLUSIVE, float("nan"), 1e-5, "nowhere", "No costates."
+        ),
     ),
 )
 
@@ -46,7 +48,7 @@ REQUIRED = {
     "mesh": str,
     "max_defect": float,
     "max_bound_violation": float,
-    "terminal_error": float,
+    "propagation_error": float,
     "verdict": dict,
 }
 """The keys that issue 2 asks for."""
@@ -108,9 +110,9 @@ def test_summary_has_seven_lines(good: go.Solution) -> None:
     assert f"leg 0 to {good.objective:.10g} s" in lines[2]
     assert f"10x3 LG, {good.statistics.iterations} iterations, build " in lines[3]
     assert f"solve {good.statistics.solve_s:.3f} s" in lines[3]
-    assert good.quality.defect_where in lines[4] and f"{good.quality.max_defect:.2g}" in lines[4]
+    assert good.quality.defect_location in lines[4] and f"{good.quality.max_defect:.2g}" in lines[4]
     assert "kept at and between nodes" in lines[5]
-    assert good.quality.terminal_where in lines[6]
+    assert good.quality.propagation_location in lines[6]
     assert str(good) == summary(good)
 
 
@@ -142,9 +144,9 @@ def test_summary_states_the_payoff_as_stated() -> None:
 
 def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
     twin = dataclasses.replace(good)
-    vars(twin)["quality"] = dataclasses.replace(good.quality, terminal_error=float("inf"))
+    vars(twin)["quality"] = dataclasses.replace(good.quality, propagation_error=float("inf"))
     assert "ends early when the flown control is integrated" in summary(twin)
-    assert summary_dict(twin)["terminal_error"] is None
+    assert summary_dict(twin)["propagation_error"] is None
 
 
 def test_only_the_worst_overshoots_are_listed() -> None:
@@ -183,7 +185,7 @@ def test_json_has_the_keys_of_the_issue(good: go.Solution, tmp_path: Path) -> No
     assert read["objective"] == good.objective
     assert read["verdict"]["ok"] is False
     assert set(read["verdict"]["conditions"][0]) >= {"name", "result", "value", "tolerance", "where"}
-    assert [c["result"] for c in read["verdict"]["conditions"]] == ["PASS", "FAIL", "CANNOT TELL"]
+    assert [c["result"] for c in read["verdict"]["conditions"]] == ["PASS", "FAIL", "INCONCLUSIVE"]
     assert read["verdict"]["conditions"][2]["value"] is None  # was NaN
     assert read["phases"][0]["states"][0] == {"name": "q", "size": 1, "unit": "m"}
     assert read["phases"][0]["final_time"] == good.phase().final_time
@@ -213,10 +215,10 @@ def test_json_of_numbers_that_are_not_finite(failed: go.Solution) -> None:
 
 def test_verdict_table_shows_everything() -> None:
     text = verdict_text(VERDICT, width=100)
-    assert "verdict on 'cart': NOT ok (1 pass, 1 fail, 1 cannot tell)" in text
+    assert "verdict on 'cart': NOT ok (1 pass, 1 fail, 1 inconclusive)" in text
     assert re.search(r"dynamics +PASS +2\.1e-10 +1e-05 +phase leg, q", text)
     assert re.search(r"control signs +FAIL +2\.5e-01 +1e-05 +phase leg, t = 1 s, a\[0\]", text)
-    assert re.search(r"singular arcs +CANNOT TELL +- +1e-05 +nowhere", text)
+    assert re.search(r"singular arcs +INCONCLUSIVE +- +1e-05 +nowhere", text)
     assert "\x1b" not in text
     assert max(map(len, text.splitlines())) <= 100
 
@@ -411,7 +413,7 @@ def test_links_of_the_page_lead_somewhere(parsed: Parsed) -> None:
 
 def test_page_tells_every_condition_and_opens_those_that_fail(parsed: Parsed) -> None:
     opened = ["open" in attributes for tag, attributes in parsed.tags if tag == "details"]
-    assert opened == [condition.result is Result.FAIL for condition in VERDICT.conditions]
+    assert opened == [condition.result is ConditionResult.FAIL for condition in VERDICT.conditions]
     assert {condition.meaning for condition in VERDICT.conditions} <= set(parsed.words)
 
 

@@ -109,10 +109,10 @@ def test_the_star_tracker_has_the_gaps_that_it_is_said_to_have(run):
 
 
 def test_the_filter_finds_the_gyros_bias(run, campaigns):
-    found = run.remembered("omega_bias_hat")(run.times[-1])
+    found = run.controller_state("omega_bias_hat")(run.times[-1])
     true = run.parameter("gyro bias.bias")
     assert found == pytest.approx(true, abs=2e-5) and np.max(np.abs(true)) > 10 * 2e-5
-    estimate = run.remembered("q_hat").values
+    estimate = run.controller_state("q_hat").values
     apart = quaternion_angle(estimate, run.states[:4])
     assert np.max(apart[round(SETTLED / DT) :]) < 1e-3 and np.max(apart) < 0.03
     judged = consistency(campaigns["least energy"], estimator())

@@ -9,7 +9,7 @@ from flexible import TRUE, angle, integrated, rest, vibration
 
 from benchmarks.validation.published.comparison import known
 from benchmarks.validation.published.flexible_spacecraft import FLOWN, flight, measures, plan, rivals
-from benchmarks.validation.published.tracked import Flight
+from benchmarks.validation.published.tracked import CompiledLoop
 from gnc_opt.spacecraft import quaternion_angle
 
 NAMES = ("published", *FLOWN)
@@ -27,7 +27,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
     for i, name in enumerate(NAMES):
         np.testing.assert_allclose(runs[i].states.T, states[:, :, i], atol=1e-6)
         late = np.flatnonzero(np.max(np.abs(states[:, 1:4, i]), axis=1) > 1e-3)[-1]
-        found = Flight(
+        found = CompiledLoop(
             float(times[late]),
             float(np.sum(np.abs(torques[:, :, i])) * 0.05),
             angle(states[-1, :4, i]),
@@ -37,7 +37,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
             for row in known("flexible_spacecraft")
             if row["quantity"].startswith(f"{FLOWN_TITLES[name]}, flown") and "independent" in row
         )
-        for one in (measures(runs[i]), Flight(time, effort, miss)):
+        for one in (measures(runs[i]), CompiledLoop(time, effort, miss)):
             assert [one.time, one.effort] == pytest.approx([found.time, found.effort], rel=1e-4)
             assert one.miss == pytest.approx(found.miss, rel=1e-3)
         assert energy == pytest.approx(vibration(states[1200, :, i], TRUE), rel=1e-3)
@@ -47,7 +47,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
     # a tenth of the torque is the feedback's, and the second plan spends what the law does
     for name in FLOWN:
         leg = plan(name).phase()
-        torque = leg.flown_control("torque")(np.linspace(0.0, leg.final_time, 500))
+        torque = leg.saturated_control("torque")(np.linspace(0.0, leg.final_time, 500))
         assert np.max(np.abs(torque)) == pytest.approx(0.27, rel=1e-6)
     assert measures(runs[2]).effort == pytest.approx(measures(runs[0]).effort, rel=0.02)
 

@@ -109,7 +109,7 @@ def test_least_time_is_bang_bang_and_leaves_no_vibration() -> None:
     assert go.verify(solution).ok
     leg = solution.phase()
     t = np.linspace(0.05, leg.final_time - 0.05, 300)
-    x, torque = leg.x(t), leg.flown_control("torque")(t)
+    x, torque = leg.x(t), leg.saturated_control("torque")(t)
     np.testing.assert_allclose(np.abs(torque), MAX_TORQUE, rtol=1e-12)
     lam = np.vstack([leg.costate(name)(t) for name in MODEL.states.names])
     np.testing.assert_allclose(np.sum(lam * MODEL.f(t, x, torque), axis=0), -1.0, atol=1e-6)
@@ -141,7 +141,7 @@ def test_least_vibration_passes_and_beats_the_published_slew() -> None:
     published_energy = published.modal_energy(published.standard("J"))
     ratio = np.trapezoid(energy, t) / np.trapezoid(published_energy, published.standard("J").times)
     assert ratio == pytest.approx(0.1867, rel=0.01)
-    assert np.max(np.abs(leg.flown_control("torque")(t))) <= MAX_TORQUE * (1 + 1e-9)
+    assert np.max(np.abs(leg.saturated_control("torque")(t))) <= MAX_TORQUE * (1 + 1e-9)
 
 
 @pytest.mark.slow

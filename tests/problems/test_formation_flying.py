@@ -23,7 +23,7 @@ from benchmarks.validation.published.formation_flying import (
     rivals,
     run,
 )
-from benchmarks.validation.published.tracked import Flight
+from benchmarks.validation.published.tracked import CompiledLoop
 from problems import formation_flying
 from problems.formation_flying.control import follow_plan, integral_law, optimal_sliding_mode
 from problems.formation_flying.model import (
@@ -217,7 +217,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_thrust() -> None:
     distance = np.linalg.norm(states[:, :3] - ring[:, :, None], axis=1)
     for i, name in enumerate(names):
         np.testing.assert_allclose(runs[i].states.T, states[:, :, i], rtol=1e-6, atol=1e-6)
-        found = Flight(
+        found = CompiledLoop(
             float(times[np.flatnonzero(distance[:, i] > 1.0)[-1]]),
             float(np.sum(np.abs(thrust[:, :, i])) * h),
             float(distance[-1, i]),

@@ -140,7 +140,7 @@ def test_reference_on_a_fine_mesh(name: str) -> None:
     )
     assert solution.objective == pytest.approx(reference.value, rel=0, abs=reference.tolerance)
     assert reference.tolerance <= 1e-6 * max(1.0, abs(reference.value))
-    assert solution.quality.terminal_error < 1e-7
+    assert solution.quality.propagation_error < 1e-7
     assert solution.outside_tables() == []
 
 
@@ -492,7 +492,9 @@ def test_main_fails_where_a_problem_cannot_be_solved(capsys: pytest.CaptureFixtu
 def test_a_failing_condition_counts_unless_it_is_explained(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    spoilt = go.Condition("adjoint equation", go.Result.FAIL, 1.0, 1e-5, "everywhere", "It does not hold.")
+    spoilt = go.Condition(
+        "adjoint equation", go.ConditionResult.FAIL, 1.0, 1e-5, "everywhere", "It does not hold."
+    )
     monkeypatch.setattr(
         "problems._example.go.verify", lambda _: go.Verdict("soft landing on the Moon", (spoilt,))
     )

@@ -521,7 +521,7 @@ def test_command_chooses(collection: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_verdict_column_is_short() -> None:
     outcome = problem_set.Outcome(
-        "a", 1.0, 1.0, 0.0, "acceptable", False, failed=("Hamiltonian",), untold=("singular arcs",)
+        "a", 1.0, 1.0, 0.0, "acceptable", False, failed=("Hamiltonian",), inconclusive=("singular arcs",)
     )
     assert problem_set._verdict(outcome) == "acceptable; H ?sing"
     good = problem_set.Outcome("a", 1.0, 1.0, 0.0, "optimal", True)

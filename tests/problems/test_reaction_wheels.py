@@ -223,7 +223,7 @@ def test_larger_slews_break_down_where_the_closed_form_says(angle: int) -> None:
 
 def test_larger_slews_are_guarded_or_rerouted() -> None:
     guarded = guarded_run(150)
-    assert guarded.outcome.status is go.RunStatus.ALARM
+    assert guarded.outcome.status is go.RunStatus.CONTROLLER_ALARM
     assert guarded.outcome.time < breakdown_time(150)
     assert np.degrees(guarded.attitude_error("q")) < 0.01
     assert [flc_output(about_z(a)) for a in (145, 147, 148, 150, 179)] == ["absolute"] * 2 + ["error"] * 3

@@ -32,8 +32,8 @@ def moves(before: Record, now: Record) -> list[regression.Move]:
         (replace(STILL, objective=float("nan")), "objective"),
         (replace(STILL, status="infeasible", objective=None), "status"),
         (replace(STILL, failed=()), "verdict"),
-        (replace(STILL, untold=()), "verdict"),
-        (replace(STILL, failed=("second order",), untold=("bounds",)), "verdict"),
+        (replace(STILL, inconclusive=()), "verdict"),
+        (replace(STILL, failed=("second order",), inconclusive=("bounds",)), "verdict"),
     ],
 )
 def test_what_matters_counts(now: Record, what: str) -> None:
@@ -159,5 +159,5 @@ def test_the_baseline_holds_the_ten_optima_of_the_rendezvous() -> None:
         found = kept[document["name"]]
         known = rendezvous.REFERENCE[document["case"], document["equation"]]["exact"]
         assert found.objective == pytest.approx(known.value, abs=1e-10)
-        assert (found.status, found.failed, found.untold) == ("optimal", (), ())
+        assert (found.status, found.failed, found.inconclusive) == ("optimal", (), ())
         assert found.costates is not None and len(found.costates) == 12

@@ -68,7 +68,7 @@ def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None
     problem = rendezvous.build(3)
     nominal = go.solve(problem, mesh=rendezvous.MESH, tol=None)
     heavy = go.solve(problem.with_parameters(mass=1.1 * rendezvous.MASS), mesh=rendezvous.MESH, tol=None)
-    assert heavy.statistics.build_reused
+    assert heavy.statistics.compiled_before
     assert heavy.objective > nominal.objective + 0.1
     scaled = problem.with_parameters(inertia=2 * np.array(rendezvous.INERTIA)).with_bounds(
         T_B=(-2 * rendezvous.MAX_TORQUE, 2 * rendezvous.MAX_TORQUE)
@@ -116,7 +116,7 @@ def test_movable_switches_reach_the_reference_and_pass_every_condition(
     """From the paper's mesh to one whose boundaries sit on the switches."""
     problem = rendezvous.build(case, equation)
     solution = go.solve(
-        problem.with_arcs(arcs=rendezvous.switch_arcs(case)),
+        problem.with_fixed_arcs(arcs=rendezvous.switch_arcs(case)),
         mesh=rendezvous.switch_mesh(case, 9, movable=True),
         guess=go.solve(problem, mesh=rendezvous.MESH, tol=None),
         options=go.SolverOptions(
@@ -190,7 +190,7 @@ def test_the_plane_of_symmetry_holds_a_saddle_that_the_default_guess_avoids(case
     verdict = go.verify(lifted)
     assert not verdict.minimum
     # The controls across the plane are singular, and pulses of them gain time.
-    assert verdict["generalised Legendre-Clebsch"].result is go.Result.FAIL
+    assert verdict["generalised Legendre-Clebsch"].result is go.ConditionResult.FAIL
     assert case_1.objective < planar.objective - 1.0
 
 
@@ -227,11 +227,11 @@ def spurious_solution() -> tuple[int, go.Solution]:
 def test_without_the_guard_a_coarse_mesh_has_spurious_optima_which_the_verdict_rejects() -> None:
     seed, solution = spurious_solution()
     verdict = go.verify(solution)
-    assert verdict["dynamics"].result is go.Result.FAIL
+    assert verdict["dynamics"].result is go.ConditionResult.FAIL
     assert (
         verdict["dynamics"].value > 0.1
     )  # not a matter of tolerance: the states are nowhere near a trajectory
-    assert verdict["propagation"].result is not go.Result.PASS
+    assert verdict["propagation"].result is not go.ConditionResult.PASS
     guarded = go.solve(rendezvous.build(1).with_guess(**wild_guess(seed)), mesh="10x4", tol=None)
     sigma = np.asarray(guarded.state("sigma")(guarded.phase().sample_times(5)))
     assert np.max(np.abs(sigma)) < 1.1

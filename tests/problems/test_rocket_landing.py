@@ -44,7 +44,7 @@ def test_the_plan_is_that_of_the_closed_form(landing):
     assert landing.plan.objective == pytest.approx(best.fun, rel=1e-9)
     assert leg.duration == pytest.approx(best.x, abs=1e-4)
     times = np.linspace(0, leg.final_time, 100)
-    throttle = np.linalg.norm(leg.flown_control("T")(times), axis=0) / FULL
+    throttle = np.linalg.norm(leg.saturated_control("T")(times), axis=0) / FULL
     assert np.all((throttle > 0.4) & (throttle < 0.77))
 
 

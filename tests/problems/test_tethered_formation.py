@@ -24,7 +24,7 @@ from benchmarks.validation.published.tethered_formation import (
     results,
     rivals,
 )
-from benchmarks.validation.published.tracked import Flight
+from benchmarks.validation.published.tracked import CompiledLoop
 from gnc_opt.control import zero_dynamics
 from problems.tethered_formation import (
     DURATION,
@@ -69,7 +69,7 @@ def test_histories_that_the_publication_draws(runs):
     for m in runs.values():
         assert m.run.outcome.ok and m.run.integration_error < 1e-10
     mpc = runs["MPC"]
-    sigma = mpc.run.remembered("sigma")
+    sigma = mpc.run.controller_state("sigma")
     assert sigma.values[0, 0] == pytest.approx(0.180778253, abs=1e-8)
     assert 70.0 < sigma.times[np.flatnonzero(np.abs(sigma.values[0]) > 1e-4)[-1]] < 72.0
     late = mpc.times > 80.0
@@ -136,7 +136,7 @@ def test_model_is_the_pair_in_other_coordinates():
 
 
 def test_least_time(fastest, runs):
-    assert fastest.verdict.ok and not fastest.verdict.untold
+    assert fastest.verdict.ok and not fastest.verdict.inconclusive
     assert REFERENCE.agrees(fastest.solution.objective)
     kinds = [arc.kind.value for arc in fastest.solution.structure if arc.channel == "gamma_rate"]
     assert kinds == [
@@ -324,7 +324,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_rates():
     for i, name in enumerate(names):
         swing = np.degrees(states[:, 3, i])
         np.testing.assert_allclose(flights[i].run.state("theta").values[0], states[:, 3, i], atol=1e-7)
-        found = Flight(
+        found = CompiledLoop(
             float(times[np.flatnonzero(np.abs(swing) > 1.0)[-1]]),
             float(np.sum(rates[i] ** 2) * h),
             float(np.max(np.abs(swing[times >= 180.0 - 1e-9]))),

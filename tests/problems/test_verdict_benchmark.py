@@ -20,12 +20,18 @@ from benchmarks.validation.verdict.wrong_answers import changes, off_by
 ENERGY = FAMILY[0]
 
 
-def verdict(*results: go.Result, sufficient: bool = True) -> go.Verdict:
+def verdict(*results: go.ConditionResult, sufficient: bool = True) -> go.Verdict:
     conditions = [
         go.Condition(f"condition {i}", r, 0.0, 1e-5, "here", "It holds.") for i, r in enumerate(results)
     ]
     last = go.Condition(
-        "last", go.Result.PASS if sufficient else go.Result.CANNOT_TELL, 0.0, 0.0, "here", "", True
+        "last",
+        go.ConditionResult.PASS if sufficient else go.ConditionResult.INCONCLUSIVE,
+        0.0,
+        0.0,
+        "here",
+        "",
+        True,
     )
     return go.Verdict("p", (*conditions, last))
 
@@ -37,7 +43,7 @@ def test_enough_is_planted_and_every_name_is_used_once() -> None:
     assert len(set(names)) == len(names)
 
 
-PASS, FAIL = go.Result.PASS, go.Result.FAIL
+PASS, FAIL = go.ConditionResult.PASS, go.ConditionResult.FAIL
 
 
 @pytest.mark.parametrize(

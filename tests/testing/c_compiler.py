@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Explanation, Reference, design_lqr, design_tvlqr, first_memory, law
+from gnc_opt.control import (
+    Controller,
+    DesignReport,
+    Reference,
+    design_lqr,
+    design_tvlqr,
+    initial_state_function,
+    law,
+)
 from gnc_opt.model import Layout, Variable
 
 COMPILER = shutil.which("cc")
@@ -123,11 +131,11 @@ def law_of(values: list[ca.SX], t: ca.SX, x: ca.SX) -> Controller:
     return Controller(
         name="every operation",
         step=law(t, x, r, z, u, ca.SX(1, 1)),
-        start=first_memory(t, x, r, ca.SX(1, 1)),
+        start=initial_state_function(t, x, r, ca.SX(1, 1)),
         states=Layout("state", (Variable("x", 2),)),
         commands=Layout("command", (Variable("u", u.shape[0]),)),
         signals=Layout("signal"),
         memory=Layout("memory", (Variable("unused", 1),)),
         schedule=lambda times, dt: np.zeros((0, np.size(times))),
-        explanation=Explanation("every operation"),
+        explanation=DesignReport("every operation"),
     )

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.control import Controller, Explanation, first_memory, law
+from gnc_opt.control import Controller, DesignReport, initial_state_function, law
 from gnc_opt.model import Layout, Model, Variable
 
 NONE = Layout("entry")
@@ -53,13 +53,15 @@ def controller(
     return Controller(
         name="by hand",
         step=law(t, x, r, z, u, z_next),
-        start=first_memory(t, x, r, symbols.zeros(memory.size) if first is None else first(t, x, r)),
+        start=initial_state_function(
+            t, x, r, symbols.zeros(memory.size) if first is None else first(t, x, r)
+        ),
         states=plant.states,
         commands=plant.controls if commands is None else commands,
         signals=signals,
         memory=memory,
         schedule=schedule or (lambda times, dt: np.zeros((signals.size, times.size))),
-        explanation=Explanation("by hand"),
+        explanation=DesignReport("by hand"),
         alarms=alarms,
     )
 

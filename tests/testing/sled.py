@@ -1,7 +1,7 @@
 """A linear loop whose ends have a normal distribution that is known."""
 
 import gnc_opt as go
-from gnc_opt.simulation import Noise, Normal, RandomHold
+from gnc_opt.simulation import Noise, Normal, PiecewiseConstantNoise
 
 DT = 0.1
 MISSION = {"x0": [0.5, 0.0], "tf": 2.0}
@@ -26,5 +26,5 @@ def loop_of(**more) -> go.ClosedLoop:
     """Return the sled under its regulator, with two sensors and gusts."""
     model = sled()
     sensors = [Noise("odometer", 0.05, on="q"), Noise("tachometer", 0.02, on="v")]
-    gusts = [RandomHold("gusts", 0.3, 5 * DT, on="F")]
+    gusts = [PiecewiseConstantNoise("gusts", 0.3, 5 * DT, on="F")]
     return go.ClosedLoop(model, regulator(model), **{"sensors": sensors, "disturbances": gusts} | more)

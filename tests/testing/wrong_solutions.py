@@ -71,7 +71,7 @@ def bang_bang() -> go.Solution:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
-    return go.refine(go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None))
+    return go.refine(go.solve(problem.with_fixed_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None))
 
 
 @cache
@@ -215,7 +215,9 @@ def one_switch(
     leg.bounds(u=(-1.0, 1.0))
     cost = leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x")
     problem.minimize(cost + more(problem, leg))
-    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, at, 2.0], 4), tol=None)
+    held = go.solve(
+        problem.with_fixed_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, at, 2.0], 4), tol=None
+    )
     arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, at), Arc("leg", "u", ArcKind.LOWER, at, 2.0))
     return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, at, 2.0], 4, movable=True)), structure=arcs)
 

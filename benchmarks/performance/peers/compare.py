@@ -39,7 +39,7 @@ ACCURACIES = (1e-3, 1e-4, 1e-6, 1e-8)
 LONGEST_S = 1800
 """Of one program on one case, wall time."""
 
-Way = dict[int, dict[str, Any]]
+SolveMethod = dict[int, dict[str, Any]]
 """What a program told of one mesh with its options, by case."""
 
 
@@ -65,9 +65,9 @@ def told(program: str, case: int, runs: int, environments: Path) -> list[dict[st
     return found
 
 
-def measure(cases: Sequence[int], runs: int, environments: Path) -> dict[str, dict[str, Way]]:
+def measure(cases: Sequence[int], runs: int, environments: Path) -> dict[str, dict[str, SolveMethod]]:
     """Return the ways of every program that is there; cases in turn, so that all see the same machine."""
-    found: dict[str, dict[str, Way]] = {}
+    found: dict[str, dict[str, SolveMethod]] = {}
     for case in cases:
         exact = REFERENCE[case, "printed"]["exact"].value
         for program in PROGRAMS:
@@ -85,7 +85,7 @@ def measure(cases: Sequence[int], runs: int, environments: Path) -> dict[str, di
     return found
 
 
-def best(ways: dict[str, Way], cases: Sequence[int], accuracy: float) -> tuple[float, str] | None:
+def best(ways: dict[str, SolveMethod], cases: Sequence[int], accuracy: float) -> tuple[float, str] | None:
     """Return the least mean time (s) of the ways that are right on all cases, and which; None if none is."""
     right = [
         (mean(way[case]["s"] for case in cases), name)
@@ -95,7 +95,7 @@ def best(ways: dict[str, Way], cases: Sequence[int], accuracy: float) -> tuple[f
     return min(right, default=None)
 
 
-def table(found: dict[str, dict[str, Way]], cases: Sequence[int]) -> Table:
+def table(found: dict[str, dict[str, SolveMethod]], cases: Sequence[int]) -> Table:
     """Least times by program and accuracy."""
     which = f"case {cases[0]}" if len(cases) == 1 else f"mean of {len(cases)} cases"
     made = Table(title=f"Processor time to accuracy, {which} (s)", box=box.SIMPLE_HEAD)
@@ -107,7 +107,7 @@ def table(found: dict[str, dict[str, Way]], cases: Sequence[int]) -> Table:
     return made
 
 
-def ahead(found: dict[str, dict[str, Way]], cases: Sequence[int]) -> bool:
+def ahead(found: dict[str, dict[str, SolveMethod]], cases: Sequence[int]) -> bool:
     """Whether gnc_opt is the fastest to every accuracy."""
     for accuracy in ACCURACIES:
         least = {name: best(ways, cases, accuracy) for name, ways in found.items()}

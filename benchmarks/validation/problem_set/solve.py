@@ -92,7 +92,7 @@ class Outcome:
         Mean over time against closed forms.
     expect : str or None
         What an ill-posed problem should end with.
-    failed, untold : tuple of str
+    failed, inconclusive : tuple of str
         Conditions of the verdict that fail, and that cannot be told.
     better : bool
         Whether a search has found a lower minimum than the reference, and the verdict accepts it.
@@ -117,7 +117,7 @@ class Outcome:
     closed_form_costate_error: float | None = None
     expect: str | None = None
     failed: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
+    inconclusive: tuple[str, ...] = ()
     better: bool = False
     message: str = ""
     verify_seconds: float | None = None
@@ -212,7 +212,7 @@ def _solved(document: Mapping[str, Any], solution: go.Solution, solutions: Path)
     begin = time.process_time()
     verdict = go.verify(solution)
     found["verify_seconds"] = time.process_time() - begin
-    for key, result in (("failed", go.Result.FAIL), ("untold", go.Result.CANNOT_TELL)):
+    for key, result in (("failed", go.ConditionResult.FAIL), ("untold", go.ConditionResult.INCONCLUSIVE)):
         found[key] = tuple(c.name for c in verdict.conditions if c.result is result)
     found["verdict_ok"] = verdict.ok
     errors = {
@@ -308,8 +308,8 @@ def _verdict(outcome: Outcome) -> str:
         return outcome.status
     words = "ok" if outcome.verdict_ok else " ".join(_SHORT.get(name, name) for name in outcome.failed)
     prefix = "" if outcome.status == go.Status.OPTIMAL.value else f"{outcome.status}; "
-    untold = "".join(f" ?{_SHORT.get(name, name)}" for name in outcome.untold)
-    return prefix + (words or "-") + untold + (" (better minimum)" if outcome.better else "")
+    inconclusive = "".join(f" ?{_SHORT.get(name, name)}" for name in outcome.inconclusive)
+    return prefix + (words or "-") + inconclusive + (" (better minimum)" if outcome.better else "")
 
 
 def _number(value: float | None, form: str) -> str:

@@ -18,10 +18,19 @@ import numpy as np
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
 from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import Flight, Rivals, flight_values
+from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, Reference, feedforward
-from gnc_opt.simulation import ClosedLoop, Disturbance, Noise, Run, Saturation, Sinusoid, Turn, Uniform
+from gnc_opt.simulation import (
+    ClosedLoop,
+    Disturbance,
+    Noise,
+    RandomRotation,
+    Run,
+    Saturation,
+    SinusoidalDisturbance,
+    Uniform,
+)
 from gnc_opt.simulation.block import Defaults, Parameters, Tick, scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_product, quaternion_to_dcm
 from problems.flexible_spacecraft.control import (
@@ -396,7 +405,7 @@ def _disturbances() -> Iterator[Value]:
     late = disturbed("J").times >= SPAN
     steady = float(np.max(largest_component(disturbed("J"))[late]))
     yield Value("J, k = 0, with disturbance: |q_i| after 200 s", steady, steady < 2e-4)
-    push = (Sinusoid("push", 0.03, 0.2, on="torque"),)
+    push = (SinusoidalDisturbance("push", 0.03, 0.2, on="torque"),)
     for gains in (INERTIAL, INERTIAL_ROBUST):
         run = fly(gains, tf=240.0, dt=DISTURBED_STEP, disturbances=push)
         steady = float(np.max(largest_component(run)[run.times > 140.0]))
@@ -616,10 +625,10 @@ def flight(name: str) -> Run:
     return closed(name).simulate(initial_state(build_model()), tf=FLIGHT_SPAN, seed=1)
 
 
-def measures(run: Run) -> Flight:
+def measures(run: Run) -> CompiledLoop:
     """Return the measures of a run."""
     off = float(np.degrees(attitude_error(run)[-1]))
-    return Flight(settling(run, 1e-3), float(np.sum(run.effort)), off)
+    return CompiledLoop(settling(run, 1e-3), float(np.sum(run.effort)), off)
 
 
 def vibration(run: Run) -> float:
@@ -649,7 +658,7 @@ def rivals() -> Rivals:
         {who: (closed(name), initial_state(model)) for who, name in names.items()},
         FLIGHT_SPAN,
         {
-            "initial.q_BO": Turn(Uniform(0.0, float(np.radians(2.0)))),
+            "initial.q_BO": RandomRotation(Uniform(0.0, float(np.radians(2.0)))),
             "wave.amplitude": half,
             "push.level": half,
         },

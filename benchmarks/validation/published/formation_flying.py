@@ -17,10 +17,10 @@ import numpy as np
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
 from benchmarks.validation.published.pareto import Front, certified
-from benchmarks.validation.published.tracked import Flight, Rivals, flight_values
+from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
-from gnc_opt.simulation import Ball, ClosedLoop, Noise, Run, Saturation
+from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation, UniformInBall
 from gnc_opt.spacecraft import inertial_from_relative, j2_gravity, point_mass_gravity, relative_from_inertial
 from problems.formation_flying.control import (
     CONTROL_WEIGHT,
@@ -216,8 +216,8 @@ def _switching() -> Iterator[Value]:
         for law in (optimal_sliding_mode(PERIOD / steps, layer=None), optimal_sliding_mode(PERIOD / steps))
     )
     yield from _outcome("optimal SMC, sgn, 1 s hold", ideal)
-    yield Value("optimal SMC, sgn, 1 s hold: TV per axis (m/s^2)", ideal.chattering("a"))
-    ratio = np.sum(ideal.chattering("a")) / np.sum(smooth.chattering("a"))
+    yield Value("optimal SMC, sgn, 1 s hold: TV per axis (m/s^2)", ideal.total_variation("a"))
+    ratio = np.sum(ideal.total_variation("a")) / np.sum(smooth.total_variation("a"))
     yield Value("chattering, sgn over sat", ratio)
 
 
@@ -316,18 +316,18 @@ def rivals() -> Rivals:
     return Rivals(
         {who: (closed(name, 2000), START) for who, name in names.items()},
         PERIOD,
-        {"initial.r": Ball(20.0), "initial.v": Ball(0.02)},
+        {"initial.r": UniformInBall(20.0), "initial.v": UniformInBall(0.02)},
         {"r": circle_state(PERIOD)[:3]},
         {"effort(a)": ("Delta-V (m/s)", 1.0), "r": ("|e(T)| (m)", 1.0)},
     )
 
 
-def measures(flown: Run) -> Flight:
+def measures(flown: Run) -> CompiledLoop:
     """Return the measures of a run of one period."""
     distance = np.linalg.norm(flown.states[:3] - circle(flown.times)[0], axis=0)
     late = np.flatnonzero(distance > 1.0)
     settled = float("inf") if late[-1] == flown.times.size - 1 else float(flown.times[late[-1]])
-    return Flight(settled, delta_v(flown), float(distance[-1]))
+    return CompiledLoop(settled, delta_v(flown), float(distance[-1]))
 
 
 def _flown() -> Iterator[Value]:

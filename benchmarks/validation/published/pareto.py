@@ -92,7 +92,7 @@ def certified(
 
 def failing(verdict: go.Verdict) -> str:
     """Return the conditions that fail or are inconclusive."""
-    return ", ".join(c.name for c in (*verdict.failed, *verdict.untold))
+    return ", ".join(c.name for c in (*verdict.failed, *verdict.inconclusive))
 
 
 def front_rows(front: Front) -> Iterator[Row]:

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
 from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import Flight, Rivals, flight_values
+from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
 from gnc_opt.arrays import Array
-from gnc_opt.simulation import Constant, Noise, Saturation, Turn, Uniform, WheelArray
+from gnc_opt.simulation import ConstantDisturbance, Noise, RandomRotation, Saturation, Uniform, WheelArray
 from gnc_opt.simulation.run import settling_time
 from gnc_opt.spacecraft import quaternion_angle, quaternion_product
 from problems.reaction_wheels.control import (
@@ -499,7 +499,7 @@ def closed(
             Noise("star tracker", np.full(3, noise * np.radians(ATTITUDE_NOISE)), turned, on="q"),
             Noise("gyro", float(noise * np.radians(RATE_NOISE)), on="omega"),
         ],
-        disturbances=[Constant("push", np.asarray(DISTURBANCE) / true, on="omega")],
+        disturbances=[ConstantDisturbance("push", np.asarray(DISTURBANCE) / true, on="omega")],
         dt=CONTROL_STEP,
     )
     return loop, start
@@ -517,13 +517,13 @@ def flight(name: Name, law: bool = False, noise: float = 1.0) -> go.Run:
     return loop.simulate(start, tf=DURATION, seed=1)
 
 
-def measures(name: Name, run: go.Run) -> Flight:
+def measures(name: Name, run: go.Run) -> CompiledLoop:
     """Return the measures of a run."""
     target = target_quaternion(MANOEUVRE[name])
     angle = np.degrees(quaternion_angle(run.state("q").values, target[:, None]))
     beyond = np.flatnonzero(angle > SETTLED * np.degrees(quaternion_angle(REST[:4], target)))
     settled = float("inf") if beyond[-1] == angle.size - 1 else float(run.times[beyond[-1]])
-    return Flight(settled, float(np.sum(run.control_energy("T"))), float(angle[-1]))
+    return CompiledLoop(settled, float(np.sum(run.control_energy("T"))), float(angle[-1]))
 
 
 def _flown(name: Name) -> Iterator[Value]:
@@ -540,7 +540,7 @@ def rivals() -> Rivals:
         {who: closed("energy", law, np.zeros(3)) for who, law in (("least energy", False), ("FLC", True))},
         DURATION,
         {
-            "initial.q": Turn(Uniform(0.0, float(np.radians(1.0)))),
+            "initial.q": RandomRotation(Uniform(0.0, float(np.radians(1.0)))),
             "plant.inertia": Uniform(-0.05, 0.05, relative=True),
         },
         {"q": target},

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
 from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import Flight, Rivals, flight_values
+from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.simulation import Noise, Saturation, Uniform
@@ -346,7 +346,7 @@ def _limits() -> Iterator[Value]:
     runs = results()
     mpc, switching = runs["MPC"], runs["switching 0.01"]
     step = mpc.times[1] - mpc.times[0]
-    sigma = np.abs(mpc.run.remembered("sigma").values[0])
+    sigma = np.abs(mpc.run.controller_state("sigma").values[0])
     rising = mpc.times[1:][(mpc.climb[1:] > 0) & (mpc.climb[:-1] <= 0) & (mpc.times[1:] > 50)]
     off, largest_angle = np.abs(mpc.height), float(np.max(np.abs(mpc.angle)))
     yield Value("MPC: time on the limit of the angle, s", mpc.at_angle_limit.size * step)
@@ -388,8 +388,10 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
         m.times[kept][None], m.run.states[:, kept], nothing, references[:, kept], nothing
     ).full()[0]
     # what the memory holds at k + 1 was estimated at k
-    estimate = m.run.remembered("estimate").values[0][kept + 1]
-    xi = (m.run.remembered("sigma_hat").values[0][:-1] - m.run.remembered("sigma").values[0][1:])[kept]
+    estimate = m.run.controller_state("estimate").values[0][kept + 1]
+    xi = (m.run.controller_state("sigma_hat").values[0][:-1] - m.run.controller_state("sigma").values[0][1:])[
+        kept
+    ]
     return (
         float(np.sqrt(np.mean(true**2))),
         float(np.sqrt(np.mean((estimate - true) ** 2))),
@@ -563,12 +565,12 @@ def rivals() -> Rivals:
     )
 
 
-def measures(m: Manoeuvre) -> Flight:
+def measures(m: Manoeuvre) -> CompiledLoop:
     """Return the measures of a run, against the first reference."""
     swing = np.abs(np.degrees(m.run.state("theta").values[0]))
     late = np.flatnonzero(swing > 1.0)
     settled = float("inf") if late[-1] == swing.size - 1 else float(m.times[late[-1]])
-    return Flight(settled, m.effort, float(np.max(swing[m.times >= DURATION - 20.0 - 1e-9])))
+    return CompiledLoop(settled, m.effort, float(np.max(swing[m.times >= DURATION - 20.0 - 1e-9])))
 
 
 def _flown(name: str) -> Iterator[Value]:

@@ -19,7 +19,7 @@ LEVELS = (0.5, 0.99)
 
 
 @dataclass(frozen=True)
-class Flight:
+class CompiledLoop:
     """Measures of a run in closed loop.
 
     Attributes
@@ -37,7 +37,9 @@ class Flight:
     miss: float
 
 
-def flight_values(what: str, measures: tuple[str, str, str], plan: Flight, law: Flight) -> Iterator[Value]:
+def flight_values(
+    what: str, measures: tuple[str, str, str], plan: CompiledLoop, law: CompiledLoop
+) -> Iterator[Value]:
     """Yield, for each measure (its name and unit), that of a plan, of the published controller, and their ratio."""
     for measure, ours, theirs in zip(measures, astuple(plan), astuple(law), strict=True):
         ratio = ours / theirs if np.isfinite(theirs) and theirs else float("nan")

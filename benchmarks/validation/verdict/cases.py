@@ -174,11 +174,11 @@ def _told(case: Case, verdict: go.Verdict) -> Told:
         return "failed"
     if case.wrong:
         if not verdict.ok:
-            return "failed" if verdict.not_judged else "untold"  # it claims nothing
+            return "failed" if verdict.not_checked else "untold"  # it claims nothing
         return "passed" if verdict.minimum or case.first_order else "untold"
     return "passed" if verdict.minimum else "untold"
 
 
 def _conditions(verdict: go.Verdict) -> tuple[str, ...]:
     failed = [f"FAIL {c.name} {c.value:.1e} at {c.where}" for c in verdict.failed]
-    return (*failed, *(f"? {c.name} at {c.where}" for c in verdict.untold))
+    return (*failed, *(f"? {c.name} at {c.where}" for c in verdict.inconclusive))

@@ -99,7 +99,7 @@ def _solved(problem: go.Problem) -> go.Verdict:
 def _judged(solution: go.Solution) -> go.Verdict:
     """What refining itself says it did not resolve is not found: no answer that a verdict could fail wrongly."""
     verdict, history = go.verify(solution), solution.history
-    ended = (RefinementStatus.CONVERGED, RefinementStatus.VERDICT_FAILS)
+    ended = (RefinementStatus.CONVERGED, RefinementStatus.CONDITIONS_FAIL)
     if verdict.failed and history is not None and history.status not in ended:
         raise NotRight(f"refining ended as {history.status.value}; {verdict.failed[0].name} fails")
     return verdict

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import gnc_opt as go
 
 Array = NDArray[np.float64]
-Expression = Callable[[Any, Any, Any], Any]
+ExpressionDisturbance = Callable[[Any, Any, Any], Any]
 
 SAMPLES = 121
 """Of a trajectory that is judged as arrays; jumps come on top."""
@@ -69,14 +69,16 @@ class Statement:
     name: str
     states: tuple[str, ...]
     controls: tuple[str, ...]
-    rates: Expression
+    rates: ExpressionDisturbance
     start: Mapping[str, float]
     end: Mapping[str, float]
     time: float | tuple[float, float]
-    running: Expression | None = None
-    final: Expression | None = None
+    running: ExpressionDisturbance | None = None
+    final: ExpressionDisturbance | None = None
     limits: Mapping[str, tuple[float | None, float | None]] = field(default_factory=dict)
-    paths: Mapping[str, tuple[Expression, float | None, float | None]] = field(default_factory=dict)
+    paths: Mapping[str, tuple[ExpressionDisturbance, float | None, float | None]] = field(
+        default_factory=dict
+    )
     numbers: Mapping[str, float] = field(default_factory=dict)
     guess: Mapping[str, Any] = field(default_factory=dict)
     tied: tuple[str, ...] = ()

@@ -42,7 +42,7 @@ _C_HEADERS = frozenset({
 
 
 @dataclass(frozen=True)
-class FlightCode:
+class CCode:
     """Where the code was written.
 
     Attributes
@@ -77,7 +77,7 @@ class FlightCode:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CodeOptions:
+class CCodeOptions:
     """Options for smaller flight code, and samples for its comparison with the law.
 
     Attributes
@@ -90,8 +90,8 @@ class CodeOptions:
 
     Examples
     --------
-    >>> from gnc_opt.control import CodeOptions
-    >>> code = go.export_c(regulator, "small", options=CodeOptions(precision="float32"))
+    >>> from gnc_opt.control import CCodeOptions
+    >>> code = go.export_c(regulator, "small", options=CCodeOptions(precision="float32"))
     >>> print(code.table_bytes)
     12
     """
@@ -107,8 +107,8 @@ def export_c(
     dt: float | None = None,
     name: str | None = None,
     span: tuple[float, float] | None = None,
-    options: CodeOptions | None = None,
-) -> FlightCode:
+    options: CCodeOptions | None = None,
+) -> CCode:
     """Write a controller as C99 into a directory.
 
     ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
@@ -166,7 +166,7 @@ def export_c(
     source.write_text(files.source(), encoding="ascii")
     driver.write_text(files.driver(), encoding="ascii")
     size = table.size(files.numbers)
-    code = FlightCode(header, source, driver, prefix, len(table.rows), dt, size)
+    code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if told.samples is None:
         return code
     missed = command_error(controller, source, driver, told.samples, dt)
@@ -174,9 +174,9 @@ def export_c(
     return replace(code, command_error=missed)
 
 
-def _read_options(options: CodeOptions | None) -> CodeOptions:
-    told = CodeOptions() if options is None else options
-    expect(told, CodeOptions, "the options of export_c()", "give CodeOptions(...)")
+def _read_options(options: CCodeOptions | None) -> CCodeOptions:
+    told = CCodeOptions() if options is None else options
+    expect(told, CCodeOptions, "the options of export_c()", "give CodeOptions(...)")
     if told.precision not in _NUMBERS:
         raise ArgumentError(
             f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
@@ -184,7 +184,7 @@ def _read_options(options: CodeOptions | None) -> CodeOptions:
     return told
 
 
-def _remark(options: CodeOptions, missed: Array) -> str:
+def _remark(options: CCodeOptions, missed: Array) -> str:
     """Return the header's text on the comparison with the law."""
     count = np.size(options.samples[0]) if options.samples is not None else 0
     by = ", ".join(f"{v:.2g}" for v in missed)

@@ -62,11 +62,11 @@ def guess_to_give(problem: Problem) -> str:
         "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )
-    untold = _untold(problem)
-    if not untold:
+    inconclusive = _untold(problem)
+    if not inconclusive:
         return hint
-    first = untold[0]
-    names = ", ".join(f"'{name}'" for name in untold)
+    first = inconclusive[0]
+    names = ", ".join(f"'{name}'" for name in inconclusive)
     return f"{hint} Begin with {names}: no bound, end or guess tells how large, as with_guess(phase, {first}=...) does."
 
 

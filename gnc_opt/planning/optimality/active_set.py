@@ -227,7 +227,7 @@ def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs
             if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
                 kinds[arc.row, k] = ArcKind.RELEASED
     entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
-    return problem.with_arcs(
+    return problem.with_fixed_arcs(
         leg.name,
         arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
         paths=kinds[:n_paths] if n_paths else None,

@@ -38,7 +38,7 @@ _PUSHES = 1e-3
 
 
 @dataclass(frozen=True)
-class Pushers:
+class StateConstraintSides:
     """Pure state constraints at some times.
 
     Attributes
@@ -55,7 +55,7 @@ class Pushers:
     active: Mask
 
     @classmethod
-    def at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> Pushers:
+    def at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
         """Evaluate state bounds and the path constraints that do not depend on controls."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
@@ -120,7 +120,7 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
-    pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
+    pushers = StateConstraintSides.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
     rest, rises, every = jumps.copy(), np.zeros(breaks.size), np.zeros(pushers.active.shape)
     scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
@@ -175,7 +175,7 @@ def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
     multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
     nothing = EndPush(gap, multipliers, np.zeros(n), 0.0, limits)
-    pushers = Pushers.at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    pushers = StateConstraintSides.at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
     sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
     active = pushers.active[sides, 0]
     rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
@@ -206,7 +206,7 @@ def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
 
 
 def _spare_pushes(s: PhaseSamples) -> Array:
-    """The same by sides of constraints as in `Pushers`, >= 0 (n_sides, K - 1)."""
+    """The same by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
 
@@ -239,7 +239,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     here = np.flatnonzero(s.segments == k)
     times, x, u, lam = s.times[here], s.x[:, here], s.u[:, here], s.lam[:, here]
     free, fundamental = _without_pushes(s, k, here)
-    pushers = Pushers.at(s, times, x, u)
+    pushers = StateConstraintSides.at(s, times, x, u)
     responses = _responses(pushers, fundamental)
     if not responses.shape[2]:
         return None
@@ -289,7 +289,7 @@ def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Arra
     return every[:, :, -1].T, np.transpose(every[:, :, :-1], (1, 2, 0))
 
 
-def _responses(pushers: Pushers, fundamental: Array) -> Array:
+def _responses(pushers: StateConstraintSides, fundamental: Array) -> Array:
     """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes."""
     n, _, m = fundamental.shape
     columns = []

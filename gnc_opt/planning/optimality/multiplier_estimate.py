@@ -67,7 +67,7 @@ class SampledTrajectory:
 
 
 @dataclass(frozen=True)
-class Atoms:
+class PointMultipliers:
     """Where path constraints without controls may push at a boundary of segments.
 
     Attributes
@@ -85,7 +85,7 @@ class Atoms:
     at_upper: Mask
 
     @classmethod
-    def of(cls, transcription: Transcription, trajectory: SampledTrajectory) -> Atoms:
+    def of(cls, transcription: Transcription, trajectory: SampledTrajectory) -> PointMultipliers:
         """Find them along a trajectory."""
         found = [cls._none(transcription.n_variables)]
         problem = trajectory.problem
@@ -105,7 +105,7 @@ class Atoms:
         )
 
     @classmethod
-    def _none(cls, n_variables: int) -> Atoms:
+    def _none(cls, n_variables: int) -> PointMultipliers:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -143,7 +143,7 @@ def _of_phase(
     trajectory: SampledTrajectory,
     pure: Indices,
     touched_only: Mask,
-) -> Atoms:
+) -> PointMultipliers:
     problem, fitted, q, scales = trajectory.problem, trajectory.phases, trajectory.q, trajectory.scales
     leg, polynomials = problem.phases[part.name], fitted[part.name]
     times = polynomials.x.breaks
@@ -158,7 +158,7 @@ def _of_phase(
     chosen = _may_push(at_lower | at_upper, touched_only)
     which, k = np.nonzero(chosen)
     columns = np.tile(np.arange(which.size), places.shape[0])
-    return Atoms(
+    return PointMultipliers(
         scipy.sparse.csc_array(
             (gradients[:, which, k].ravel(), (places[:, k].ravel(), columns)), shape=(scales.size, which.size)
         ),
@@ -231,7 +231,7 @@ def estimate(
     )
     limits = _Limits.of(transcription.variable_interval(problem), x, near * scales)
     row_limits = _Limits.of(transcription.row_interval(problem), values, near / row_scales)
-    atoms = Atoms.of(transcription, SampledTrajectory(problem, fitted, q, scales, near))
+    atoms = PointMultipliers.of(transcription, SampledTrajectory(problem, fitted, q, scales, near))
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients

@@ -252,8 +252,8 @@ class Phase(Strict):
             controls=merged(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
         )
 
-    def bounds_norm(self, **ranges: Any) -> None:
-        """State bounds of the Euclidean norm of vector controls over the whole phase: ``bounds_norm(T=(0.0, 5.0))``.
+    def norm_bounds(self, **ranges: Any) -> None:
+        """State bounds of the Euclidean norm of vector controls over the whole phase: ``norm_bounds(T=(0.0, 5.0))``.
 
         A lower limit > 0 leaves an annulus, which is not convex; other than with ``T @ T >= lower**2`` its centre is
         no place where derivatives vanish.

@@ -493,7 +493,7 @@ class Problem(Statement):
         twin.get_phase(phase).scale(**magnitudes)
         return twin
 
-    def with_arcs(
+    def with_fixed_arcs(
         self,
         phase: str | None = None,
         /,

@@ -2,13 +2,13 @@
 
 from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import refine
-from gnc_opt.planning.refinement.indirect.solve_indirect import polish
+from gnc_opt.planning.refinement.indirect.indirect_solution import solve_indirect
 from gnc_opt.planning.solution.history import History, RefinementStatus
 
 __all__ = [
     "History",
     "RefinementLimits",
     "RefinementStatus",
-    "polish",
     "refine",
+    "solve_indirect",
 ]

@@ -104,7 +104,8 @@ class WorkBudget:
         self.charge_work(solution, work_of(points, solution.statistics.iterations))
 
     def charge_work(self, like: Solution, work: float) -> None:
-        """Count iterations at one collocation point (`Pass.work`) of a problem with the variables of a solution."""
+        """Count iterations at one collocation point (`RefinementIteration.work`) of a problem with the
+        variables of a solution."""
         self.spent += work * variables_per_point(like.phases) / WORK_PER_SECOND
 
     def work_left(self, like: Solution, share: float = 1.0) -> float:

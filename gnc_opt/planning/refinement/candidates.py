@@ -12,7 +12,7 @@ from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import pass_record
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Result, Verdict
+from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_loss
 from gnc_opt.planning.verification.engine import verify
 
@@ -63,7 +63,7 @@ class Candidate:
         """Return the candidate of a single solve that began at a time (as `time.perf_counter` counts)."""
         record = pass_record(solution, estimate_errors(solution), begin, Actions())
         reached = record.solved and record.error <= tol
-        status = RefinementStatus.CONVERGED if reached else RefinementStatus.WORK_LIMIT
+        status = RefinementStatus.CONVERGED if reached else RefinementStatus.BUDGET_LIMIT
         return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)
 
     @property
@@ -214,11 +214,11 @@ def _status(
     if verdict.ok and (reached or (best.solution.structure and best.history.converged)):
         return RefinementStatus.CONVERGED if reached else RefinementStatus.STALLED
     if reached:
-        return RefinementStatus.VERDICT_FAILS if not verdict.ok else RefinementStatus.CONVERGED
+        return RefinementStatus.CONDITIONS_FAIL if not verdict.ok else RefinementStatus.CONVERGED
     if ended is not None:
         return ended
     if (
-        best.history.status is RefinementStatus.WORK_LIMIT
+        best.history.status is RefinementStatus.BUDGET_LIMIT
     ):  # no limit ended the sequence: nothing improved the mesh
         return RefinementStatus.FAILED if failed else RefinementStatus.STALLED
     return RefinementStatus.STALLED if best.history.converged else best.history.status
@@ -247,5 +247,7 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
 
 def _on_singular_arcs(verdict: Verdict) -> str:
     """Say what may keep a refinement with singular arcs from its end, and where they are."""
-    told = [c for c in verdict.conditions if c.name == "singular arcs" and c.result is not Result.PASS]
+    told = [
+        c for c in verdict.conditions if c.name == "singular arcs" and c.result is not ConditionResult.PASS
+    ]
     return "".join(f" {_CHATTERING.format(where=c.where)}" for c in told)

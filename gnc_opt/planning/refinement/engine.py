@@ -34,7 +34,7 @@ def refine(
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem. Arcs that this holds by hand (`Problem.with_arcs`) belong to its mesh: the
+        A solved one, with its problem. Arcs that this holds by hand (`Problem.with_fixed_arcs`) belong to its mesh: the
         refined solution is one of the problem without them.
     tol : float
         On the dimensionless error between the nodes (`gnc_opt.planning.refinement.error`), and on the estimated error
@@ -92,7 +92,7 @@ def refine(
     stages.problem = solution.need_problem("refine")
     if structure == "auto":
         return stages.run(solution)
-    return stages.refine_mesh(solution) if structure == "none" else stages.with_arcs(solution)
+    return stages.refine_mesh(solution) if structure == "none" else stages.with_fixed_arcs(solution)
 
 
 def _check(solution: Solution) -> None:
@@ -113,7 +113,7 @@ def _released(solution: Solution, options: SolverOptions | None, deadline: float
     if not held:
         return solution
     for name in held:
-        problem = problem.with_arcs(name, arcs=None)
+        problem = problem.with_fixed_arcs(name, arcs=None)
     given = replace(solution, problem=problem.frozen())
     found = solve_mesh(
         given.need_problem("refine"),

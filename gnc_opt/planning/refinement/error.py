@@ -94,7 +94,7 @@ class SampledPieces:
 
 
 @dataclass(frozen=True, eq=False)
-class Yardstick:
+class ErrorScales:
     """What the errors of a phase are relative to.
 
     Attributes
@@ -119,7 +119,7 @@ class Yardstick:
     hamiltonian: float
 
     @classmethod
-    def of(cls, samples: PhaseSamples) -> Yardstick:
+    def of(cls, samples: PhaseSamples) -> ErrorScales:
         """Measure a phase."""
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
@@ -243,7 +243,7 @@ class PhaseError:
     """
 
     samples: PhaseSamples
-    yardstick: Yardstick
+    yardstick: ErrorScales
     pieces: SampledPieces
     errors: SegmentErrors
     adjoint: Array
@@ -252,7 +252,7 @@ class PhaseError:
     def of(cls, samples: PhaseSamples) -> PhaseError:
         """Estimate the error of each segment of a phase."""
         leg = samples.leg
-        yardstick, pieces = Yardstick.of(samples), SampledPieces.of(samples)
+        yardstick, pieces = ErrorScales.of(samples), SampledPieces.of(samples)
         adjoint = adjoint_density(samples, yardstick.pure_paths)
         errors = yardstick.judge(pieces, adjoint)
         inner = leg.breaks[1:-1]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
 from gnc_opt.planning.refinement.error import PhaseError, largest_error
-from gnc_opt.planning.solution.history import Actions, Pass, iterations_for
+from gnc_opt.planning.solution.history import Actions, RefinementIteration, iterations_for
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -43,7 +43,8 @@ class PassLimits:
     points : int
         At most so many collocation points in any phase.
     work : float
-        No pass begins after this much work, in iterations at one collocation point; see `Pass.work` and `allowed`.
+        No pass begins after this much work, in iterations at one collocation point; see
+        `RefinementIteration.work` and `allowed`.
         One that has begun may cost half as much more at most; see `of_solve`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
@@ -57,14 +58,14 @@ class PassLimits:
     deadline: float = math.inf
     worst: float = math.inf
 
-    def allowed(self, records: Sequence[Pass]) -> float:
+    def allowed(self, records: Sequence[RefinementIteration]) -> float:
         """What all passes may cost after these: more where the last one says that few others will do."""
         errors = [r.error for r in records[-2:]]
         promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
         return self.work * (EXTENDED if promising else 1.0)
 
     def of_solve(
-        self, meshes: Iterable[Mesh], records: Sequence[Pass] = (), spent: float = 0.0
+        self, meshes: Iterable[Mesh], records: Sequence[RefinementIteration] = (), spent: float = 0.0
     ) -> SolveLimits:
         """What a solve on some meshes may take, after passes of which so much work counts."""
         if math.isinf(self.work):
@@ -76,10 +77,10 @@ class PassLimits:
 
 def pass_record(
     solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
-) -> Pass:
+) -> RefinementIteration:
     """Return the record of a pass that began at a time (as `time.perf_counter` counts) and ended with a solution."""
     error, where = largest_error(errors)
-    return Pass(
+    return RefinementIteration(
         meshes={name: leg.mesh for name, leg in solution.phases.items()},
         times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
         error=error,
@@ -92,7 +93,9 @@ def pass_record(
     )
 
 
-def pass_meter(name: str, tol: float, shown: bool) -> AbstractContextManager[Callable[[Pass], None]]:
+def pass_meter(
+    name: str, tol: float, shown: bool
+) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
     """Return a context whose value shows a pass, or does nothing; see `gnc_opt.progress`."""
     if not shown:
         return nullcontext(lambda _: None)

@@ -125,7 +125,7 @@ class Stages:
         self._add(Candidate.of_solve(first, self.tol, self.begin, "first"))
         return self._collect(first, self._by_mesh(first, 1.0))
 
-    def with_arcs(self, first: Solution) -> Solution:
+    def with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the answer with the arcs that a solution shows.
 
         Raises
@@ -175,7 +175,7 @@ class Stages:
             return RefinementStatus.INTERRUPTED
         if self._settles(candidate):
             return RefinementStatus.CONVERGED
-        return RefinementStatus.WORK_LIMIT if self.budget.left <= 0 else None
+        return RefinementStatus.BUDGET_LIMIT if self.budget.left <= 0 else None
 
     def _settles(self, candidate: Candidate) -> bool:
         if not candidate.solved:

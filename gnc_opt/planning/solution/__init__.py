@@ -5,16 +5,16 @@ from gnc_opt.planning.solution.history import History, RefinementStatus, Statist
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.solution import Solution, load
-from gnc_opt.planning.solution.verdict import Condition, LowerBound, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
 
 __all__ = [
     "Condition",
+    "ConditionResult",
     "History",
     "LowerBound",
     "PhaseSolution",
     "Quality",
     "RefinementStatus",
-    "Result",
     "Signal",
     "Solution",
     "Statistics",

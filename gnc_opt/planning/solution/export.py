@@ -36,9 +36,9 @@ def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]
     for control in leg.controls.variables:
-        yield control, np.atleast_2d(leg.flown_control(control.name)(t))
+        yield control, np.atleast_2d(leg.saturated_control(control.name)(t))
     for composed in leg.composed_controls:
-        yield composed.variable, np.atleast_2d(leg.flown_control(composed.name)(t))
+        yield composed.variable, np.atleast_2d(leg.saturated_control(composed.name)(t))
     for state in leg.states.variables:
         signal = leg.costate(state.name)
         yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]

@@ -24,7 +24,7 @@ class Statistics:
         Wall time of transcription and of the solver.
     function_s, linear_solver_s : float
         Shares of ``solve_s``: evaluating functions and derivatives; the rest.
-    build_reused : bool
+    compiled_before : bool
         Whether an earlier transcription served again.
 
     Examples
@@ -38,14 +38,14 @@ class Statistics:
     solve_s: float
     function_s: float
     linear_solver_s: float
-    build_reused: bool = False
+    compiled_before: bool = False
 
     @property
     def text(self) -> str:
         """In words, ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
         if self.iterations == 0 and self.solve_s == 0.0:
             return "by Newton's method on switch times, no program solved on it"
-        build = "build re-used" if self.build_reused else f"build {self.build_s:.3f} s"
+        build = "build re-used" if self.compiled_before else f"build {self.build_s:.3f} s"
         return (
             f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
         )
@@ -67,16 +67,16 @@ class RefinementStatus(Enum):
 
     Examples
     --------
-    >>> print(go.RefinementStatus.PASS_LIMIT.remedy)
+    >>> print(go.RefinementStatus.ITERATION_LIMIT.remedy)
     The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again.
     """
 
     CONVERGED = "converged"
-    VERDICT_FAILS = "verdict_fails"
+    CONDITIONS_FAIL = "verdict_fails"
     UNCHECKED = "unchecked"
     POINT_LIMIT = "point_limit"
-    PASS_LIMIT = "pass_limit"
-    WORK_LIMIT = "work_limit"
+    ITERATION_LIMIT = "pass_limit"
+    BUDGET_LIMIT = "work_limit"
     STALLED = "stalled"
     FAILED = "failed"
     INTERRUPTED = "interrupted"
@@ -91,7 +91,7 @@ _REMEDIES = {
     RefinementStatus.CONVERGED: (
         "The estimated error is below the tolerance, and no condition of the verdict fails. Nothing needs to be done."
     ),
-    RefinementStatus.VERDICT_FAILS: (
+    RefinementStatus.CONDITIONS_FAIL: (
         "The estimated error is below the tolerance, but a condition of the verdict fails: the trajectory is that of "
         "its mesh, and no optimum yet. The meaning of the condition says what that can be; a tighter `tol`, another "
         "first mesh or another guess may help."
@@ -104,10 +104,10 @@ _REMEDIES = {
         "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
         'jumps between its bounds, structure="bang-bang" needs far fewer points.'
     ),
-    RefinementStatus.PASS_LIMIT: (
+    RefinementStatus.ITERATION_LIMIT: (
         "The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again."
     ),
-    RefinementStatus.WORK_LIMIT: (
+    RefinementStatus.BUDGET_LIMIT: (
         "What refining may cost was spent before the error had fallen far enough; the best solution so far is "
         "returned. Raise `max_work`, or refine the solution again; where this goes on, look at the place of the error."
     ),
@@ -177,7 +177,7 @@ class Actions:
 
 
 @dataclass(frozen=True)
-class Pass:
+class RefinementIteration:
     """One mesh and the solution on it.
 
     Attributes
@@ -255,7 +255,7 @@ class History:
 
     status: RefinementStatus
     tolerance: float
-    passes: tuple[Pass, ...]
+    passes: tuple[RefinementIteration, ...]
     chosen: int
     message: str
     seconds: float = 0.0
@@ -266,7 +266,7 @@ class History:
         return self.status is RefinementStatus.CONVERGED
 
     @property
-    def final(self) -> Pass:
+    def final(self) -> RefinementIteration:
         """The pass whose solution was returned."""
         return self.passes[self.chosen]
 

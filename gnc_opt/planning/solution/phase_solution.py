@@ -16,7 +16,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
-from gnc_opt.planning.solution.saturated_control import FlownControl
+from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.planning.transcription.scheme import Scheme
@@ -40,7 +40,7 @@ class Signal:
     name: str
     unit: str
     labels: tuple[str, ...]
-    source: PiecewisePolynomial | FlownControl | ComposedSignal | TurnedSignal
+    source: PiecewisePolynomial | SaturatedControl | ComposedSignal | TurnedSignal
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
@@ -57,7 +57,7 @@ class ComposedSignal:
 
     control: ComposedControl
     layout: Layout
-    source: PiecewisePolynomial | FlownControl
+    source: PiecewisePolynomial | SaturatedControl
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
@@ -69,7 +69,7 @@ class ComposedSignal:
 class TurnedSignal:
     """Controls over time of which some are angles, moved by whole turns to be within one."""
 
-    source: PiecewisePolynomial | FlownControl
+    source: PiecewisePolynomial | SaturatedControl
     turns: Turns
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -186,9 +186,9 @@ class PhaseSolution:
         return np.concatenate(pieces)
 
     @cached_property
-    def flown(self) -> FlownControl:
+    def flown(self) -> SaturatedControl:
         """The applied controls: a signal within the bounds."""
-        return FlownControl(self.u, self.control_bounds, self.rules)
+        return SaturatedControl(self.u, self.control_bounds, self.rules)
 
     @cached_property
     def path_multiplier(self) -> PiecewisePolynomial:
@@ -220,7 +220,7 @@ class PhaseSolution:
         """Return a control over time by its collocation polynomial (it may leave its bounds between nodes)."""
         return self._control(name, self.u)
 
-    def flown_control(self, name: str) -> Signal:
+    def saturated_control(self, name: str) -> Signal:
         """Return an applied control over time: a signal within its bounds."""
         return self._control(name, self.flown)
 
@@ -234,7 +234,7 @@ class PhaseSolution:
         """Return dense times, segment boundaries included."""
         return self.x.sample_times(per_segment)
 
-    def _control(self, name: str, source: PiecewisePolynomial | FlownControl) -> Signal:
+    def _control(self, name: str, source: PiecewisePolynomial | SaturatedControl) -> Signal:
         for composed in self.composed_controls:
             if composed.name == name:
                 own, variable = ComposedSignal(composed, self.controls, source), composed.variable
@@ -244,7 +244,7 @@ class PhaseSolution:
         signal = self._signal(name, self.controls, source)
         return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
 
-    def _signal(self, name: str, layout: Layout, source: PiecewisePolynomial | FlownControl) -> Signal:
+    def _signal(self, name: str, layout: Layout, source: PiecewisePolynomial | SaturatedControl) -> Signal:
         rows = layout.slice(name)
         return Signal(name, layout[name].unit, layout[name].labels, source, rows)
 

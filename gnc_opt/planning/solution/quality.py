@@ -381,24 +381,24 @@ class Quality:
     max_bound_violation : float
         Largest violation of a bound or path constraint, at nodes and between, as a share of the trajectory's
         size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
-    terminal_error : float
+    propagation_error : float
         Largest propagation error at the end of a phase, with the applied control integrated from the initial
         state, as a share of the change of state that the controls cause.
-    defect_where, bound_where, terminal_where : str
+    defect_location, bound_location, propagation_location : str
         Places of the three.
 
     Examples
     --------
-    >>> print(solution.quality.max_defect < 1e-9, solution.quality.terminal_error < 1e-9)
+    >>> print(solution.quality.max_defect < 1e-9, solution.quality.propagation_error < 1e-9)
     True True
     """
 
     max_defect: float
-    defect_where: str
+    defect_location: str
     max_bound_violation: float
-    bound_where: str
-    terminal_error: float
-    terminal_where: str
+    bound_location: str
+    propagation_error: float
+    propagation_location: str
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ _SATURATION_SAMPLES = 33
 
 
 @dataclass(frozen=True, eq=False)
-class FlownControl:
+class SaturatedControl:
     """A control signal that never leaves its bounds.
 
     Where a channel's collocation polynomial stays within its bounds over a segment, it is flown as it is.

@@ -30,7 +30,13 @@ from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.solution.accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.diagnosis import Violation
 from gnc_opt.planning.solution.export import records
-from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus, Statistics
+from gnc_opt.planning.solution.history import (
+    Actions,
+    History,
+    RefinementIteration,
+    RefinementStatus,
+    Statistics,
+)
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial, Side
@@ -77,7 +83,7 @@ class Solution:
     problem : Problem or None
         Immutable copy of the solved problem; None after loading without it.
     bound : LowerBound or None
-        Lower bound of the cost of all trajectories, from `bound_below`; not saved to files.
+        Lower bound of the cost of all trajectories, from `lower_bound`; not saved to files.
     verdict : Verdict or None
         Result of `verify` at its default tolerance, once computed. A copy made by `dataclasses.replace` has none.
 
@@ -152,9 +158,9 @@ class Solution:
         """Return a control over time by its polynomial, which may leave its bounds between nodes."""
         return self.phase(phase).control(name)
 
-    def flown_control(self, name: str, phase: str | None = None) -> Signal:
+    def saturated_control(self, name: str, phase: str | None = None) -> Signal:
         """Return an applied control over time: a signal within its bounds."""
-        return self.phase(phase).flown_control(name)
+        return self.phase(phase).saturated_control(name)
 
     def costate(self, name: str, phase: str | None = None) -> Signal:
         """Return the costate of a state over time, lambda(t0) = dJ*/dx0 of the minimised functional."""
@@ -453,7 +459,7 @@ def _trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
     if restatement is None:
         control: Callable[[Array], Array] = leg.flown
     else:
-        signals = [leg.flown_control(name) for name in model.controls.names]
+        signals = [leg.saturated_control(name) for name in model.controls.names]
 
         def control(times: Array) -> Array:
             return np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
@@ -478,7 +484,7 @@ SOLUTION_FILES = FileFormat(
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(SplitControl, VectorControl, AssembledControl, Turns),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
-            *(History, Pass, Actions, RefinementStatus),
+            *(History, RefinementIteration, Actions, RefinementStatus),
         ),
         left_out={Solution: ("problem", "history", "bound", "verdict")},
     ),

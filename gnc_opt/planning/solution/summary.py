@@ -27,7 +27,7 @@ ROUNDING_VIOLATION = 1e-9
 
 _UNKEPT = {
     RefinementStatus.CONVERGED: "ok when it was refined",
-    RefinementStatus.VERDICT_FAILS: "NOT ok when it was refined",
+    RefinementStatus.CONDITIONS_FAIL: "NOT ok when it was refined",
 }
 """What is known of the verdict of a refinement without the verdict itself, after loading."""
 
@@ -185,7 +185,7 @@ def _refinement(solution: SummarisedSolution) -> Iterator[str]:
     else:
         yield _line("verdict", verdict.headline)
         for c in verdict.open[:WORST]:
-            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.offence_text}")
+            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}")
         if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
             yield _line("what to do", missing)
     final = history.final
@@ -230,19 +230,19 @@ def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
         return
     if not brief:
         yield _line(
-            "defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_where}"
+            "defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_location}"
         )
     if quality.max_bound_violation <= ROUNDING_VIOLATION:
         if not brief:
             yield _line("bounds", "kept at and between nodes")
     else:
         yield _line(
-            "bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_where}"
+            "bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
         )
-    if np.isfinite(quality.terminal_error):
-        miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
+    if np.isfinite(quality.propagation_error):
+        miss = f"{quality.propagation_error:.2g} relative, flown control integrated: {quality.propagation_location}"
     else:
-        miss = f"ends early when the flown control is integrated: {quality.terminal_where}"
+        miss = f"ends early when the flown control is integrated: {quality.propagation_location}"
     yield _line("propagation", miss)
 
 

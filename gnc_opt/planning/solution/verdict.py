@@ -28,7 +28,7 @@ class LowerBound:
 
     Examples
     --------
-    >>> bound = go.bound_below(solution).bound
+    >>> bound = go.lower_bound(solution).bound
     >>> print(f"{bound.value:.6f}", bound.states, bound.certified)
     2.000000 ('q', 'v') True
     """
@@ -50,12 +50,12 @@ class LowerBound:
         return f"{self.value:.10g} by {', '.join(self.states)} ({known})"
 
 
-class Result(Enum):
+class ConditionResult(Enum):
     """Outcome of one condition."""
 
     PASS = "PASS"
     FAIL = "FAIL"
-    CANNOT_TELL = "CANNOT TELL"
+    INCONCLUSIVE = "INCONCLUSIVE"
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Condition:
     sufficient : bool
         False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient
         conditions of a strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means
-        that its necessary form is violated too, CANNOT TELL that the margin is missing or that no test
+        that its necessary form is violated too, INCONCLUSIVE that the margin is missing or that no test
         applies.
     loss : float or None
         First-order cost of the violations along the whole trajectory, in units of the cost; None if unknown.
@@ -92,7 +92,7 @@ class Condition:
     """
 
     name: str
-    result: Result
+    result: ConditionResult
     value: float
     tolerance: float
     where: str
@@ -102,7 +102,7 @@ class Condition:
     unit: str = ""
 
     @property
-    def offence_text(self) -> str:
+    def location_text(self) -> str:
         """The place of the worst violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02
         s".
         """
@@ -119,12 +119,12 @@ class Verdict:
     ----------
     problem_name : str
     conditions : tuple of Condition
-    not_judged : str
+    not_checked : str
         Why the minimum principle could not be checked: "no costates"; empty if it was.
     estimated : bool
         Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
     bound : LowerBound or None
-        Lower bound of the cost of all trajectories, if known (`bound_below`).
+        Lower bound of the cost of all trajectories, if known (`lower_bound`).
     gap : float or None
         Distance of the objective from the bound, relative to the objective.
 
@@ -137,7 +137,7 @@ class Verdict:
 
     problem_name: str
     conditions: tuple[Condition, ...]
-    not_judged: str = ""
+    not_checked: str = ""
     estimated: bool = False
     bound: LowerBound | None = None
     gap: float | None = None
@@ -145,35 +145,35 @@ class Verdict:
     @property
     def ok(self) -> bool:
         """Whether the necessary conditions of a minimum hold: none fails and none is inconclusive."""
-        return not self.failed and not self.not_judged and all(c.sufficient for c in self.untold)
+        return not self.failed and not self.not_checked and all(c.sufficient for c in self.inconclusive)
 
     @property
     def minimum(self) -> bool:
         """Whether sufficient conditions hold too, every one of them: a strict local minimum, within the tolerance."""
         judged = any(c.sufficient for c in self.conditions)
-        return self.ok and judged and not self.untold
+        return self.ok and judged and not self.inconclusive
 
     @property
     def failed(self) -> tuple[Condition, ...]:
         """The conditions that fail."""
-        return tuple(c for c in self.conditions if c.result is Result.FAIL)
+        return tuple(c for c in self.conditions if c.result is ConditionResult.FAIL)
 
     @property
-    def untold(self) -> tuple[Condition, ...]:
+    def inconclusive(self) -> tuple[Condition, ...]:
         """The inconclusive conditions."""
-        return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
+        return tuple(c for c in self.conditions if c.result is ConditionResult.INCONCLUSIVE)
 
     @property
     def open(self) -> tuple[Condition, ...]:
         """The conditions that prevent ``ok``: those that fail, then inconclusive necessary ones."""
-        return (*self.failed, *(c for c in self.untold if not c.sufficient))
+        return (*self.failed, *(c for c in self.inconclusive if not c.sufficient))
 
     @property
     def word(self) -> str:
         """The verdict in short: "ok", "NOT ok", or why there is none: "not judged: no costates"."""
         if self.failed:
             return "NOT ok"
-        missing = self.not_judged or ", ".join(c.name for c in self.untold if not c.sufficient)
+        missing = self.not_checked or ", ".join(c.name for c in self.inconclusive if not c.sufficient)
         return f"not judged: {missing}" if missing else "ok"
 
     @property
@@ -205,9 +205,9 @@ class Verdict:
         how = " (multipliers estimated)" if self.estimated else ""
         lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:
-            if c.result is not Result.PASS:
+            if c.result is not ConditionResult.PASS:
                 lines.append(
-                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.offence_text}. "
+                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.location_text}. "
                     f"{c.meaning}"
                 )
         return "\n".join(lines)
@@ -215,7 +215,7 @@ class Verdict:
     def __str__(self) -> str:
         width = max(len(c.name) for c in self.conditions)
         lines = [
-            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.offence_text}"
+            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.location_text}"
             for c in self.conditions
         ]
         return "\n".join([*lines, f"verdict: {self.word}"])
@@ -226,10 +226,10 @@ class Verdict:
     def _repr_html_(self) -> str:
         """For notebooks: every condition with its number and place, then what those that do not pass mean."""
         rows = [
-            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.offence_text)
+            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.location_text)
             for c in self.conditions
         ]
         titles = ("condition", "result", "value", "tolerance", "worst at")
         shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
-        passed = all(c.result is Result.PASS for c in self.conditions)
+        passed = all(c.result is ConditionResult.PASS for c in self.conditions)
         return shown if passed else shown + preformatted(self.explain())

@@ -272,8 +272,8 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
 def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
     signals = [leg.state(v) for v in leg.states.names]
-    signals += [leg.flown_control(v) for v in leg.controls.names]
-    signals += [leg.flown_control(c.name) for c in leg.composed_controls]
+    signals += [leg.saturated_control(v) for v in leg.controls.names]
+    signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
     known = {signal.name: signal for signal in signals}
     values: dict[str, Callable[[Any], Array]] = {
         v.name: _function(leg, known[v.name])

@@ -1,8 +1,8 @@
 """Many solutions, or derivatives of one: multistart, sweeps, continuation, sensitivity, lower bounds."""
 
-from gnc_opt.planning.study.continuation import Continuation, ContinuationStatus, continue_in
 from gnc_opt.planning.study.minima import Minimum
 from gnc_opt.planning.study.multistart import Multistart, multistart
+from gnc_opt.planning.study.parameter_continuation import Continuation, ContinuationStatus, continuation
 from gnc_opt.planning.study.sweep import Sweep, sweep
 
 __all__ = [
@@ -11,7 +11,7 @@ __all__ = [
     "Minimum",
     "Multistart",
     "Sweep",
-    "continue_in",
+    "continuation",
     "multistart",
     "sweep",
 ]

@@ -148,7 +148,7 @@ def _halved(mesh: Mesh) -> Mesh:
 def is_spurious(solution: Solution) -> bool:
     """Whether a collocation solution is none of the differential equations; see `MISS`."""
     quality = solution.quality
-    return not (quality.terminal_error < MISS or quality.max_defect < MISS)
+    return not (quality.propagation_error < MISS or quality.max_defect < MISS)
 
 
 def pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:

@@ -60,7 +60,7 @@ class PhaseSensitivity:
     ----------
     name : str
     initial_time, final_time : float or array (n_components,)
-    switch_times : array (n_movable,) or (n_components, n_movable)
+    switching_times : array (n_movable,) or (n_components, n_movable)
         Of the movable mesh boundaries, which are the switch times of a solution with optimised structure.
     states, controls : mapping of SignalSensitivity
     """
@@ -68,7 +68,7 @@ class PhaseSensitivity:
     name: str
     initial_time: Array | float
     final_time: Array | float
-    switch_times: Array
+    switching_times: Array
     states: Mapping[str, SignalSensitivity]
     controls: Mapping[str, SignalSensitivity]
 

@@ -15,7 +15,7 @@ and Bang-Bang Control, SIAM 2012, ch. 5-7)
 Where several controls switch at one time the problem is smooth only as long as their order stays. The Hessian then
 has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control
 Optim. 49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more
-conditions than one, being positive everywhere is sufficient only, and CANNOT TELL the answer where it is not.
+conditions than one, being positive everywhere is sufficient only, and INCONCLUSIVE the answer where it is not.
 
 Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what
 these differ by estimates their error.
@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.quality import worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import aimed_gradient
 from gnc_opt.planning.verification.goh import straight
 from gnc_opt.planning.verification.normality import normality_of_switches
@@ -74,10 +74,16 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
     touched = next(filter(None, map(_touched, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.wrong):
-        return Condition(name, Result.CANNOT_TELL, 0.0, 0.0, touched, meaning, sufficient=True)
+        return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
-        return Condition(name, Result.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = Result.FAIL if worst.wrong else Result.PASS if least > GRAZES else Result.CANNOT_TELL
+        return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
+    result = (
+        ConditionResult.FAIL
+        if worst.wrong
+        else ConditionResult.PASS
+        if least > GRAZES
+        else ConditionResult.INCONCLUSIVE
+    )
     return Condition(name, result, -least, -GRAZES, worst.where, meaning, sufficient=True)
 
 
@@ -197,11 +203,15 @@ class SecondOrder:
     attained: bool
 
     @property
-    def result(self) -> Result:
+    def result(self) -> ConditionResult:
         """Whether the form is positive definite."""
         if self.least > self.error:
-            return Result.PASS
-        return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
+            return ConditionResult.PASS
+        return (
+            ConditionResult.FAIL
+            if self.least < -self.error and self.attained
+            else ConditionResult.INCONCLUSIVE
+        )
 
 
 def by_switches(
@@ -243,7 +253,15 @@ def second_order(
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
         return [
-            Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)
+            Condition(
+                names[1],
+                ConditionResult.INCONCLUSIVE,
+                float("nan"),
+                0.0,
+                reason,
+                meanings[1],
+                sufficient=True,
+            )
         ]
     unknowns = Unknowns.of(solution, samples, switches)
     every = itertools.product(*(s.orders() for s in switches.values()))
@@ -255,16 +273,16 @@ def second_order(
         for k, orders in enumerate(every)
     ]  # fmt: skip
     off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
-    gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
+    gradient = ConditionResult.PASS if off.offence <= tolerance else ConditionResult.FAIL
     if off.where == NOT_FLOWN or tolerance < off.offence <= tolerance + off.offence_error:
-        gradient = Result.CANNOT_TELL
-    worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
+        gradient = ConditionResult.INCONCLUSIVE
+    worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
     if worst.freedom == 0:
         place = "as many conditions as switch times, nothing is left to vary"
     elif len(found) > 1:
         place += f", {len(found)} orders of simultaneous switches"
-    if worst.result is Result.CANNOT_TELL:
+    if worst.result is ConditionResult.INCONCLUSIVE:
         small = abs(worst.least) <= worst.error
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
         place = NOT_FLOWN if worst.where == NOT_FLOWN else place

@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.propagation import state_magnitudes
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import AT_LIMIT, CONVEX, RANK, TINY
 
 START, END = 0, 1
@@ -73,14 +73,14 @@ def conjugate_points(solution: Solution, samples: list[PhaseSamples]) -> list[Co
         return []
     early = [item for item in found if np.isfinite(item[2])]
     where = f"none along {', '.join(dict.fromkeys(f'phase {s.leg.name}' for s, _, _ in found))}"
-    value, result = 0.0, Result.PASS
+    value, result = 0.0, ConditionResult.PASS
     if early:
         s, end, time = max(early, key=_beyond)
         where = (
             f"phase {s.leg.name}, t = {time:.6g} s is conjugate to its {'start' if end == START else 'end'}"
         )
         value = _beyond((s, end, time))
-        result = Result.FAIL if value > CONJUGATE_END_TOLERANCE else Result.CANNOT_TELL
+        result = ConditionResult.FAIL if value > CONJUGATE_END_TOLERANCE else ConditionResult.INCONCLUSIVE
     return [
         Condition(
             "conjugate points",

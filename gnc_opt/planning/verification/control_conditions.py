@@ -17,7 +17,7 @@ from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, with
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import judge
 from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, coupled_gains, coupled_minima, limits
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST
@@ -183,9 +183,15 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Se
     places = [(value, place) for value, place in found if place is not None]
     if not places:
         nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
-        return Condition(name, Result.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
+        return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
+    result = (
+        ConditionResult.PASS
+        if least >= tolerance
+        else ConditionResult.INCONCLUSIVE
+        if least > -tolerance
+        else ConditionResult.FAIL
+    )
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
@@ -238,7 +244,7 @@ def singular_arcs(
             total = float(lengths[i])
             j = int(np.flatnonzero(beyond[i])[0])
             place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
-    result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
+    result = ConditionResult.PASS if total <= tolerance else ConditionResult.INCONCLUSIVE
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
 

@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.quality import NOTHING
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result, Verdict
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
 from gnc_opt.planning.verification import (
     bang_bang_second_order as second_order,
 )
@@ -92,7 +92,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     -------
     Verdict
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
-        CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
+        INCONCLUSIVE per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
         normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
@@ -162,7 +162,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
-    if told and _is_large(lasting) and any(c.result is Result.FAIL for c in (*conditions, *along)):
+    if told and _is_large(lasting) and any(c.result is ConditionResult.FAIL for c in (*conditions, *along)):
         switches = [_untold(name, "not looked at, as other conditions fail", _NO_EXTREMAL) for name in names]
     elif told and not missing.value:
         switches = [second_order.strict_switches(lasting)] if switching else []
@@ -173,14 +173,14 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
     judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
-    doubted = told and any(c.result is not Result.PASS for c in judged)
+    doubted = told and any(c.result is not ConditionResult.PASS for c in judged)
     if doubted and reaches_least_cost(solution, samples, ends.cost, amounts.cost, tol):
         judged = [_of_least_cost(c) for c in judged]
     if any(_leaves_open(c) for c in judged) and told and _is_only_one(problem, lasting):
         judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
     if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else roughness(problem, lasting, tol)
-        conditions.append(smoothness(rough, any(c.result is Result.FAIL for c in judged)))
+        conditions.append(smoothness(rough, any(c.result is ConditionResult.FAIL for c in judged)))
         if rough is not None:
             judged = [beyond_theorems(c, rough) for c in judged]
     if missing.value:
@@ -188,7 +188,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     if told:
         return Verdict(solution.problem_name, (*conditions, *judged))
     return Verdict(
-        solution.problem_name, (*conditions, *map(_without_costates, judged)), not_judged="no costates"
+        solution.problem_name, (*conditions, *map(_without_costates, judged)), not_checked="no costates"
     )
 
 
@@ -203,7 +203,7 @@ def _second_order(
     """By the switch times where they alone are left to vary, else on the mesh."""
     solution, ends = with_end_limits(solution, samples, ends)
     found = _second_variation(solution, samples, ends, tolerance)
-    told = all(c.result is Result.PASS for c in found)
+    told = all(c.result is ConditionResult.PASS for c in found)
     return found if told or not is_convex(solution.need_problem("verify")) else [_of_convex(c) for c in found]
 
 
@@ -225,17 +225,17 @@ def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float)
     """By the magnitudes of the program and, where those may be too large, by what the flight moves."""
     cone = critical_cone(solution, rounding=rounding)
     told = normality(cone)
-    if told.result is Result.PASS:
+    if told.result is ConditionResult.PASS:
         return beside_normal(told, cone)
     return normality(critical_cone(solution, samples, rounding, visible_spans))
 
 
 def _of_convex(condition: Condition) -> Condition:
     """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
-    if condition.result is Result.PASS or not condition.sufficient:
+    if condition.result is ConditionResult.PASS or not condition.sufficient:
         return condition
     where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
-    return replace(condition, result=Result.CANNOT_TELL, where=where)
+    return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
 
 
 def _of_least_cost(condition: Condition) -> Condition:
@@ -243,9 +243,9 @@ def _of_least_cost(condition: Condition) -> Condition:
 
     Constraints that leave the cost no say (normality) are told whatever it is.
     """
-    if condition.result is Result.PASS or condition.name == "normality":
+    if condition.result is ConditionResult.PASS or condition.name == "normality":
         return condition
-    result = Result.CANNOT_TELL if condition.sufficient else Result.PASS
+    result = ConditionResult.INCONCLUSIVE if condition.sufficient else ConditionResult.PASS
     where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"
     return replace(condition, result=result, where=where)
 
@@ -258,32 +258,40 @@ def _is_only_one(problem: Problem, samples: list[PhaseSamples]) -> bool:
 
 
 def _leaves_open(condition: Condition) -> bool:
-    return condition.sufficient and condition.result is Result.CANNOT_TELL
+    return condition.sufficient and condition.result is ConditionResult.INCONCLUSIVE
 
 
 def _of_one_solution(condition: Condition) -> Condition:
     """Where the first order suffices for the only minimum there is, nothing else need be told."""
     where = f"{condition.where}; the problem is convex and has one solution only"
-    return replace(condition, result=Result.PASS, where=where)
+    return replace(condition, result=ConditionResult.PASS, where=where)
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
     """A conjugate time past which the cost curves upwards all the same cannot be told: one of the two errs."""
-    if conjugate.result is Result.FAIL and curvature.result is Result.PASS:
+    if conjugate.result is ConditionResult.FAIL and curvature.result is ConditionResult.PASS:
         return replace(
-            conjugate, result=Result.CANNOT_TELL, where=f"{conjugate.where}, which 'second order' denies"
+            conjugate,
+            result=ConditionResult.INCONCLUSIVE,
+            where=f"{conjugate.where}, which 'second order' denies",
         )
     return conjugate
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:
-    return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, where, meaning, sufficient=True)
+    return Condition(name, ConditionResult.INCONCLUSIVE, float("nan"), 0.0, where, meaning, sufficient=True)
 
 
 def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
     value = float("nan")
     return replace(
-        condition, result=Result.CANNOT_TELL, value=value, where=where, meaning=meaning, loss=None, unit=""
+        condition,
+        result=ConditionResult.INCONCLUSIVE,
+        value=value,
+        where=where,
+        meaning=meaning,
+        loss=None,
+        unit="",
     )
 
 
@@ -297,18 +305,18 @@ def _without_costates(condition: Condition) -> Condition:
 
 def _incomplete(condition: Condition, where: str) -> Condition:
     """A pass without all numbers is none."""
-    if condition.result is not Result.PASS:
+    if condition.result is not ConditionResult.PASS:
         return condition
     return _cannot_tell(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
 def _without_length(condition: Condition, phase: str) -> Condition:
-    if condition.result is Result.FAIL:  # in another phase
+    if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
-    untold = _cannot_tell(
+    inconclusive = _cannot_tell(
         condition,
         f"phase {phase}, which has no length",
         "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
         "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
     )
-    return replace(untold, sufficient=True)  # nothing to tell is not against the solution
+    return replace(inconclusive, sufficient=True)  # nothing to tell is not against the solution

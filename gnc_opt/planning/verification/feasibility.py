@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.quality import (
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import RESOLUTION
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, TINY
 
 
@@ -73,7 +73,7 @@ _DRAWN = 1e-8
 
 def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
-    result = Result.PASS if worst.value <= tolerance else Result.FAIL
+    result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
@@ -106,7 +106,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         "The control as it can be flown (within bounds), integrated from the initial state by an independent "
         "integrator, must reach the final state; where it does not, the control is wrong between its nodes.",
     )
-    if condition.result is not Result.FAIL and not hopeless:
+    if condition.result is not ConditionResult.FAIL and not hopeless:
         return condition
     growth = max(map(_growth, told), default=1.0)
     if growth <= UNSTABLE:
@@ -116,7 +116,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         parts = parts.or_worse(gap or worst_terminal_error(s, _restarts(s)))
     return replace(
         condition,
-        result=Result.PASS if parts.value <= tolerance else Result.CANNOT_TELL,
+        result=ConditionResult.PASS if parts.value <= tolerance else ConditionResult.INCONCLUSIVE,
         value=parts.value,
         where=f"{parts.where}, in parts",
         meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
@@ -226,7 +226,13 @@ def tables(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = Result.FAIL if refused else Result.CANNOT_TELL if worst.value else Result.PASS
+    result = (
+        ConditionResult.FAIL
+        if refused
+        else ConditionResult.INCONCLUSIVE
+        if worst.value
+        else ConditionResult.PASS
+    )
     meaning = (
         "Models must be flown where their tables have data (value: how far outside, in shares of the axis): beyond, a "
         "table goes on as it was told to, and that is what is judged. FAIL if it refuses what is outside."

@@ -21,7 +21,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
 from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.tolerances import RANK, ROUNDING, TINY
 
@@ -67,7 +67,7 @@ def normality(cone: CriticalCone) -> Condition:
                 value, where = alone, cone.point.rows.labels[row]
     return Condition(
         "normality",
-        Result.FAIL if value > DEGENERACY_MAX_RATIO else Result.PASS,
+        ConditionResult.FAIL if value > DEGENERACY_MAX_RATIO else ConditionResult.PASS,
         value,
         DEGENERACY_MAX_RATIO,
         where,
@@ -89,12 +89,12 @@ def beside_normal(told: Condition, cone: CriticalCone) -> Condition:
     if not np.any(hardly):
         return told
     found = normality(replace(cone, strong=cone.strong | hardly, weak=cone.weak & ~hardly))
-    if found.result is Result.PASS:
+    if found.result is ConditionResult.PASS:
         return told
     where = (
         f"{found.where}: abnormal multipliers beside any normal ones, by an end condition that hardly pushes"
     )
-    return replace(found, result=Result.CANNOT_TELL, where=where, sufficient=True)
+    return replace(found, result=ConditionResult.INCONCLUSIVE, where=where, sufficient=True)
 
 
 def normality_of_switches(induced: InducedProblem) -> Condition:
@@ -105,7 +105,9 @@ def normality_of_switches(induced: InducedProblem) -> Condition:
     """
     conditions, free = induced.conditions, induced.unknowns.free
     if not induced.finite:
-        return Condition("normality", Result.CANNOT_TELL, np.nan, DEGENERACY_MAX_RATIO, NOT_FLOWN, _MEANING)
+        return Condition(
+            "normality", ConditionResult.INCONCLUSIVE, np.nan, DEGENERACY_MAX_RATIO, NOT_FLOWN, _MEANING
+        )
     at_lower, at_upper = conditions.active
     rows = conditions.jacobian / conditions.sizes[:, None]
     own, every = np.linalg.norm(rows[:, free], axis=1), np.linalg.norm(rows, axis=1)
@@ -130,7 +132,7 @@ def normality_of_switches(induced: InducedProblem) -> Condition:
                 value, where = found, conditions.labels[active[int(np.argmax(np.abs(combination)))]]
     if not value and np.any(slopes <= RANK):
         where = f"nowhere; {active.size} conditions on {sizes.size} unknowns: multipliers are not unique"
-    result = Result.FAIL if value > DEGENERACY_MAX_RATIO else Result.PASS
+    result = ConditionResult.FAIL if value > DEGENERACY_MAX_RATIO else ConditionResult.PASS
     return Condition("normality", result, value, DEGENERACY_MAX_RATIO, where, _MEANING)
 
 

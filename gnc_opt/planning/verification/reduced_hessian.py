@@ -39,7 +39,7 @@ from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import scale_variables
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -56,7 +56,7 @@ from gnc_opt.planning.verification.goh import (
     singular_segments,
     straight,
 )
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING, VANISHED, magnitude
+from gnc_opt.tolerances import AT_LIMIT, BRANCH_ENDED, ROUNDING, magnitude
 
 PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
@@ -176,7 +176,7 @@ def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """
     slopes = np.abs(s.functions.input_jacobian(s.times, s.x, s.u))
     moved = s.span * s.control_span * np.max(slopes, axis=(0, 2), initial=0.0)
-    return magnitude(s.state_scale), np.where(moved > VANISHED, s.control_span, 1.0)
+    return magnitude(s.state_scale), np.where(moved > BRANCH_ENDED, s.control_span, 1.0)
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
@@ -194,19 +194,19 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
     )
 
-    def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
+    def judged(result: ConditionResult, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
     beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
     if least < -DOWNWARDS:
-        return judged(Result.FAIL, -least, beyond)
+        return judged(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = least_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
         jumping = "" if solution.structure else _jumping_control(samples)
         beyond = jumping or beyond
-        told = Result.CANNOT_TELL if beyond else Result.PASS
+        told = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
             return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)
         return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
@@ -216,9 +216,9 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
             place = _place(cone.point, solution, found.direction)
-            return judged(Result.FAIL, -found.value, place + _gained(found))
+            return judged(ConditionResult.FAIL, -found.value, place + _gained(found))
     place = _place(cone.point, solution, free.direction)
-    return judged(Result.CANNOT_TELL, -free.value, place + _doubt(free, steep))
+    return judged(ConditionResult.INCONCLUSIVE, -free.value, place + _doubt(free, steep))
 
 
 def _gained(curvature: Curvature) -> str:

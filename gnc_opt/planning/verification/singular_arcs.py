@@ -30,7 +30,7 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -90,12 +90,14 @@ def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) 
         "to and fro lower the cost."
     )
     if not arcs:
-        return Condition(name, Result.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
+        return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
     if worst.least < -tolerance:
-        result = Result.FAIL
+        result = ConditionResult.FAIL
     else:
-        result = Result.CANNOT_TELL if worst.why or not worst.least > tolerance else Result.PASS
+        result = (
+            ConditionResult.INCONCLUSIVE if worst.why or not worst.least > tolerance else ConditionResult.PASS
+        )
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     return Condition(
         name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True

@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.kinks import Kinks, kinks_of
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import Condition, Result
+from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import AT_LIMIT, TINY, magnitude
 
 NAME = "smoothness"
@@ -69,9 +69,11 @@ def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -
 def smoothness(found: Roughness | None, fails: bool) -> Condition:
     """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
     if found is None:
-        return Condition(NAME, Result.PASS, 0.0, 0.0, "no jump is crossed", _MEANING)
+        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", _MEANING)
     sufficient = not found.jump and not fails
-    return Condition(NAME, Result.CANNOT_TELL, found.value, 0.0, found.where, _MEANING, sufficient=sufficient)
+    return Condition(
+        NAME, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, _MEANING, sufficient=sufficient
+    )
 
 
 def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
@@ -80,11 +82,11 @@ def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
     The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
     """
     compares_values = condition.name == "minimum principle" and not found.of_states
-    if condition.result is not Result.FAIL or compares_values:
+    if condition.result is not ConditionResult.FAIL or compares_values:
         return condition
     return replace(
         condition,
-        result=Result.CANNOT_TELL,
+        result=ConditionResult.INCONCLUSIVE,
         where=f"{condition.where}; not smooth: {found.where}",
         loss=None,
         unit="",

@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.unwrap import unwound
-from gnc_opt.planning.solution.verdict import Result, Verdict
+from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
@@ -179,12 +179,12 @@ def verify_trajectory(
 
 def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
     verdict = verify(_solution(problem, samples, q), tol=tol)
-    for near in NEARER if verdict["complementarity"].result is Result.FAIL else ():
+    for near in NEARER if verdict["complementarity"].result is ConditionResult.FAIL else ():
         other = verify(_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
     for parts in PARTS:
-        if verdict["adjoint equation"].result is not Result.FAIL:
+        if verdict["adjoint equation"].result is not ConditionResult.FAIL:
             break
         verdict = verify(_solution(problem, samples, q, parts), tol=tol)
     return replace(verdict, estimated=True)

@@ -6,7 +6,7 @@ devices that work once per
 minor step, with the mean of what they get.
 """
 
-from gnc_opt.simulation.actuators.dynamic import Delay, Hold, Lag, RateLimit
+from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold
 from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
 from gnc_opt.simulation.actuators.static import (
     Deadband,
@@ -19,7 +19,6 @@ from gnc_opt.simulation.actuators.static import (
 __all__ = [
     "Deadband",
     "Delay",
-    "Hold",
     "Lag",
     "MinimumImpulse",
     "Pwm",
@@ -29,4 +28,5 @@ __all__ = [
     "Saturation",
     "ScaleFactor",
     "SchmittTrigger",
+    "ZeroOrderHold",
 ]

@@ -48,18 +48,18 @@ class _Following(Block):
     initial: ArrayLike | None = field(default=None, kw_only=True)
 
     @property
-    def in_trim(self) -> bool:
+    def starts_at_trim(self) -> bool:
         """Whether it begins with the feedforward."""
         return isinstance(self.initial, str) and self.initial == _TRIM
 
     def _first(self, size: int, unit: str) -> Defaults:
         """Return the parameter that says where it begins, if a number does."""
-        if self.initial is None or self.in_trim:
+        if self.initial is None or self.starts_at_trim:
             return {}
         return {"initial": (values(self.initial, size, f"the first output of '{self.name}'"), unit)}
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        if self.in_trim:
+        if self.starts_at_trim:
             return signal
         return p["initial"] if "initial" in p else ca.SX.zeros(signal.shape[0])
 
@@ -220,7 +220,7 @@ class Delay(_Following):
 
 
 @dataclass(frozen=True)
-class Hold(Block):
+class ZeroOrderHold(Block):
     """The actuator takes a new command only every ``period`` (s, a multiple of the minor step).
 
     Parameters
@@ -230,8 +230,8 @@ class Hold(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Hold
-    >>> block = Hold("slow valve", 0.5, on="a")
+    >>> from gnc_opt.simulation import ZeroOrderHold
+    >>> block = ZeroOrderHold("slow valve", 0.5, on="a")
     """
 
     period: float

@@ -14,17 +14,17 @@ import gnc_opt as go
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.estimation import Measurement
 from gnc_opt.simulation import (
-    Ball,
     Choice,
     Event,
     Lag,
     Noise,
     Normal,
+    RandomDirection,
+    RandomRotation,
     Saturation,
     SensorDelay,
-    Sphere,
-    Turn,
     Uniform,
+    UniformInBall,
 )
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, quaternion_difference, quaternion_rate
@@ -36,7 +36,7 @@ SPREAD = {"initial.q": Normal(0.2), "initial.v": Normal(0.1, mean=0.05)}
 
 @pytest.fixture(scope="module")
 def found() -> go.LinearCovariance:
-    return go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD))
+    return go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD))
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_5000_runs_agree_within_the_chi_square_band(found, campaign):
 
 def test_a_wrong_prediction_is_outside(campaign):
     wrong = go.linear_covariance(
-        go.Experiment(loop_of(), **MISSION, dispersions=SPREAD | {"initial.q": Normal(0.2)}), checks=0
+        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD | {"initial.q": Normal(0.2)}), checks=0
     )
     smaller = replace(wrong, parts={kind: 0.9 * part for kind, part in wrong.parts.items()})
     assert not smaller.compare(campaign).ok
@@ -132,7 +132,7 @@ def test_a_limit_that_is_met_is_told_and_runs_confirm_it():
     """Far from the limit nothing bends; where it is met, the variance of the runs leaves the band."""
     for limit, linear in ((50.0, True), (0.35, False)):
         loop = loop_of(actuators=[Saturation("limit", -limit, limit)])
-        predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=SPREAD))
+        predicted = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=SPREAD))
         runs = go.monte_carlo(loop, 1000, **MISSION, seed=2, dispersions=SPREAD, executor="serial")
         assert predicted.linear("q") is linear
         assert predicted.compare(runs).ok is linear
@@ -143,7 +143,7 @@ def test_nonlinearity_bounds_the_error_of_the_standard_deviation():
     """q' = v with a gain that is dispersed: the standard deviation is off by less than the nonlinearity."""
     spread = SPREAD | {"plant.m": Normal(0.3, relative=True, truncate=2.5)}
     loop = loop_of()
-    predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=spread), checks=200)
+    predicted = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=spread), checks=200)
     runs = go.monte_carlo(loop, 1500, **MISSION, seed=4, dispersions=spread, executor="serial")
     for name in ("q", "v"):
         sigma, bend = predicted.std(name)[0, -1], predicted.nonlinearity(name)[0, -1]
@@ -161,7 +161,7 @@ def test_a_large_state_beside_it_hides_no_nonlinearity():
         law = go.feedforward(go.Reference.constant(model, [0.0, carried], [0.0]))
         loop = go.ClosedLoop(model, law, dt=DT)
         about = {"x0": [0.5, carried], "tf": 2.0, "dispersions": {"initial.q": Normal(0.3)}}
-        predicted = go.linear_covariance(go.Experiment(loop, **about))
+        predicted = go.linear_covariance(go.Scenario(loop, **about))
         bends[carried] = predicted.nonlinearity("q")[0, -1]
         assert not predicted.linear("q") and "not linear: q" in str(predicted)
         runs = go.monte_carlo(loop, 50, **about, seed=1, executor="serial")
@@ -184,7 +184,7 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
         minor_steps=2,
     )
     spread = {"initial.q": Normal(0.2), "initial.v": Normal(0.1), "motor.tau": Uniform(-0.02, 0.02)}
-    predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=spread), every=7)
+    predicted = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=spread), every=7)
     assert predicted.times[[0, 1, -1]] == pytest.approx([0.0, 0.7, 6.0])
     runs = go.monte_carlo(loop, 1000, **MISSION, seed=5, dispersions=spread, executor="serial")
     agreed = predicted.compare(runs)
@@ -201,7 +201,7 @@ def test_a_filter_in_error_on_the_nominal_run_weighs_by_a_covariance_that_scatte
         sigma0={"q": 0.2, "v": 0.1}, process_noise={"v": 0.05}, dt=DT,
     )  # fmt: skip
     loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf))
-    experiment = go.Experiment(loop, **MISSION, dispersions={"initial.q": Normal(0.1)})
+    experiment = go.Scenario(loop, **MISSION, dispersions={"initial.q": Normal(0.1)})
     q, step = [], 1e-4
     for shift in (step, -step):
         q.append(loop.simulate([0.5 + shift, 0.0], tf=MISSION["tf"]).states[0])
@@ -222,7 +222,7 @@ def test_a_covariance_that_moves_little_is_held():
     )  # fmt: skip
     sensors = [Noise("odometer", 0.05, on="q"), SensorDelay("late", 12 * DT, on="q")]
     loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf), sensors=sensors)
-    flight = go.Experiment(loop, **MISSION, dispersions=SPREAD).flight
+    flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).flight
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
     assert len(part.held) == 105 and len(part.carried) == len(whole.carried) - 105
     a, b = (next(found.steps(found.start()[0])).a for found in (whole, part))
@@ -232,7 +232,7 @@ def test_a_covariance_that_moves_little_is_held():
 
 def test_without_a_source_nothing_scatters():
     model = sled()
-    quiet = go.linear_covariance(go.Experiment(go.ClosedLoop(model, regulator(model)), **MISSION), checks=2)
+    quiet = go.linear_covariance(go.Scenario(go.ClosedLoop(model, regulator(model)), **MISSION), checks=2)
     assert quiet.sources == () and np.all(quiet.std("q") == 0) and np.all(quiet.nonlinearity("q") == 0)
     assert quiet.budget("q") == {} and "sigma" in str(quiet)
 
@@ -256,8 +256,8 @@ def test_attitudes_scatter_as_turns_whatever_their_parameters(kind):
     body.ode({a: rate(a, omega), omega: T})
     rest = go.Reference.constant(body, [*first, 0, 0, 0], [0, 0, 0])
     loop = go.ClosedLoop(body, go.feedforward(rest), dt=0.5)
-    spread = {"initial.a": Turn(0.01), "initial.omega": Normal(1e-3)}
-    found = go.linear_covariance(go.Experiment(loop, x0=[*first, 0, 0, 0], tf=10.0, dispersions=spread))
+    spread = {"initial.a": RandomRotation(0.01), "initial.omega": Normal(1e-3)}
+    found = go.linear_covariance(go.Scenario(loop, x0=[*first, 0, 0, 0], tf=10.0, dispersions=spread))
     e = found.std("a")
     assert e[:, 0] == pytest.approx(np.full(3, e[0, 0]), rel=1e-6)
     unit = e[0, 0] / (0.01 / np.sqrt(3))  # what a unit of the difference is worth in rad
@@ -275,11 +275,11 @@ def test_attitudes_scatter_as_turns_whatever_their_parameters(kind):
         (Normal(0.1, relative=True, truncate=1.5), [3.0, -4.0]),
         (Uniform(-0.1, [0.3, 0.5], relative=True), [2.0, -3.0]),
         (Choice([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]]), [1.0, 1.0]),
-        (Sphere(Uniform(0.5, 1.0)), [0.0, 0.0, 1.0]),
-        (Sphere(Normal(0.2)), [0.0, 0.0]),
-        (Ball(2.0), [1.0, 2.0, 3.0]),
-        (Turn(0.01), [0.6, 0.0, 0.8, 0.0]),
-        (Turn(Uniform(0.0, 0.02)), [0.3, -0.1, 0.2]),
+        (RandomDirection(Uniform(0.5, 1.0)), [0.0, 0.0, 1.0]),
+        (RandomDirection(Normal(0.2)), [0.0, 0.0]),
+        (UniformInBall(2.0), [1.0, 2.0, 3.0]),
+        (RandomRotation(0.01), [0.6, 0.0, 0.8, 0.0]),
+        (RandomRotation(Uniform(0.0, 0.02)), [0.3, -0.1, 0.2]),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, Dispersion) else "",
 )
@@ -306,19 +306,19 @@ def test_what_cannot_be_linearized_is_refused():
     law = regulator(model)
     ends = go.ClosedLoop(model, law, events=[Event("gate", model.symbol("q"))])
     with pytest.raises(go.ArgumentError, match=r"has events \('gate'\)"):
-        go.linear_covariance(go.Experiment(ends, **MISSION))
+        go.linear_covariance(go.Scenario(ends, **MISSION))
     with pytest.raises(go.ArgumentError, match=r"Odd\(\) does not tell its mean"):
-        go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions={"plant.m": Odd()}))
+        go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions={"plant.m": Odd()}))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
-        go.Experiment(model, **MISSION)
+        go.Scenario(model, **MISSION)
     with pytest.raises(go.ArgumentError, match="give an Experiment"):
         go.linear_covariance(loop_of())
     with pytest.raises(go.ArgumentError, match="seed of an experiment"):
-        go.Experiment(loop_of(), **MISSION, seed=-1)
+        go.Scenario(loop_of(), **MISSION, seed=-1)
     with pytest.raises(go.UnknownNameError, match=r"did you mean 'initial\.q'"):
-        go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions={"initial.Q": Normal(1.0)}))
+        go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions={"initial.Q": Normal(1.0)}))
     with pytest.raises(go.ArgumentError, match="number of runs to compare with"):
-        go.linear_covariance(go.Experiment(loop_of(), **MISSION), checks=-1)
+        go.linear_covariance(go.Scenario(loop_of(), **MISSION), checks=-1)
 
 
 def test_a_derivative_that_is_not_finite_is_named():
@@ -327,7 +327,7 @@ def test_a_derivative_that_is_not_finite_is_named():
     model.ode({q: ca.sqrt(q) + a})
     law = go.feedforward(go.Reference.constant(model, [0.0], [0.0]))
     with pytest.raises(go.ArgumentError, match="derivative of 'q' of the closed loop is not finite at 0 s"):
-        go.linear_covariance(go.Experiment(go.ClosedLoop(model, law, dt=0.1, substeps=1), x0=[0.0], tf=1.0))
+        go.linear_covariance(go.Scenario(go.ClosedLoop(model, law, dt=0.1, substeps=1), x0=[0.0], tf=1.0))
 
 
 def test_mistakes_with_the_result_are_refused(found, campaign):
@@ -335,7 +335,7 @@ def test_mistakes_with_the_result_are_refused(found, campaign):
         found.std("command(f)")
     with pytest.raises(go.ArgumentError, match="give checks="):
         replace(found, checked=0).linear("q")
-    other = go.linear_covariance(go.Experiment(loop_of(), x0=[0.5, 0.0], tf=3.0), checks=0)
+    other = go.linear_covariance(go.Scenario(loop_of(), x0=[0.5, 0.0], tf=3.0), checks=0)
     with pytest.raises(go.ArgumentError, match="another loop or span"):
         other.compare(campaign)
     with pytest.raises(go.ArgumentError, match="number between 0 and 1"):
@@ -350,7 +350,7 @@ def test_modes_that_the_nominal_run_does_not_show_are_told(substeps):
     plant.ode({q: r, r: -400 * q - 0.2 * r + T})
     law = go.feedforward(go.Reference.constant(plant, [0, 0], [0]))
     loop = go.ClosedLoop(plant, law, dt=DT, substeps=substeps)
-    experiment = go.Experiment(loop, x0=[0, 0], tf=10.0, dispersions={"initial.q": Normal(0.1)})
+    experiment = go.Scenario(loop, x0=[0, 0], tf=10.0, dispersions={"initial.q": Normal(0.1)})
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         std = go.linear_covariance(experiment, checks=0).std("q")[0, -1]

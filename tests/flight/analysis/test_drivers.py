@@ -17,7 +17,7 @@ def end_of_q(campaign):
 @pytest.fixture(scope="module")
 def found():
     return sobol_indices(
-        go.Experiment(loop_of(), **MISSION, dispersions=SPREAD, judge={"end": end_of_q}),
+        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD, judge={"end": end_of_q}),
         "end",
         n=200,
         executor="serial",
@@ -25,9 +25,7 @@ def found():
 
 
 def test_of_a_linear_loop_they_are_the_budget_of_the_linear_covariance(found):
-    theory = go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget(
-        "q"
-    )
+    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget("q")
     expected = {name: theory[name] for name in SPREAD}
     expected["noise"] = 1 - sum(expected.values())
     assert set(found.total) == set(expected)
@@ -75,7 +73,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(monkeypatch):
 def test_a_measure_that_does_not_vary_is_refused():
     with pytest.raises(go.ArgumentError, match="'constant' does not vary"):
         sobol_indices(
-            go.Experiment(
+            go.Scenario(
                 loop_of(),
                 **MISSION,
                 dispersions=SPREAD,
@@ -86,17 +84,17 @@ def test_a_measure_that_does_not_vary_is_refused():
             executor="serial",
         )
     with pytest.raises(go.UnknownNameError):
-        sobol_indices(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD), "nothing")
+        sobol_indices(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), "nothing")
     with pytest.raises(go.ArgumentError, match="number of rows"):
-        sobol_indices(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD), "q", n=3)
+        sobol_indices(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), "q", n=3)
 
 
 def test_rows_with_failed_runs_are_left_out_and_counted():
     spread = SPREAD | {"limit.upper": Choice([1.0] * 9 + [-5.0])}
-    loop = loop_of(actuators=[Saturation("limit", -1.0, 1.0)], plausible={"q": 0.8})
+    loop = loop_of(actuators=[Saturation("limit", -1.0, 1.0)], divergence_limits={"q": 0.8})
     with pytest.raises(go.GncOptError, match=r"rows .* have a failed run"):
         sobol_indices(
-            go.Experiment(loop, **MISSION, dispersions=spread | {"initial.q": Normal(3.0)}),
+            go.Scenario(loop, **MISSION, dispersions=spread | {"initial.q": Normal(3.0)}),
             "q",
             n=20,
             executor="serial",
@@ -108,9 +106,7 @@ def test_rank_correlations_name_what_rises_with_a_measure():
         loop_of(), 300, **MISSION, seed=3, dispersions=SPREAD, judge={"end": end_of_q}, executor="serial"
     )
     found = correlations(runs, "end")
-    theory = go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget(
-        "q"
-    )
+    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget("q")
     assert set(found.ranks) == {"initial.q", "initial.v"} and found.runs == 300
     for name, share in found.ranks.items():  # of a normal pair: 6 / pi asin(rho / 2)
         assert share.low < 6 / np.pi * np.arcsin(np.sqrt(theory[name]) / 2) < share.high

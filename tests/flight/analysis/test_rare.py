@@ -57,7 +57,7 @@ def test_a_common_failure_is_counted_at_once():
 
 def test_that_all_runs_fail_is_no_proof_that_all_would():
     """The interval of a binomial number, by its definition: 200 of 200 have the probability 0.025 at its low end."""
-    experiment = go.Experiment(loop_of(), **MISSION, dispersions=SPREAD)
+    experiment = go.Scenario(loop_of(), **MISSION, dispersions=SPREAD)
     found = failure_probability(experiment, "q", 1e-9, n=20, executor="serial")
     assert found.probability == found.high == 1.0 and found.runs == 200
     assert found.low**200 == pytest.approx(0.025)
@@ -66,11 +66,11 @@ def test_that_all_runs_fail_is_no_proof_that_all_would():
 def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
     """Dispersions and noise alike: q(t_f) is normal, with the mean and sigma of the linear covariance."""
     loop, p = loop_of(), 1e-4
-    theory = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=SPREAD), checks=0)
+    theory = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=SPREAD), checks=0)
     middle, sigma = theory.nominal[0, -1] + theory.mean[0, -1], theory.std("q")[0, -1]
     limit = middle + sigma * scipy.stats.norm.isf(p)
     found = failure_probability(
-        go.Experiment(
+        go.Scenario(
             loop, **MISSION, dispersions=SPREAD, judge={"end": lambda runs: runs.state("q")[0]}, seed=5
         ),
         "end",
@@ -88,9 +88,9 @@ def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
 
 
 def test_runs_that_fail_count_as_failures():
-    loop = loop_of(plausible={"q": 1.2})  # start above 1.2: more than 3.5 sigma
+    loop = loop_of(divergence_limits={"q": 1.2})  # start above 1.2: more than 3.5 sigma
     found = failure_probability(
-        go.Experiment(loop, **MISSION, dispersions={"initial.q": Normal(0.2)}),
+        go.Scenario(loop, **MISSION, dispersions={"initial.q": Normal(0.2)}),
         "q",
         1e3,
         n=100,
@@ -103,7 +103,7 @@ def test_runs_that_fail_count_as_failures():
 def test_a_limit_that_is_all_but_reached_reads_different_from_the_largest_value():
     with pytest.raises(go.GncOptError, match=r"exceeds 3\.0000002 less often .* found is 3;"):
         failure_probability(
-            go.Experiment(loop_of(), **MISSION, judge={"three": lambda runs: np.full(len(runs), 3.0)}),
+            go.Scenario(loop_of(), **MISSION, judge={"three": lambda runs: np.full(len(runs), 3.0)}),
             "three",
             3.0000002,
             n=10,
@@ -116,14 +116,14 @@ def test_what_never_fails_and_mistakes_are_refused():
     loop = loop_of()
     with pytest.raises(go.GncOptError, match="or never: the largest value found"):
         failure_probability(
-            go.Experiment(loop, **MISSION, judge={"one": lambda runs: np.ones(len(runs))}),
+            go.Scenario(loop, **MISSION, judge={"one": lambda runs: np.ones(len(runs))}),
             "one",
             2.0,
             n=10,
             repetitions=3,
             executor="serial",
         )
-    plain = go.Experiment(loop, **MISSION)
+    plain = go.Scenario(loop, **MISSION)
     with pytest.raises(go.ArgumentError, match="multiple of 10"):
         failure_probability(plain, "q", 1.0, n=105)
     with pytest.raises(go.ArgumentError, match="number of repetitions"):
@@ -136,7 +136,7 @@ def test_what_never_fails_and_mistakes_are_refused():
 
 def test_the_same_seed_gives_the_same_bits_on_any_executor():
     loop = loop_of(actuators=[Saturation("limit", -1.0, 1.0)])
-    experiment = go.Experiment(loop, **MISSION, dispersions=SPREAD)
+    experiment = go.Scenario(loop, **MISSION, dispersions=SPREAD)
     asked = {"n": 20, "repetitions": 3}
     alone = failure_probability(experiment, "q", 0.3, **asked, executor="serial")
     assert np.array_equal(alone.estimates, failure_probability(experiment, "q", 0.3, **asked).estimates)

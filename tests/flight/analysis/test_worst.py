@@ -6,16 +6,16 @@ from testing.sled import loop_of
 
 import gnc_opt as go
 from gnc_opt.analysis import worst_case
-from gnc_opt.simulation import Ball, Choice, Normal, Sinusoid, Uniform
+from gnc_opt.simulation import Choice, Normal, SinusoidalDisturbance, Uniform, UniformInBall
 
 
 def test_of_a_linear_loop_it_is_a_corner():
     loop = loop_of()
     bounds = {"initial.q": Uniform(-0.2, 0.3), "initial.v": Uniform(-0.1, 0.1)}
     mission = {"x0": [0.0, 0.0], "tf": 0.5}
-    found = worst_case(go.Experiment(loop, **mission, dispersions=bounds), "q", generations=8)
+    found = worst_case(go.Scenario(loop, **mission, dispersions=bounds), "q", generations=8)
     corners = [[q, v] for q in (-0.2, 0.3) for v in (-0.1, 0.1)]
-    flight = loop.flight([0.0, 0.0], tf=0.5)
+    flight = loop.compile([0.0, 0.0], tf=0.5)
     quiet = np.zeros((flight.n_steps, 3))
     ends = [abs(flight.run(loop.parameters(x), quiet).states[0, -1]) for x in corners]
     assert found.value == pytest.approx(max(ends), rel=1e-9)
@@ -31,11 +31,11 @@ def test_an_inner_maximum_is_the_resonance():
     e = spring.state("e")
     spring.ode({q: v, v: a - 0.2 * v - 4 * q, e: q**2})
     law = go.feedforward(go.Reference.constant(spring, [0, 0, 0], [0.0]))
-    shaker = Sinusoid("shaker", 1.0, 1.0, on="a")
+    shaker = SinusoidalDisturbance("shaker", 1.0, 1.0, on="a")
     loop = go.ClosedLoop(spring, law, disturbances=[shaker], dt=0.2, accuracy=1e-6)
     bounds = {"shaker.frequency": Uniform(-0.9, 2.0), "shaker.phase": Uniform(-0.1, 0.1)}
     found = worst_case(
-        go.Experiment(
+        go.Scenario(
             loop,
             x0=[0, 0, 0],
             tf=100.0,
@@ -53,8 +53,8 @@ def test_an_inner_maximum_is_the_resonance():
 
 def test_directions_and_choices_are_searched_too():
     loop = loop_of()
-    bounds = {"initial.q": Ball(0.3), "plant.m": Choice([1.0, 2.0, 4.0])}
-    found = worst_case(go.Experiment(loop, x0=[0.5, 0.0], tf=1.0, dispersions=bounds), "q", generations=6)
+    bounds = {"initial.q": UniformInBall(0.3), "plant.m": Choice([1.0, 2.0, 4.0])}
+    found = worst_case(go.Scenario(loop, x0=[0.5, 0.0], tf=1.0, dispersions=bounds), "q", generations=6)
     assert found.parameters["plant.m"][0] == 4.0  # what is slow to brake
     assert found.parameters["initial.q"][0] == pytest.approx(0.8, abs=1e-6)
 
@@ -62,8 +62,10 @@ def test_directions_and_choices_are_searched_too():
 def test_what_has_no_bounds_is_refused():
     loop, mission = loop_of(), {"x0": [0.0, 0.0], "tf": 0.5}
     with pytest.raises(go.ArgumentError, match=r"'initial\.q' has no bounds: give Uniform"):
-        worst_case(go.Experiment(loop, **mission, dispersions={"initial.q": Normal(0.1)}), "q")
+        worst_case(go.Scenario(loop, **mission, dispersions={"initial.q": Normal(0.1)}), "q")
     with pytest.raises(go.ArgumentError, match="nothing is dispersed"):
-        worst_case(go.Experiment(loop, **mission, dispersions={}), "q")
+        worst_case(go.Scenario(loop, **mission, dispersions={}), "q")
     with pytest.raises(go.ArgumentError, match="number of generations"):
-        worst_case(go.Experiment(loop, **mission, dispersions={"initial.q": Ball(0.1)}), "q", generations=0)
+        worst_case(
+            go.Scenario(loop, **mission, dispersions={"initial.q": UniformInBall(0.1)}), "q", generations=0
+        )

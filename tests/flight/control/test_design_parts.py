@@ -15,13 +15,13 @@ from scipy.optimize import minimize_scalar
 
 from gnc_opt.control import (
     Controller,
-    Deviation,
-    Explanation,
-    Fact,
+    DesignReport,
+    ErrorDynamics,
     Reference,
+    ReportEntry,
     bryson,
     feedforward,
-    first_memory,
+    initial_state_function,
     law,
     riccati,
     trim,
@@ -217,10 +217,10 @@ def controller(dt=0.5, **changes):
     t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 1), ca.SX.sym("z", 1)
     fields = {
         "name": "by hand", "step": law(t, x, r, z, x[0] + 10 * r + 100 * z + 1000 * t, z + x[1]),
-        "start": first_memory(t, x, r, x[1] + r + t), "states": Layout("state", (Variable("x", 2),)),
+        "start": initial_state_function(t, x, r, x[1] + r + t), "states": Layout("state", (Variable("x", 2),)),
         "commands": Layout("command", (Variable("u"),)), "signals": Layout("signal", (Variable("s"),)),
         "memory": Layout("memory", (Variable("z"),)), "schedule": lambda times, dt: times[None, :] * dt,
-        "explanation": Explanation("by hand", (Fact("k", 2.0),)), "dt": dt,
+        "explanation": DesignReport("by hand", (ReportEntry("k", 2.0),)), "dt": dt,
     }  # fmt: skip
     return Controller(**(fields | changes))
 
@@ -270,17 +270,19 @@ def test_alarms_are_entries_of_the_memory():
 
 def test_explanations_are_read_by_name_and_printed():
     facts = (
-        Fact("gain", np.array([1.0, 2.5]), "N", "why"),
-        Fact("pole", -1.25),
-        Fact("law", "LQR", remark="best"),
+        ReportEntry("gain", np.array([1.0, 2.5]), "N", "why"),
+        ReportEntry("pole", -1.25),
+        ReportEntry("law", "LQR", remark="best"),
     )
-    explanation = Explanation("title", facts)
+    explanation = DesignReport("title", facts)
     assert [str(f) for f in explanation] == ["gain: [1. , 2.5] N (why)", "pole: -1.25", "law: LQR (best)"]
     assert (
-        str(Fact("third", np.array([1 / 3]))) == "third: [0.333333]"
-        and str(Fact("third", 1 / 3)) == "third: 0.333333"
+        str(ReportEntry("third", np.array([1 / 3]))) == "third: [0.333333]"
+        and str(ReportEntry("third", 1 / 3)) == "third: 0.333333"
     )
-    assert str(Fact("two", 2.0)) == "two: 2" and str(Fact("small", 1e-9, "s")) == "small: 1e-09 s"
+    assert (
+        str(ReportEntry("two", 2.0)) == "two: 2" and str(ReportEntry("small", 1e-9, "s")) == "small: 1e-09 s"
+    )
     assert str(explanation).splitlines() == ["title", *(f"  {f}" for f in facts)]
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):
@@ -302,7 +304,7 @@ def pendulum() -> Model:
 
 def test_deviations_are_linearised_about_the_reference():
     """d/dq of -4 sin q + u cos q is -4 cos q - u sin q, at u of the reference."""
-    deviation, x, u = Deviation(pendulum()), np.array([0.3, 0.5]), np.array([2.0])
+    deviation, x, u = ErrorDynamics(pendulum()), np.array([0.3, 0.5]), np.array([2.0])
     a, b = deviation.linearize(1.0, x, u)
     assert a == pytest.approx(np.array([[0, 1], [-4 * np.cos(0.3) - 2 * np.sin(0.3), 0]]))
     assert b == pytest.approx(np.array([[0], [np.cos(0.3)]]))
@@ -316,7 +318,7 @@ def test_deviations_are_linearised_about_the_reference():
 
 
 def test_outputs_of_states_alone_are_linearised():
-    deviation = Deviation(pendulum())
+    deviation = ErrorDynamics(pendulum())
     assert deviation.linearize_output("height", 1.0, [0.3, 0.5], [2.0]) == pytest.approx(
         np.array([[-4 * np.sin(0.3), 0]])
     )
@@ -756,7 +758,7 @@ COST = QuadraticCost(np.array([[4.0]]), np.array([[1.0]]), np.array([[0.0]]))
 
 def test_a_scalar_riccati_equation_has_its_closed_form():
     """-p' = 4 - p^2, p(2) = s: p = 2 tanh(2 (T - t) + artanh(s / 2)); after the end the steady 2."""
-    deviation = Deviation(scalar_plant())
+    deviation = ErrorDynamics(scalar_plant())
     gains = riccati_gains(deviation, moving(), COST, terminal=1.0)
     for t in (0.0, 0.7, 1.9, 2.0):
         p = 2 * np.tanh(2 * (2.0 - t) + np.arctanh(0.5))
@@ -779,7 +781,7 @@ def test_the_riccati_equation_is_looked_at_in_the_middle_of_equal_parts_of_each_
         return np.array([[2.0]])
 
     gains = SimpleNamespace(
-        pieces=((5.0, 6.0, None), (6.0, 9.0, None)), P=known, deviation=Deviation(scalar_plant()),
+        pieces=((5.0, 6.0, None), (6.0, 9.0, None)), P=known, deviation=ErrorDynamics(scalar_plant()),
         reference=SimpleNamespace(duration=4.0, x=lambda t: [t], u=lambda t: [1.0]),
     )  # fmt: skip
     assert riccati_defect(gains, COST, 8) == 0.0
@@ -807,7 +809,7 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
         jumps=[jump],
     )
     cost = QuadraticCost(np.array([[4.0 / unit]]), unit * np.eye(2), np.zeros((1, 2)))
-    gains = riccati_gains(Deviation(model), reference, cost, terminal=1.0)
+    gains = riccati_gains(ErrorDynamics(model), reference, cost, terminal=1.0)
     p = 1.0
     for factor, left, right in ((-2.0, 0.6, 2.0), (1.0, 0.0, 0.6)):
 
@@ -822,7 +824,7 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
 
 def test_a_sampled_recursion_by_hand():
     """Steps of 1/2 s over 1.2 s: three, with the plant x + u / 2 and its exact cost."""
-    deviation, dt = Deviation(scalar_plant()), 0.5
+    deviation, dt = ErrorDynamics(scalar_plant()), 0.5
     gains = riccati_gains(deviation, moving(1.2), COST, terminal=1.0, dt=dt)
     assert isinstance(gains, SampledGains) and len(gains.gains) == 3 and len(gains.steps) == 4
     step = gains.steps[0]
@@ -855,7 +857,7 @@ def test_gains_need_a_tail_or_a_terminal_weight():
     x, y, u = model.state("x"), model.state("y"), model.control("u")
     model.ode({x: u, y: 0.1 * y})
     reference = Reference.from_functions(model, lambda t: [0.0, 0.0], lambda t: [0.0], 0.0, 1.0)
-    deviation, cost = Deviation(model), read_cost(model, [1.0, 1.0], 1.0, None)
+    deviation, cost = ErrorDynamics(model), read_cost(model, [1.0, 1.0], 1.0, None)
     for dt in (None, 0.25):
         with pytest.raises(DesignError, match=r"after the end of the reference .* or give a terminal weight"):
             riccati_gains(deviation, reference, cost, dt=dt)
@@ -897,7 +899,7 @@ def test_a_table_of_linearizations_is_the_linearization():
         reference = Reference.from_functions(
             pendulum(), lambda t: [np.sin(t), np.cos(t)], control, 0.0, 2.0, jumps=jumps
         )
-        deviation = Deviation(reference.model)
+        deviation = ErrorDynamics(reference.model)
         table = LinearizationTable(deviation, reference)
         smooth = [values is not None for _, _, values in table._parts]
         assert all(smooth) if control(0.5) != [0.277] else not all(smooth)
@@ -906,7 +908,9 @@ def test_a_table_of_linearizations_is_the_linearization():
             a, b = table(t)
             exact = deviation.linearize(t, reference.x(t), reference.u(t))
             assert a == pytest.approx(exact[0], abs=1e-11) and b == pytest.approx(exact[1], abs=1e-11)
-    assert LinearizationTable(Deviation(cart()), Reference.constant(cart(), [1.0, 0.0]))(0.0)[1].tolist() == [
+    assert LinearizationTable(ErrorDynamics(cart()), Reference.constant(cart(), [1.0, 0.0]))(0.0)[
+        1
+    ].tolist() == [
         [0],
         [1],
     ]

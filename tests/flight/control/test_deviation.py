@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
-from gnc_opt.control import Deviation, design_lqr
+from gnc_opt.control import ErrorDynamics, design_lqr
 from gnc_opt.errors import DesignError
 from gnc_opt.spacecraft import mrp_difference, mrp_from_axis_angle, mrp_rate
 
@@ -53,7 +53,7 @@ def displaced(x, e) -> np.ndarray:
 
 
 def test_error_vanishes_on_the_reference_and_is_a_rotation_vector_near_it():
-    deviation = Deviation(tumbler())
+    deviation = ErrorDynamics(tumbler())
     assert deviation.errors.labels == ("omega[0]", "omega[1]", "omega[2]", "q[0]", "q[1]", "q[2]", "y")
     assert np.allclose(deviation(REFERENCE, REFERENCE), 0, atol=1e-16)
     small = 1e-4 * np.arange(1, 8)
@@ -64,7 +64,7 @@ def test_error_vanishes_on_the_reference_and_is_a_rotation_vector_near_it():
 
 def test_linear_dynamics_are_those_of_small_errors_of_the_nonlinear_motion():
     model = tumbler()
-    deviation = Deviation(model)
+    deviation = ErrorDynamics(model)
     a, b = deviation.linearize(0.6, REFERENCE, TORQUE)
     assert (a.shape, b.shape) == ((7, 7), (7, 3))
     h = 1e-3
@@ -89,7 +89,7 @@ def test_linear_dynamics_are_those_of_small_errors_of_the_nonlinear_motion():
 
 
 def test_length_of_the_quaternion_is_no_error():
-    deviation = Deviation(tumbler())
+    deviation = ErrorDynamics(tumbler())
     a, b = deviation.linearize(0.0, REFERENCE, TORQUE)
     longer = REFERENCE.copy()
     longer[3:7] *= 1.0 + 1e-9
@@ -104,13 +104,13 @@ def test_without_a_declared_difference_it_is_the_plain_linearisation():
     q, v = model.state("q"), model.state("v")
     a = model.control("a")
     model.ode({q: v * q, v: a * v + ca.sin(q)})
-    found = Deviation(model).linearize(0.0, [0.4, 0.6], [0.2])
+    found = ErrorDynamics(model).linearize(0.0, [0.4, 0.6], [0.2])
     expected = model.linearize(0.0, [0.4, 0.6], [0.2])
     assert all(np.allclose(x, y, rtol=0, atol=1e-15) for x, y in zip(found, expected, strict=True))
 
 
 def test_output_changes_with_errors():
-    deviation = Deviation(tumbler())
+    deviation = ErrorDynamics(tumbler())
     c = deviation.linearize_output("tilt", 0.0, REFERENCE, TORQUE)
 
     def tilt(e):
@@ -128,7 +128,7 @@ def test_output_that_depends_on_a_control_is_refused():
     model.ode({q: a})
     model.output("push", a + q)
     with pytest.raises(DesignError, match=r"'push'.*depends on a control"):
-        Deviation(model).output("push", ca.SX.sym("t"), ca.SX.sym("x"))
+        ErrorDynamics(model).output("push", ca.SX.sym("t"), ca.SX.sym("x"))
 
 
 def test_gains_in_mrp_errors_have_their_closed_form_and_know_the_shadow_set():

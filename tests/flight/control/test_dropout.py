@@ -11,7 +11,6 @@ from gnc_opt.control import (
     SaturationLayer,
     Sign,
     SuperTwisting,
-    bridge_dropouts,
     design_feedback_linearization,
     design_integral_sliding_mode,
     design_lqr,
@@ -19,9 +18,10 @@ from gnc_opt.control import (
     design_sliding_mode,
     design_tvlqr,
     export_c,
+    with_dropout_handling,
 )
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation import ClosedLoop, Outage, RunStatus
+from gnc_opt.simulation import ClosedLoop, RunStatus, SensorOutage
 from gnc_opt.tolerances import LARGEST
 
 DT = 0.05
@@ -119,17 +119,17 @@ def test_a_law_begins_with_the_first_good_sample(controller):
 
 
 def test_bridge_and_safe_command_are_as_told():
-    controller = bridge_dropouts(regulator(), hold=0, safe=0.7)
+    controller = with_dropout_handling(regulator(), hold=0, safe=0.7)
     found, _ = fly(controller, [GOOD[0], LOST, GOOD[1]])
     assert found[1] == 0.7
     assert np.array_equal(found[[0, 2]], fly(regulator(), GOOD[:2])[0])
     assert controller.explain()["dropouts"] == "0"
     with pytest.raises(ArgumentError, match="safe command"):
-        bridge_dropouts(regulator(), safe=np.nan)
+        with_dropout_handling(regulator(), safe=np.nan)
     with pytest.raises(ArgumentError, match="lost samples"):
-        bridge_dropouts(regulator(), hold=-1)
+        with_dropout_handling(regulator(), hold=-1)
     with pytest.raises(ArgumentError, match="design function"):
-        bridge_dropouts(cart())
+        with_dropout_handling(cart())
 
 
 def test_a_command_that_is_no_number_is_not_given():
@@ -156,10 +156,10 @@ def test_python_and_c_do_the_same(tmp_path, name):
     assert np.allclose(run(program, times, samples), expected, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(("end", "status"), [(0.62, RunStatus.OK), (0.8, RunStatus.ALARM)])
+@pytest.mark.parametrize(("end", "status"), [(0.62, RunStatus.OK), (0.8, RunStatus.CONTROLLER_ALARM)])
 def test_an_outage_in_the_loop_is_bridged_or_raises_the_alarm(end, status):
-    loop = ClosedLoop(cart(), regulator(integral={"q": 1.0}), sensors=[Outage("gap", 0.5, end, on="q")])
+    loop = ClosedLoop(cart(), regulator(integral={"q": 1.0}), sensors=[SensorOutage("gap", 0.5, end, on="q")])
     outcome = loop.simulate([1.0, 0.0], tf=10.0).outcome
     assert outcome.status is status
-    if status is RunStatus.ALARM:
+    if status is RunStatus.CONTROLLER_ALARM:
         assert (outcome.what, outcome.time) == ("invalid", pytest.approx(0.65))

@@ -22,7 +22,7 @@ from testing.c_compiler import (
 )
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Explanation, export_c, first_memory, law
+from gnc_opt.control import Controller, DesignReport, export_c, initial_state_function, law
 from gnc_opt.control.c_export.c_writer import c_statements
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Variable
@@ -190,8 +190,9 @@ def test_header_tells_operations_and_stack(tmp_path):
     t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
     none = Layout("entry")
     by_hand = Controller(
-        "by hand", law(t, x, r, z, -(2.5 * x[0] + 3.5 * x[1]), z), first_memory(t, x, r, ca.SX(0, 1)), model.states,
-        model.controls, none, none, lambda times, dt: np.zeros((0, times.size)), Explanation("by hand"), 0.1,
+        "by hand", law(t, x, r, z, -(2.5 * x[0] + 3.5 * x[1]), z), initial_state_function(t, x, r, ca.SX(0, 1)),
+        model.states, model.controls, none, none,
+        lambda times, dt: np.zeros((0, times.size)), DesignReport("by hand"), 0.1,
     )  # fmt: skip
     assert "#define BY_HAND_OPERATIONS 4 " in export_c(by_hand, tmp_path).header.read_text()
     code = export_c(follower(0.1), tmp_path)

@@ -83,7 +83,7 @@ def test_an_output_schedules_and_slowest_poles_are_told():
     assert told["operating points"] == 3
     model, poles = aircraft(), []
     for speed in GRID:
-        a, b = go.control.Deviation(model).linearize(0.0, *level(speed))
+        a, b = go.control.ErrorDynamics(model).linearize(0.0, *level(speed))
         k = np.asarray(go.design_lqr(model, [0, 0, speed], Q=[4.0, 1.0, 0.1], R=1.0, dt=DT).explain()["gain"])
         flow = scipy.linalg.expm(DT * np.block([[a, b], [np.zeros((2, 5))]]))
         poles.append(np.max(np.log(np.abs(np.linalg.eigvals(flow[:3, :3] - flow[:3, 3:] @ k)))) / DT)

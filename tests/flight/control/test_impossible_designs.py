@@ -14,7 +14,6 @@ from gnc_opt.control import (
     SaturationLayer,
     Sign,
     SuperTwisting,
-    bridge_dropouts,
     bryson,
     design_gain_schedule,
     design_integral_sliding_mode,
@@ -23,6 +22,7 @@ from gnc_opt.control import (
     design_sliding_mode,
     design_tvlqr,
     feedforward,
+    with_dropout_handling,
 )
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation import (
@@ -34,7 +34,7 @@ from gnc_opt.estimation import (
     output_feedback,
 )
 from gnc_opt.guidance import design_neighbouring_extremal, design_neighbouring_optimal
-from gnc_opt.simulation import Outage
+from gnc_opt.simulation import SensorOutage
 
 
 def cart() -> go.Model:
@@ -186,7 +186,7 @@ SEEN = [Measurement("q", 0.1)]
         ),
         (lambda: feedforward([0.0, 0.0]), "feedforward() got"),
         (lambda: bryson(cart(), q=1.0), "bryson() got"),
-        (lambda: bridge_dropouts("law"), "bridge_dropouts() got"),
+        (lambda: with_dropout_handling("law"), "bridge_dropouts() got"),
         (lambda: output_feedback("law", design_ekf(cart(), [0, 0], SEEN, **FILTER)), "output_feedback() got"),
         (lambda: output_feedback(LAW, "filter"), "output_feedback() got"),
         (lambda: design_ekf("cart", [0, 0], SEEN, **FILTER), "model of an estimator"),
@@ -246,7 +246,7 @@ GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
             "is given 1 value in a list",
         ),
         (
-            lambda: go.ClosedLoop(cart(), LAW, sensors=[Outage("fog", 2.0, 1.0)]).simulate(
+            lambda: go.ClosedLoop(cart(), LAW, sensors=[SensorOutage("fog", 2.0, 1.0)]).simulate(
                 [1.0, 0.0], tf=1.0
             ),
             "'fog' ends at 1 s, before it begins at 2 s",

@@ -13,8 +13,8 @@ from scipy.integrate import quad
 from gnc_opt.control import (
     ConstantRate,
     Controller,
-    Deviation,
-    Explanation,
+    DesignReport,
+    ErrorDynamics,
     ExponentialRate,
     PowerRate,
     Reference,
@@ -25,7 +25,7 @@ from gnc_opt.control import (
     TanhLayer,
     design_lqr,
     export_c,
-    first_memory,
+    initial_state_function,
     law,
     lie_derivative,
     output_errors,
@@ -827,7 +827,7 @@ def test_only_states_whose_error_is_a_difference_can_be_limited():
     u = model.control("u", 3)
     model.ode({sigma: w, w: u})
     model.difference(sigma, mrp_difference)
-    deviation = Deviation(model)
+    deviation = ErrorDynamics(model)
     assert _subtracts(deviation, "w") and not _subtracts(deviation, "sigma")
     price = np.arange(6.0)
     in_x, in_e, lower, upper, prices = _state_rows(deviation, {"w": (-1.0, [1.0, 2.0, INF])}, (), price)
@@ -940,13 +940,13 @@ def test_the_header_tells_what_the_arrays_hold(tmp_path):
     fields = {
         "name": "by hand",
         "step": law(t, x, r, z, x[0] + r, z),
-        "start": first_memory(t, x, r, 0 * r),
+        "start": initial_state_function(t, x, r, 0 * r),
         "states": Layout("state", (Variable("x", 2, "m"),)),
         "commands": Layout("command", (Variable("u", 1, "N"),)),
         "signals": Layout("signal", (Variable("s"),)),
         "memory": Layout("memory", (Variable("z"),)),
         "schedule": lambda times, dt: np.minimum(times, 2.0)[None, :],
-        "explanation": Explanation("by hand"),
+        "explanation": DesignReport("by hand"),
         "dt": 0.5,
         "span": (1.0, 2.0),
     }
@@ -976,7 +976,7 @@ def test_the_header_tells_what_the_arrays_hold(tmp_path):
         "schedule": lambda times, dt: np.zeros((0, times.size)),
     }
     nothing = ca.SX.sym("r", 0)
-    bare |= {"step": law(t, x, nothing, z, x[0], z), "start": first_memory(t, x, nothing, ca.SX(0))}
+    bare |= {"step": law(t, x, nothing, z, x[0], z), "start": initial_state_function(t, x, nothing, ca.SX(0))}
     assert "schedule[" not in export_c(Controller(**bare), tmp_path, name="bare").source.read_text()
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control import Deviation, Reference
+from gnc_opt.control import ErrorDynamics, Reference
 from gnc_opt.control.tvlqr_gains import LinearizationTable
 
 
@@ -32,7 +32,7 @@ def path(angle, jumps=()) -> Reference:
     ],
 )
 def test_table_equals_the_linearization(reference):
-    deviation = Deviation(reference.model)
+    deviation = ErrorDynamics(reference.model)
     table = LinearizationTable(deviation, reference)
     for t in np.concatenate([np.linspace(0.0, 4.0, 201), [1.3]]):
         wanted = deviation.linearize(t, reference.x(t), reference.u(t))
@@ -42,5 +42,5 @@ def test_table_equals_the_linearization(reference):
 
 def test_reference_without_duration():
     reference = Reference.constant(pendulum(), [0.0, 0.0])
-    table = LinearizationTable(Deviation(reference.model), reference)
+    table = LinearizationTable(ErrorDynamics(reference.model), reference)
     np.testing.assert_allclose(table(0.0)[0], [[0, 1], [-1, 0]], atol=1e-15)

@@ -121,13 +121,13 @@ def test_limits_of_control_rate_and_state_are_kept():
     assert np.max(np.abs(np.diff(np.append(0.0, commands)))) <= 0.5 + 1e-12
     assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)  # met, and kept
     assert np.allclose(states[-1], 0, atol=1e-4)
-    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert z[controller.memory.slice("qp_failed")] == 0
 
 
 def test_a_state_limit_that_cannot_be_kept_is_left_as_little_as_possible():
     controller = tracker(state_limits={"v": (-0.5, 0.5)})
     states, commands, z = fly(controller, np.array([0.0, 2.0]), 40)
-    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert z[controller.memory.slice("qp_failed")] == 0
     assert np.allclose(commands[:14], -1.0)  # with all authority back to the limit
     assert np.max(np.abs(states[16:, 1])) <= 0.5 + 1e-9
 
@@ -148,7 +148,7 @@ def test_programmes_far_outside_soft_limits_are_solved():
         for far in (1.0, 3.0, 10.0):
             start = far * rng.normal(size=3)
             (u, z), (expected, _) = sparse(0.0, start), dense(0.0, start)
-            assert z[sparse.memory.slice("qp_alarm")] == 0
+            assert z[sparse.memory.slice("qp_failed")] == 0
             assert u == pytest.approx(expected, abs=1e-6)
 
 
@@ -198,12 +198,12 @@ def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_r
     regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
     x = np.array([3.0, 0.0])
     u, z = controller(0.0, x)
-    alarm = controller.memory.slice("qp_alarm")
+    alarm = controller.memory.slice("qp_failed")
     assert z[alarm] == 1
     assert u[0] == -0.5  # what limit and rate leave of the regulator's command
     near = np.array([0.3, 0.0])
     assert controller(0.0, near, np.r_[-0.3, z[1:]])[0] == pytest.approx(regulator(0.0, near)[0], abs=1e-6)
-    assert controller.alarms == ("qp_alarm", "invalid")
+    assert controller.alarms == ("qp_failed", "invalid")
 
 
 def test_refusals():
@@ -257,7 +257,7 @@ def test_where_no_limit_is_met_no_solver_is_asked():
     x = np.array([0.2, -0.1])
     u, z = controller(0.0, x)
     assert u[0] == pytest.approx(regulator(0.0, x)[0][0], rel=1e-14)
-    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert z[controller.memory.slice("qp_failed")] == 0
 
 
 @pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
@@ -275,7 +275,7 @@ def test_hard_limits_of_states_are_those_of_an_independent_optimisation(solver, 
     )  # fmt: skip
     gains = controller.schedule.windows.gains
     plants = [gains.steps[min(k, len(gains.steps) - 1)] for k in range(steps)]
-    e_0 = go.control.Deviation(model)(x_0, reference.x(0.0))
+    e_0 = go.control.ErrorDynamics(model)(x_0, reference.x(0.0))
     end = gains.costs[min(steps, len(gains.costs) - 1)]
 
     def errors(v):
@@ -300,14 +300,14 @@ def test_hard_limits_of_states_are_those_of_an_independent_optimisation(solver, 
     u, z = controller(0.0, x_0)
     feedforward = reference.mean_control(np.array([0.0]), DT)[0, 0]
     assert u[0] - feedforward == pytest.approx(best.x[0], abs=2e-5)
-    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert z[controller.memory.slice("qp_failed")] == 0
 
 
 def test_hard_limits_that_cannot_be_kept_raise_the_alarm_and_are_kept_otherwise():
     controller = tracker(state_limits={"v": (-0.5, 0.5)}, hard=["v"])
-    assert fly(controller, np.array([0.0, 2.0]), 1)[2][controller.memory.slice("qp_alarm")] == 1
+    assert fly(controller, np.array([0.0, 2.0]), 1)[2][controller.memory.slice("qp_failed")] == 1
     states, _, z = fly(controller, np.array([3.0, 0.0]), 150)
-    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert z[controller.memory.slice("qp_failed")] == 0
     assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)
     told = controller.explain()
     assert told["hard limits"] == "controls, v"

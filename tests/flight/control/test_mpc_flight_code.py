@@ -9,7 +9,7 @@ from testing.c_compiler import COMPILER, FLAGS, compiled, needs_compiler, saniti
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control import bridge_dropouts
+from gnc_opt.control import with_dropout_handling
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation import Measurement
 
@@ -110,7 +110,7 @@ def test_along_a_reference_the_matrices_are_those_of_each_step(tmp_path):
 @needs_compiler
 def test_lost_samples_are_bridged_as_in_python(tmp_path):
     limited = tracker(rate_limits=5.0, state_limits={"q": (-9.0, 9.0), "v": (-0.5, 0.5)}, hard=["v"])
-    controller = bridge_dropouts(limited, hold=1, safe=0.25)
+    controller = with_dropout_handling(limited, hold=1, safe=0.25)
     times, states, _, _ = flown(controller, np.array([3.0, 0.0]), 12)
     states = states.copy()
     states[10] = [1e20, -1e20]  # no programme there has a solution

@@ -13,7 +13,7 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
-from gnc_opt.control import Deviation
+from gnc_opt.control import ErrorDynamics
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import ClosedLoop
 from gnc_opt.spacecraft import quaternion_difference, quaternion_rate
@@ -46,12 +46,12 @@ def regulator(cart: go.Model) -> go.Controller:
 def test_without_the_package_the_remedy_is_told(cart: go.Model, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(GncOptError, match=r"control is not installed: pip install 'gnc_opt\[control\]'"):
-        Deviation(cart).to_control(0.0, np.zeros(4), np.zeros(2))
+        ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2))
 
 
 def test_linear_plant(cart: go.Model) -> None:
     control = python_control()
-    plant = Deviation(cart).to_control(0.0, np.zeros(4), np.zeros(2))
+    plant = ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2))
     assert plant.isctime() and isinstance(plant, control.StateSpace)
     assert plant.state_labels == plant.output_labels == ["r[0]", "r[1]", "v[0]", "v[1]"]
     assert plant.input_labels == ["F[0]", "F[1]"]
@@ -61,8 +61,8 @@ def test_linear_plant(cart: go.Model) -> None:
 
 def test_sampled_plant_holds_its_command(cart: go.Model) -> None:
     control = python_control()
-    plant = Deviation(cart).to_control(0.0, np.zeros(4), np.zeros(2), dt=STEP)
-    held = control.c2d(Deviation(cart).to_control(0.0, np.zeros(4), np.zeros(2)), STEP, "zoh")
+    plant = ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2), dt=STEP)
+    held = control.c2d(ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2)), STEP, "zoh")
     assert plant.dt == STEP
     np.testing.assert_allclose(plant.A, held.A, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(plant.B, held.B, rtol=1e-12, atol=1e-15)
@@ -70,7 +70,7 @@ def test_sampled_plant_holds_its_command(cart: go.Model) -> None:
 
 def test_outputs_are_linear_in_the_errors(cart: go.Model) -> None:
     python_control()
-    plant = Deviation(cart).to_control(0.0, [3.0, 4.0, 0.0, 0.0], np.zeros(2), outputs=["range"])
+    plant = ErrorDynamics(cart).to_control(0.0, [3.0, 4.0, 0.0, 0.0], np.zeros(2), outputs=["range"])
     assert plant.output_labels == ["range"]
     np.testing.assert_allclose(plant.C, [[3 / np.sqrt(26), 4 / np.sqrt(26), 0.0, 0.0]], rtol=1e-12)
     np.testing.assert_array_equal(plant.D, np.zeros((1, 2)))
@@ -82,7 +82,7 @@ def test_attitudes_have_three_errors() -> None:
     q, omega = body.state("q", 4), body.control("omega", 3, unit="rad/s")
     body.ode({q: quaternion_rate(q, omega)})
     body.difference(q, quaternion_difference)
-    plant = Deviation(body).to_control(0.0, [1.0, 0.0, 0.0, 0.0], np.zeros(3))
+    plant = ErrorDynamics(body).to_control(0.0, [1.0, 0.0, 0.0, 0.0], np.zeros(3))
     assert plant.state_labels == ["q[0]", "q[1]", "q[2]"]
     assert np.linalg.matrix_rank(plant.B) == 3
 
@@ -104,7 +104,7 @@ def test_the_law_gives_the_same_commands(cart: go.Model, regulator: go.Controlle
 
 def test_the_closed_loop_has_the_poles_of_the_design(cart: go.Model, regulator: go.Controller) -> None:
     control = python_control()
-    plant = Deviation(cart).to_control(0.0, np.zeros(4), np.zeros(2), dt=STEP)
+    plant = ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2), dt=STEP)
     law = regulator.to_control()
     law = law.linearize(np.zeros(law.nstates), np.zeros(4))
     poles = control.feedback(plant, law, sign=1).poles()  # u = u_ff - K e: the law brings its own minus
@@ -146,7 +146,7 @@ def test_frequency_response_and_margins_are_those_of_python_control(cart: go.Mod
     single.ode({r: v, v: (force - 0.4 * v) / 2.0})
     regulator = go.design_lqr(single, np.zeros(2), Q=np.ones(2), R=[1.0], dt=STEP, limits=(-10.0, 10.0))
     response = loop_response(ClosedLoop(single, regulator, dt=STEP), x0=[0.1, 0.0], tf=1.0)
-    plant = Deviation(single).to_control(0.0, np.zeros(2), np.zeros(1), dt=STEP)
+    plant = ErrorDynamics(single).to_control(0.0, np.zeros(2), np.zeros(1), dt=STEP)
     law = regulator.to_control()
     law = law.linearize(np.zeros(law.nstates), np.zeros(2))
     loop = -law * plant  # u = u_ff - K e: the law brings its own minus

@@ -25,7 +25,7 @@ from testing.c_compiler import (
 from testing.mpc_designs import DT, A, B, tracker
 
 import gnc_opt as go
-from gnc_opt.control import CodeOptions
+from gnc_opt.control import CCodeOptions
 from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.errors import ArgumentError
 
@@ -44,7 +44,7 @@ def flight(law, count=40, seed=5):
 def test_single_precision_misses_the_law_by_what_is_told(tmp_path, design):
     law = design(0.1)
     times, measured, expected = flight(law)
-    options = CodeOptions(precision="float32", samples=(times, measured))
+    options = CCodeOptions(precision="float32", samples=(times, measured))
     code = go.export_c(law, tmp_path, options=options)
     found = run(compiled(code, *SINGLE), times, measured.T)
     missed = np.max(np.abs(found - expected), axis=0)
@@ -52,7 +52,7 @@ def test_single_precision_misses_the_law_by_what_is_told(tmp_path, design):
     size = np.max(np.abs(expected))
     assert 1e-9 * size < missed[0] < 2e-6 * size  # some roundings of 6e-8
     assert f"differ by at most {code.command_error[0]:.2g}" in code.header.read_text()
-    whole = go.export_c(law, tmp_path, options=CodeOptions(samples=(times, measured)))
+    whole = go.export_c(law, tmp_path, options=CCodeOptions(samples=(times, measured)))
     assert whole.command_error[0] < 1e-13 * size
     assert code.table_bytes * 2 == whole.table_bytes
 
@@ -68,7 +68,7 @@ def test_single_precision_keeps_the_row_late_on_the_clock(tmp_path):
     law = go.design_tvlqr(model, reference, Q=1, R=1, dt=0.1)
     times = late + 0.1 * np.arange(20)
     states = np.zeros((20, 2))
-    code = go.export_c(law, tmp_path, options=CodeOptions(precision="float32"))
+    code = go.export_c(law, tmp_path, options=CCodeOptions(precision="float32"))
     assert np.allclose(run(compiled(code, "-O0"), times, states), python(law, times, states, 0.1), rtol=1e-5)
 
 
@@ -80,7 +80,7 @@ def test_single_precision_of_a_quadratic_programme(tmp_path):
         states.append(x)
         u, z = law(k * DT, x, z)
         x = A @ x + B * u[0]
-    options = CodeOptions(precision="float32", samples=(DT * np.arange(40), np.transpose(states)))
+    options = CCodeOptions(precision="float32", samples=(DT * np.arange(40), np.transpose(states)))
     code = go.export_c(law, tmp_path, options=options)
     compiled(code, *SINGLE)
     assert 1e-9 < code.command_error[0] < 1e-3
@@ -90,12 +90,12 @@ def test_refusals(tmp_path, monkeypatch):
     law = follower(0.1)
     good = (0.5 + 0.1 * np.arange(3), np.zeros((2, 3)))
     for options, message in (
-        (CodeOptions(precision="float16"), "no precision 'float16': did you mean"),
+        (CCodeOptions(precision="float16"), "no precision 'float16': did you mean"),
         (
-            CodeOptions(samples=(good[0], np.zeros((3, 2)))),
+            CCodeOptions(samples=(good[0], np.zeros((3, 2)))),
             r"shapes \(3,\) and \(3, 2\), and 'TVLQR' measures 2 states",
         ),
-        (CodeOptions(samples=good[0]), "are no pair"),
+        (CCodeOptions(samples=good[0]), "are no pair"),
         ({"precision": "float32"}, "the options of export_c"),
     ):
         with pytest.raises(ArgumentError, match=message):
@@ -104,14 +104,14 @@ def test_refusals(tmp_path, monkeypatch):
         FLOAT(1e300)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(go.GncOptError, match=r"no C compiler \(cc\) is found to compare"):
-        go.export_c(law, tmp_path, options=CodeOptions(samples=good))
+        go.export_c(law, tmp_path, options=CCodeOptions(samples=good))
 
 
 @needs_compiler
 def test_the_task_of_the_page_compiles(tmp_path):
     page = (Path(__file__).parents[3] / "docs/control/c_code.md").read_text(encoding="utf-8")
     task = re.search(r"```c\n(.*?)```", page, re.DOTALL)
-    code = go.export_c(follower(0.1), tmp_path, name="cart", options=CodeOptions(precision="float32"))
+    code = go.export_c(follower(0.1), tmp_path, name="cart", options=CCodeOptions(precision="float32"))
     board = "double wait_for_next_step(void);\nvoid read_sensors(float *x);\nvoid send_commands(const float *u);\n"
     (tmp_path / "task.c").write_text(f"{board}void control_task(void);\n{task[1]}")
     command = [COMPILER, *FLAGS, "-fsyntax-only", str(tmp_path / "task.c")]
@@ -126,7 +126,7 @@ def test_every_operation_has_its_single_form(tmp_path):
     law = law_of([*values, t, ca.SX(3.5)], t, x)
     times, measured = 0.1 * np.arange(12), 2 * np.random.default_rng(8).normal(size=(2, 12))
     measured = measured.astype(np.float32).astype(float)  # the same numbers in both
-    options = CodeOptions(precision="float32", samples=(times, measured))
+    options = CCodeOptions(precision="float32", samples=(times, measured))
     code = go.export_c(law, tmp_path, dt=0.1, options=options)
     compiled(code, *SINGLE)
     size = np.max(np.abs(python(law, times, measured.T, 0.1)), axis=0)

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 import gnc_opt as go
-from gnc_opt.control import Deviation, Reference, design_lqr, design_tvlqr
+from gnc_opt.control import ErrorDynamics, Reference, design_lqr, design_tvlqr
 from gnc_opt.control.quadratic_cost import QuadraticCost
 from gnc_opt.control.tvlqr_gains import riccati_defect, riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError
@@ -130,7 +130,7 @@ def test_dense_gains_satisfy_the_riccati_equation_between_jumps():
         model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [1.0 if t < 1.5 else -1.0], 0, 4, jumps=[1.5]
     )
     cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
-    found = riccati_gains(Deviation(model), reference, cost, terminal=2.0)
+    found = riccati_gains(ErrorDynamics(model), reference, cost, terminal=2.0)
     assert riccati_defect(found, cost) < 1e-7
     # the measure is no formality: another weight shows up at once
     assert riccati_defect(found, cost._replace(q=1.01 * cost.q)) > 1e-3
@@ -227,7 +227,7 @@ def test_gains_in_quaternion_errors_turn_with_the_reference():
         0.0,
         10.0,
     )
-    a, b = Deviation(model).linearize(7.0, reference.x(7.0), reference.u(7.0))
+    a, b = ErrorDynamics(model).linearize(7.0, reference.x(7.0), reference.u(7.0))
     cross = np.array([[0, rate, 0], [-rate, 0, 0], [0, 0, 0.0]])  # e' = omega/2 - omega_r x e
     assert np.allclose(
         a, np.block([[np.zeros((3, 3)), np.zeros((3, 3))], [0.5 * np.eye(3), cross]]), atol=1e-13

@@ -245,7 +245,7 @@ def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solv
     )
     u, after = law(0.4, x, z)
     assert u == pytest.approx([best.x[0] + 0.25], abs=1e-5) and u[0] == pytest.approx(before - 0.6, abs=1e-6)
-    assert after[0] == pytest.approx(u[0]) and after[law.memory.slice("qp_alarm")].tolist() == [0.0]
+    assert after[0] == pytest.approx(u[0]) and after[law.memory.slice("qp_failed")].tolist() == [0.0]
 
 
 def swinging() -> tuple[Model, Reference]:
@@ -304,7 +304,7 @@ def test_a_horizon_over_dynamics_that_change_takes_them_from_its_schedule():
     )
     u, after = tight(t, x)
     assert u == pytest.approx(best.x[:2], abs=1e-4) and np.max(np.abs(u - free(t, x)[0])) > 0.05
-    assert after[tight.memory.slice("qp_alarm")].tolist() == [0.0]
+    assert after[tight.memory.slice("qp_failed")].tolist() == [0.0]
 
 
 def test_a_limited_state_is_kept_by_a_soft_row():

@@ -10,9 +10,18 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.analysis import consistency
-from gnc_opt.control import bridge_dropouts
+from gnc_opt.control import with_dropout_handling
 from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, output_feedback
-from gnc_opt.simulation import Campaign, Noise, Normal, Outage, RandomHold, Run, RunStatus, Sampling
+from gnc_opt.simulation import (
+    Campaign,
+    Noise,
+    Normal,
+    PiecewiseConstantNoise,
+    Run,
+    RunStatus,
+    Sampling,
+    SensorOutage,
+)
 
 DT = 0.1
 COMPILER = shutil.which("cc")
@@ -39,7 +48,7 @@ def filter_(model, sensors=None, sigma0=(0.5, 0.3), **options):
 
 def loop_of(estimator, *more, sigma=0.1, **options):
     model = cart()
-    gusts = [RandomHold("gusts", 0.1 / np.sqrt(DT), on="v")]
+    gusts = [PiecewiseConstantNoise("gusts", 0.1 / np.sqrt(DT), on="v")]
     sensors = [Noise("radar", sigma, on="q"), *more]
     return go.ClosedLoop(
         model, output_feedback(regulator(model), estimator), sensors=sensors, disturbances=gusts, **options
@@ -103,7 +112,7 @@ def test_runs_tell_estimates_and_innovations(right, tmp_path):
         sum_of_squares += (run.measured[0, k] - right.estimate(before)[0]) ** 2 / S
         _, z = right(run.times[k], run.measured[:, k], run.commands[:, k], z)
     assert found.innovations["q"].average == pytest.approx(sum_of_squares / 60, rel=1e-9)
-    assert run.remembered("q_hat").values[0, -1] == pytest.approx(z[0])
+    assert run.controller_state("q_hat").values[0, -1] == pytest.approx(z[0])
     again = Run.load(run.save(tmp_path / "run.npz"))
     assert again.followed.names == ("q", "v") and consistency(again, right).average == found.average
 
@@ -147,18 +156,18 @@ def test_outputs_are_measured_and_slow_sensors_held():
 def test_an_outage_is_bridged_then_the_controllers_provision_acts(right):
     model = cart()
     estimator = filter_(model, options=FilterOptions(hold=4))
-    short, long = (loop_of(estimator, Outage("gap", 1.0, end)) for end in (1.39, 3.0))
+    short, long = (loop_of(estimator, SensorOutage("gap", 1.0, end)) for end in (1.39, 3.0))
     assert short.simulate(**MISSION).outcome.ok
     failed = long.simulate(**MISSION)
-    assert failed.outcome.status is RunStatus.ALARM and failed.outcome.what == "invalid"
+    assert failed.outcome.status is RunStatus.CONTROLLER_ALARM and failed.outcome.what == "invalid"
     # samples are lost from 1.0 s on: four are predicted, three more bridged by the controller
     assert failed.outcome.time == pytest.approx(1.7)
     commands = failed.command("a")
     assert commands(1.75) == 0 and commands(1.65) == commands(1.35) != commands(1.25) and commands(3.2) != 0
     patient = go.ClosedLoop(
         model,
-        output_feedback(bridge_dropouts(regulator(model), hold=30), estimator),
-        sensors=[Outage("gap", 1.0, 3.0)],
+        output_feedback(with_dropout_handling(regulator(model), hold=30), estimator),
+        sensors=[SensorOutage("gap", 1.0, 3.0)],
     )
     assert patient.simulate(**MISSION).outcome.ok
 
@@ -238,7 +247,7 @@ def test_what_does_not_fit_is_refused(right):
     with pytest.raises(go.ArgumentError, match="fed by an estimator already"):
         output_feedback(both, right)
     with pytest.raises(go.ArgumentError, match="bridge the controller inside"):
-        bridge_dropouts(both)
+        with_dropout_handling(both)
     with pytest.raises(go.ArgumentError, match=r"for control steps of 0\.1 s, not 0\.2 s"):
         output_feedback(law, filter_(model, dt=0.2))
     other = go.Model("other")
@@ -314,7 +323,7 @@ def test_a_push_that_lasts_is_a_state_of_the_filters_own_model():
     radar = [Measurement("q", 0.1, gate=0.9999)]
     noise = {"v": 0.1}
     told = design_ekf(own, [1.0, 0.0, 0.0], radar, sigma0=sigma0, process_noise=noise, dt=DT)
-    gusts = [RandomHold("gusts", 0.1 / np.sqrt(DT), on="v")]
+    gusts = [PiecewiseConstantNoise("gusts", 0.1 / np.sqrt(DT), on="v")]
     law = output_feedback(regulator(plant), told)
     loop = go.ClosedLoop(plant, law, sensors=[Noise("radar", 0.1, on="q")], disturbances=gusts)
     mission = {"x0": [1.0, 0.0], "tf": 6.0, "seed": 5, "executor": "serial"}
@@ -324,5 +333,5 @@ def test_a_push_that_lasts_is_a_state_of_the_filters_own_model():
     assert judged.innovations["q"].average == pytest.approx(1.0, abs=0.1)
     run = campaign.rerun(0)
     sigma = np.sqrt(told.covariance(run.memory[: told.memory.size, -1])[2, 2])
-    found = run.remembered("d_hat")(6.0)
+    found = run.controller_state("d_hat")(6.0)
     assert found == pytest.approx(run.parameter("plant.push"), abs=4 * sigma) and sigma < 0.15

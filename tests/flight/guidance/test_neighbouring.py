@@ -15,7 +15,7 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.guidance.neighbouring_bang_bang import _accurate, find_optimum
-from gnc_opt.simulation import ClosedLoop, Constant, Lag, Normal, Saturation
+from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 
 DT = 0.05
 ACCEPTED = {"q": 0.01, "v": 0.01}
@@ -89,7 +89,7 @@ def corrected(controller, x, t=0.0, times=30):
     z = controller.initial_memory(t, x)
     for _ in range(times):
         _, z = controller(t, x, z)
-    return np.append(z[controller.memory.slice("switch_times")], z[controller.memory.slice("final_time")])
+    return np.append(z[controller.memory.slice("switching_times")], z[controller.memory.slice("final_time")])
 
 
 def least_time(q, v):
@@ -113,7 +113,7 @@ def test_corrections_later_in_the_flight_count_from_the_state_there(guided):
     # behind the switch one time is left for two conditions: the weighted miss is least
     late = controller.initial_memory(0.0, [4.0, 0.0])
     z, x = late, np.array([0.125 + 0.01, -0.5])  # half a second before the end, 1 cm too far
-    before = controller.memory.slice("switch_times")
+    before = controller.memory.slice("switching_times")
     _, z = controller(3.2, np.array([0.32 + 0.01, -0.8]), z)
     assert z[before] == late[before]
 
@@ -175,7 +175,9 @@ def loop(solution, controller, **options):
 def test_without_disturbance_the_plan_is_flown_to_its_end(straight, guided):
     run = loop(straight, guided).simulate([4.0, 0.0], tf=4.0)
     assert run.states[:, -1] == pytest.approx([0.0, 0.0], abs=1e-3)
-    assert run.commands[0, 0] == -1.0 and run.remembered("final_time")(4.0) == pytest.approx(4.0, abs=1e-4)
+    assert run.commands[0, 0] == -1.0 and run.controller_state("final_time")(4.0) == pytest.approx(
+        4.0, abs=1e-4
+    )
 
 
 def test_a_heavier_mass_arrives_later_and_where_it_should(straight):
@@ -191,7 +193,7 @@ def test_a_heavier_mass_arrives_later_and_where_it_should(straight):
     assert np.abs(held["open"].states[0, 80]) > 0.1
     guided = held["guided"]
     assert guided.states[:, -1] == pytest.approx([0.0, 0.0], abs=2e-3)
-    assert 4.1 < guided.remembered("final_time")(12.0)[0] < 4.6
+    assert 4.1 < guided.controller_state("final_time")(12.0)[0] < 4.6
 
 
 def test_commands_lead_by_the_lag_of_the_actuators(straight):
@@ -220,13 +222,13 @@ def test_the_last_part_begins_with_the_step_that_is_nearest(straight, before, tr
     if tracking:
         _, again = controller(1.0, reference.x(1.0), after)
         assert again[part] == 1.0
-        planned = [again[controller.memory.slice(name)] for name in ("switch_times", "final_time")]
-        assert planned == [after[controller.memory.slice(name)] for name in ("switch_times", "final_time")]
+        planned = [again[controller.memory.slice(name)] for name in ("switching_times", "final_time")]
+        assert planned == [after[controller.memory.slice(name)] for name in ("switching_times", "final_time")]
 
 
 def test_campaigns_fly_it(straight):
     controller = guidance(straight, last=0.8, reserve=0.1)
-    pushed = loop(straight, controller, disturbances=[Constant("wind", 0.0, on="v")])
+    pushed = loop(straight, controller, disturbances=[ConstantDisturbance("wind", 0.0, on="v")])
     campaign = go.monte_carlo(
         pushed,
         30,

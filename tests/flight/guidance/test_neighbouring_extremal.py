@@ -148,7 +148,7 @@ def test_a_guided_flight_ends_where_the_plan_ends(straight, controller):
         for law in (controller, go.feedforward(go.Reference(straight, tail="hold")))
     )
     assert guided.miss("q") < 0.02 * open_.miss("q")
-    assert guided.remembered("final_time")(0.0)[0] == pytest.approx(best(4.3, 0.3)[1], abs=0.02)
+    assert guided.controller_state("final_time")(0.0)[0] == pytest.approx(best(4.3, 0.3)[1], abs=0.02)
 
 
 @needs_compiler

@@ -18,7 +18,7 @@ from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.estimation import Measurement, design_ekf, output_feedback
 from gnc_opt.guidance import Replanner
 from gnc_opt.planning import Resolver
-from gnc_opt.simulation import ClosedLoop, Constant, Noise, Run, Uniform, monte_carlo
+from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Noise, Run, Uniform, monte_carlo
 
 DT = 0.01
 LATENCY = 0.035
@@ -100,7 +100,7 @@ def test_what_is_flown_is_the_solution_from_the_new_start() -> None:
 
 def test_a_constant_push_acts_since_the_last_estimate_only() -> None:
     """After the last re-planning, begun 0.2 s before the end, a push of 0.3 m/s^2 leaves 0.006 m and 0.06 m/s."""
-    run = loop(every(), disturbances=[Constant("push", 0.3, on="v")]).simulate([-1.0, 0.0], tf=1.0)
+    run = loop(every(), disturbances=[ConstantDisturbance("push", 0.3, on="v")]).simulate([-1.0, 0.0], tf=1.0)
     last = run.replans[-1].time
     assert last == pytest.approx(0.8)
     left = 1.0 - last
@@ -164,7 +164,7 @@ def test_the_plan_is_made_from_what_is_estimated() -> None:
         every(solver=lambda: spy, latency=0.0), controller=estimated, sensors=[Noise("gauge", 0.01, on="q")]
     ).simulate([-1.1, 0.1], tf=1.0)
     for begin, start in spy.asked:
-        told = [run.remembered(f"{name}_hat")(begin)[0] for name in ("q", "v")]
+        told = [run.controller_state(f"{name}_hat")(begin)[0] for name in ("q", "v")]
         assert start == pytest.approx(told, abs=1e-12)
     assert run.states[:, -1] == pytest.approx([0.0, 0.0], abs=0.05)
 
@@ -178,7 +178,7 @@ def test_a_measurement_that_is_lost_leaves_the_plan() -> None:
 @pytest.mark.slow
 def test_in_a_campaign(tmp_path: Path) -> None:
     flown = monte_carlo(
-        loop(every(), disturbances=[Constant("push", 0.3, on="v")]),
+        loop(every(), disturbances=[ConstantDisturbance("push", 0.3, on="v")]),
         4,
         x0=[-1.0, 0.0],
         tf=1.0,
@@ -215,7 +215,7 @@ def two_phases() -> Any:
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),
         (lambda: loop(every(0.015)), "multiple of the control step"),
         (
-            lambda: linear_covariance(go.Experiment(loop(every()), x0=[-1.0, 0.0], tf=1.0)),
+            lambda: linear_covariance(go.Scenario(loop(every()), x0=[-1.0, 0.0], tf=1.0)),
             "re-plans in flight",
         ),
         (lambda: loop(3), "replanner of a closed loop"),  # type: ignore[arg-type]

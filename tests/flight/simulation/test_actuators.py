@@ -11,7 +11,6 @@ from gnc_opt.simulation import (
     ClosedLoop,
     Deadband,
     Delay,
-    Hold,
     Lag,
     MinimumImpulse,
     Noise,
@@ -22,6 +21,7 @@ from gnc_opt.simulation import (
     Saturation,
     ScaleFactor,
     SchmittTrigger,
+    ZeroOrderHold,
 )
 
 DT = 0.1
@@ -180,7 +180,7 @@ def test_saturation_limits_and_counts_its_time():
     assert run.saturation_time("a")[0] == pytest.approx(DT * np.sum((u < -1.0) | (u > 1.5)))
     assert run.control_effort("a")[0] == pytest.approx(DT * np.sum(np.abs(np.clip(u, -1.0, 1.5))))
     assert run.control_energy("a")[0] == pytest.approx(DT * np.sum(np.clip(u, -1.0, 1.5) ** 2))
-    assert run.chattering("a")[0] == pytest.approx(np.sum(np.abs(np.diff(u))))
+    assert run.total_variation("a")[0] == pytest.approx(np.sum(np.abs(np.diff(u))))
 
 
 def test_deadband_quantisation_scale_and_minimum_impulse():
@@ -193,7 +193,7 @@ def test_deadband_quantisation_scale_and_minimum_impulse():
 
 
 def test_hold_takes_every_third_command():
-    run = fly([Hold("slow", 0.3)], wave)
+    run = fly([ZeroOrderHold("slow", 0.3)], wave)
     assert run.applied[0] == pytest.approx(wave(np.floor(np.arange(20) / 3) * 0.3))
 
 
@@ -281,7 +281,8 @@ SCALES = np.array([1.0, -0.6, 1.7])
     [
         Saturation("b", -1.0, 1.5), ScaleFactor("b", 1.2, 0.1), Deadband("b", 0.5), Quantisation("b", 0.3),
         MinimumImpulse("b", 0.05), Lag("b", 0.2), RateLimit("b", 3.0), Delay("b", 0.3),
-        Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3), Pwpf("b", 1.0, 0.45, 0.15, 0.2, 4.5), Hold("b", 0.4),
+        Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3), Pwpf("b", 1.0, 0.45, 0.15, 0.2, 4.5),
+        ZeroOrderHold("b", 0.4),
     ],
     ids=lambda block: type(block).__name__,
 )  # fmt: skip

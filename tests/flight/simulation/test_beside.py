@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from gnc_opt.simulation import (
     ClosedLoop,
+    CompiledLoop,
     Event,
-    Flight,
     Noise,
     Quantisation,
     RunStatus,
@@ -40,16 +40,16 @@ def kepler(x: Any, kind: Any = np) -> list[Any]:
     return [x[2], x[3], -x[0] / cube, -x[1] / cube]
 
 
-def flight(rates: Callable[..., list[Any]], nominal: list[float], tf: float, **options: Any) -> Flight:
+def flight(rates: Callable[..., list[Any]], nominal: list[float], tf: float, **options: Any) -> CompiledLoop:
     """Of a plant without feedback."""
     model = go.Model("plant")
     x, u = model.state("x", len(nominal)), model.control("u")
     model.ode({x: ca.vertcat(*rates(x, ca)) + 0 * u})
     law = go.feedforward(go.Reference.constant(model, nominal, [0.0]))
-    return ClosedLoop(model, law, dt=0.1, **options).flight(nominal, tf=tf)
+    return ClosedLoop(model, law, dt=0.1, **options).compile(nominal, tf=tf)
 
 
-def started(flight: Flight, x: list[float], *names: str) -> Any:
+def started(flight: CompiledLoop, x: list[float], *names: str) -> Any:
     P = flight.nominal.copy()
     P[np.concatenate([np.r_[flight.layout.slice(name)] for name in names or ("initial.x",)])] = x
     return P
@@ -86,7 +86,7 @@ def test_a_run_whose_slow_mode_is_unstable_does_not_have_the_growth_of_a_stable_
     model.ode({q: v, v: -q, x: rate * (x - q**2) + 2 * q * v + 0 * u})
     law = go.feedforward(go.Reference.constant(model, [0.0, 0.0, 0.0], [0.0]))
     events = [Event("end", model.time - end, "rising")] if end < 20.0 else []
-    flown = ClosedLoop(model, law, events=events, dt=0.1, substeps=1).flight([0.0, 1.0, 0.0], tf=20.0)
+    flown = ClosedLoop(model, law, events=events, dt=0.1, substeps=1).compile([0.0, 1.0, 0.0], tf=20.0)
     P = started(flown, [0.0, size, 0.0], "initial.q", "initial.v", "initial.x")
     P[flown.layout.slice("plant.rate")] = 0.7
     run, truth = (
@@ -103,10 +103,10 @@ def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
     x, u = model.state("x"), model.control("u")
     model.ode({x: 3 * ca.sin(x) + u})
     law = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1)
-    flown = ClosedLoop(model, law, dt=0.1, substeps=2).flight([0.01], tf=20.0)  # exp(60) without feedback
+    flown = ClosedLoop(model, law, dt=0.1, substeps=2).compile([0.01], tf=20.0)  # exp(60) without feedback
     P = np.column_stack([flown.nominal, flown.nominal * 30])
     ending = flown.final(P, [0, 1])
-    finer = ClosedLoop(model, law, dt=0.1, substeps=32).flight([0.01], tf=20.0).final(P, [0, 1])
+    finer = ClosedLoop(model, law, dt=0.1, substeps=32).compile([0.01], tf=20.0).final(P, [0, 1])
     assert np.all(np.abs(ending.states - finer.states)[0] < ending.integration_error)
     assert np.all(ending.integration_error < 1e-4)
 
@@ -119,7 +119,7 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
     law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
     blocks: dict[str, Any] = {"actuators": [Quantisation("steps", 1e-3)], "sensors": [Noise("gauge", 1e-3)]}
     coarse, fine = (
-        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-6).flight([0.5, 0.0], tf=6.0)
+        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-6).compile([0.5, 0.0], tf=6.0)
         for n in (5, 36)
     )
     P, seeds = np.tile(coarse.nominal[:, None], 200), list(range(200))
@@ -139,7 +139,7 @@ def test_of_a_turned_quantum_all_is_in_the_printed_error() -> None:
     model.ode({x: 2 * x + u})
     law, steps = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), Quantisation("steps", 100.0)
     coarse, fine = (
-        ClosedLoop(model, law, [steps], dt=0.1, substeps=n).flight([0.01], tf=1.3) for n in (2, 40)
+        ClosedLoop(model, law, [steps], dt=0.1, substeps=n).compile([0.01], tf=1.3) for n in (2, 40)
     )
     edge = np.mean([flown.run(flown.nominal, 0).commands[0, 12] for flown in (coarse, fine)])
     P = started(coarse, [2 * abs(edge)], "steps.step_size")
@@ -193,4 +193,4 @@ def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:
     loop = flight(lambda x, kind=np: [x[0]], [1.0], 12.0, substeps=20, accuracy=1e-15)
     run = loop.run(loop.nominal, 0)
     wrong = abs(run.states[0, -1] / np.exp(12.0) - 1)
-    assert wrong < run.integration_error and run.outcome.status is RunStatus.INACCURATE
+    assert wrong < run.integration_error and run.outcome.status is RunStatus.INTEGRATION_ERROR

@@ -15,21 +15,19 @@ from gnc_opt.simulation import (
     Allocation,
     Bias,
     Block,
-    Constant,
+    ConstantDisturbance,
     Deadband,
     Delay,
-    Expression,
-    Hold,
+    ExpressionDisturbance,
     Lag,
     MinimumImpulse,
     Mixer,
     Noise,
     NonNegativeAllocation,
-    Outage,
+    PiecewiseConstantNoise,
     Pwm,
     Pwpf,
     Quantisation,
-    RandomHold,
     RandomWalk,
     RateLimit,
     Sampling,
@@ -38,9 +36,11 @@ from gnc_opt.simulation import (
     ScaleFactor,
     SchmittTrigger,
     SensorDelay,
-    Sinusoid,
+    SensorOutage,
+    SinusoidalDisturbance,
     ThrusterSet,
     WheelArray,
+    ZeroOrderHold,
 )
 from gnc_opt.simulation.actuators.on_off import trigger
 from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
@@ -103,21 +103,21 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
         (Pwpf("b", 2, 0.8, 0.3, 0.2),
          {"thrust": ([2, 2], "N"), "on_level": ([0.8, 0.8], "N"), "off_level": ([0.3, 0.3], "N"),
           "tau": ([0.2], "s"), "gain": ([1], "")}, {"tau": (1e-12, INF)}),
-        (Hold("b", 0.2), {}, {}),
+        (ZeroOrderHold("b", 0.2), {}, {}),
         (Noise("b", 0.3), {"sigma": ([0.3, 0.3], "N")}, {"sigma": (0.0, INF)}),
         (Noise("b", [1, 2, 3], lambda x, e: x), {"sigma": ([1, 2, 3], "N")}, {"sigma": (0.0, INF)}),
         (Bias("b", 0.3), {"bias": ([0.3, 0.3], "N")}, {}),
         (Bias("b", [1, 2, 3], lambda x, e: x), {"bias": ([1, 2, 3], "N")}, {}),
         (RandomWalk("b", 0.3), {"sigma": ([0.3, 0.3], "N/s^0.5")}, {"sigma": (0.0, INF)}),
         (Scale("b", 1.1), {"factor": ([1.1, 1.1], "")}, {}),
-        (Outage("b", 2.0), {"begin": ([2], "s"), "end": ([INF], "s")}, {}),
-        (Outage("b"), {"begin": ([-INF], "s"), "end": ([INF], "s")}, {}),
-        (Constant("b", 2.0, on="x"), {"level": ([2, 2], "N")}, {}),
-        (Sinusoid("b", 2.0, 3.0, on="x"),
+        (SensorOutage("b", 2.0), {"begin": ([2], "s"), "end": ([INF], "s")}, {}),
+        (SensorOutage("b"), {"begin": ([-INF], "s"), "end": ([INF], "s")}, {}),
+        (ConstantDisturbance("b", 2.0, on="x"), {"level": ([2, 2], "N")}, {}),
+        (SinusoidalDisturbance("b", 2.0, 3.0, on="x"),
          {"amplitude": ([2, 2], "N"), "frequency": ([3], "rad/s"), "phase": ([0, 0], "rad")}, {}),
-        (RandomHold("b", 0.3, on="x"), {"sigma": ([0.3, 0.3], "N")}, {"sigma": (0.0, INF)}),
-        (Expression("b", lambda t, x, p: 0, {"k": [[1, 2], [3, 4]]}, on="x"), {"k": ([1, 2, 3, 4], "")}, {}),
-        (Expression("b", lambda t, x, p: 0, on="x"), {}, {}),
+        (PiecewiseConstantNoise("b", 0.3, on="x"), {"sigma": ([0.3, 0.3], "N")}, {"sigma": (0.0, INF)}),
+        (ExpressionDisturbance("b", lambda t, x, p: 0, {"k": [[1, 2], [3, 4]]}, on="x"), {"k": ([1, 2, 3, 4], "")}, {}),
+        (ExpressionDisturbance("b", lambda t, x, p: 0, on="x"), {}, {}),
         (WheelArray("b", EYE, 0.5, [1, 2], initial=0.1),
          {"max_torque": ([0.5, 0.5], "N m"), "max_momentum": ([1, 2], "N m s"),
           "momentum": ([0.1, 0.1], "N m s"), "health": ([1, 1], "")},
@@ -141,9 +141,9 @@ def test_an_impulse_without_a_unit_is_in_seconds():
     [
         (Saturation("b"), 0, 0), (Lag("b", 0.3), 2, 0), (Delay("b", 0.25), 6, 0), (Delay("b", 0.0), 0, 0),
         (Pwm("b", 1.0), 3, 0), (SchmittTrigger("b", 1, 0.8, 0.3), 2, 0), (Pwpf("b", 1, 0.8, 0.3, 0.1), 4, 0),
-        (Hold("b", 0.2), 3, 0), (Noise("b", 0.3), 0, 2), (Noise("b", [1, 2, 3], lambda x, e: x), 0, 3),
+        (ZeroOrderHold("b", 0.2), 3, 0), (Noise("b", 0.3), 0, 2), (Noise("b", [1, 2, 3], lambda x, e: x), 0, 3),
         (RandomWalk("b", 0.3), 2, 2), (Sampling("b", 0.8), 3, 0), (SensorDelay("b", 0.8), 4, 0),
-        (RandomHold("b", 0.3, on="x"), 3, 2), (Constant("b", 1.0, on="x"), 0, 0),
+        (PiecewiseConstantNoise("b", 0.3, on="x"), 3, 2), (ConstantDisturbance("b", 1.0, on="x"), 0, 0),
     ],
     ids=lambda case: type(case).__name__,
 )  # fmt: skip
@@ -257,7 +257,7 @@ def test_pwpf_over_one_step():
 
 
 def test_what_holds_takes_a_new_sample_after_its_period():
-    for block in (Hold("b", 0.3), Sampling("b", 1.2)):
+    for block in (ZeroOrderHold("b", 0.3), Sampling("b", 1.2)):
         state, seen = None, []
         for k in range(5):
             out, state, _ = advance(block, [float(k), -float(k)], state)
@@ -268,9 +268,9 @@ def test_what_holds_takes_a_new_sample_after_its_period():
 @pytest.mark.parametrize(
     ("block", "message"),
     [
-        (Hold("b", 0.0), "number of minor steps in the period of 'b'"), (Hold("b", 0.25), "multiple"),
+        (ZeroOrderHold("b", 0.0), "number of minor steps in the period of 'b'"), (ZeroOrderHold("b", 0.25), "multiple"),
         (Sampling("b", 0.0), "number of control steps in the period of 'b'"), (Sampling("b", 0.3), "multiple"),
-        (SensorDelay("b", 0.3), "multiple"), (RandomHold("b", 1.0, 0.3, on="x"), "multiple"),
+        (SensorDelay("b", 0.3), "multiple"), (PiecewiseConstantNoise("b", 1.0, 0.3, on="x"), "multiple"),
     ],
 )  # fmt: skip
 def test_periods_that_are_not_steps_are_refused_beforehand(block, message):
@@ -280,13 +280,13 @@ def test_periods_that_are_not_steps_are_refused_beforehand(block, message):
 
 def test_periods_that_are_steps_are_not():
     for block in (
-        Hold("b", 0.1),
+        ZeroOrderHold("b", 0.1),
         Sampling("b", 0.4),
         SensorDelay("b", 0.0),
-        RandomHold("b", 1.0, 0.8, on="x"),
+        PiecewiseConstantNoise("b", 1.0, 0.8, on="x"),
     ):
         block.check(1, H, DT)
-    RandomHold("b", 1.0, on="x").check(1, H, DT)
+    PiecewiseConstantNoise("b", 1.0, on="x").check(1, H, DT)
 
 
 def test_a_sensor_delay_hands_on_the_oldest_sample():
@@ -299,7 +299,7 @@ def test_a_sensor_delay_hands_on_the_oldest_sample():
 )  # fmt: skip
 def test_an_outage_lasts_from_its_begin_until_before_its_end(t, lost):
     """A time that is off by rounding counts as the step that is meant."""
-    assert np.isnan(advance(Outage("b", 2.0, 3.0), [1.0], tick=moment(t))[0][0]) == lost
+    assert np.isnan(advance(SensorOutage("b", 2.0, 3.0), [1.0], tick=moment(t))[0][0]) == lost
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_an_outage_lasts_from_its_begin_until_before_its_end(t, lost):
     ],
 )
 def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
-    blind = Outage("b", 1.5, where=lambda t, x: x["w"] - 3.0)
+    blind = SensorOutage("b", 1.5, where=lambda t, x: x["w"] - 3.0)
     assert np.isnan(advance(blind, [1.0], tick=moment(t, w=rate))[0][0]) == lost
 
 
@@ -322,30 +322,30 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
 
 
 def test_disturbances_in_numbers():
-    sine = Sinusoid("b", [2.0, 3.0], 0.5, [0.1, 0.2], on="x")
+    sine = SinusoidalDisturbance("b", [2.0, 3.0], 0.5, [0.1, 0.2], on="x")
     value = sine.value(ca.SX(4.0), {}, ca.SX(0, 1), parameters(sine, 2))
     assert numbers(value) == pytest.approx([2 * np.sin(2.1), 3 * np.sin(2.2)])
-    level = Constant("b", [2.0, 3.0], on="x")
+    level = ConstantDisturbance("b", [2.0, 3.0], on="x")
     assert list(numbers(level.value(ca.SX(4.0), {}, ca.SX(0, 1), parameters(level, 2)))) == [2, 3]
-    spring = Expression("b", lambda t, x, p: -p["k"] * x["q"] + t, {"k": 3.0}, on="x")
+    spring = ExpressionDisturbance("b", lambda t, x, p: -p["k"] * x["q"] + t, {"k": 3.0}, on="x")
     assert list(numbers(spring.value(ca.SX(4.0), {"q": ca.SX(2.0)}, None, parameters(spring, 1)))) == [-2]
 
 
 def test_random_values_are_held_for_their_period_and_scaled():
-    gust = RandomHold("b", [2.0, 3.0], 0.8, on="x")
+    gust = PiecewiseConstantNoise("b", [2.0, 3.0], 0.8, on="x")
     p, state, seen = parameters(gust, 2), gust.start(ca.SX.zeros(2), {}, moment()), []
     for k in range(3):
         state = gust.update(moment(), state, p, ca.SX(ca.DM([1.0 + k, -1.0 - k])))
         seen.append(list(numbers(gust.value(ca.SX(0.0), {}, state, p))))
     assert seen == [[2, -3], [2, -3], [6, -9]]
-    always = RandomHold("b", 1.0, on="x")
+    always = PiecewiseConstantNoise("b", 1.0, on="x")
     state = always.update(moment(), ca.SX(ca.DM([5.0, 0.0])), {}, ca.SX(7.0))
     assert list(numbers(state)) == [7, 0]
 
 
 def test_a_disturbance_without_a_place_is_refused():
     with pytest.raises(ArgumentError, match="acts on nothing"):
-        Constant("b", 1.0)
+        ConstantDisturbance("b", 1.0)
 
 
 # --- allocation -------------------------------------------------------------------------------------------
@@ -481,15 +481,20 @@ def test_names_that_would_be_mistaken_are_refused(name):
 
 def test_a_block_by_default_does_nothing_and_fits_everywhere():
     block = Block("b")
-    assert (block.on, block.in_trim, block.parameters(2, "N"), block.limits(H, DT)) == (None, False, {}, {})
+    assert (block.on, block.starts_at_trim, block.parameters(2, "N"), block.limits(H, DT)) == (
+        None,
+        False,
+        {},
+        {},
+    )
     assert block.noise(2) == 0 and block.outputs({}, {}) is None
     assert block.start(ca.SX(2, 1), {}, moment()).shape == (0, 1)
-    for function in (block.step, Constant("b", 1.0, on="x").step):
+    for function in (block.step, ConstantDisturbance("b", 1.0, on="x").step):
         with pytest.raises(NotImplementedError):
             function(moment(), ca.SX(1), ca.SX(0, 1), {}, ca.SX(0, 1))
 
 
-@pytest.mark.parametrize("kind", [Lag, RateLimit, Delay, Saturation, Noise, Constant, Mixer])
+@pytest.mark.parametrize("kind", [Lag, RateLimit, Delay, Saturation, Noise, ConstantDisturbance, Mixer])
 def test_where_a_block_acts_and_begins_is_said_by_keyword(kind):
     signature = inspect.signature(kind)
     for name in {"on", "initial"} & set(signature.parameters):

@@ -16,23 +16,23 @@ from testing.loops import double_integrator, feedback
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import (
-    Ball,
     Campaign,
     Choice,
     ClosedLoop,
     Normal,
     Outcome,
+    RandomDirection,
+    RandomRotation,
     Run,
     RunStatus,
-    Sphere,
-    Turn,
     Uniform,
+    UniformInBall,
 )
 from gnc_opt.simulation.campaign_batch import (
     BATCHES,
     MOST_PER_BATCH,
+    CampaignTask,
     Flown,
-    Mission,
     batches,
     flown_parts,
     gathered,
@@ -121,7 +121,7 @@ def test_signals_of_a_run_by_name():
     run = run_by_hand()
     assert run.state("n").values.tolist() == [[5, 5, 5, 5]] and run.state("q")(13.0).tolist() == [1.5, -1.5]
     assert run.measurement("q")(13.0).tolist() == [1, 2] and run.command("g")(15.9).tolist() == [8]
-    assert run.control("u")(99.0).tolist() == [2, 10] and run.remembered("z")(13.0).tolist() == [10.5]
+    assert run.control("u")(99.0).tolist() == [2, 10] and run.controller_state("z")(13.0).tolist() == [10.5]
     assert run.error("q")(13.0).tolist() == [4.5, 6.0] and run.parameter("b.k").tolist() == [0.1, 0.2]
     assert run.command("f").times.tolist() == [10, 12, 14] and run.state("q").times.size == 4
     assert (run.state("q").labels, run.state("q").unit) == (("q[0]", "q[1]"), "m")
@@ -133,7 +133,7 @@ def test_metrics_of_a_run_by_name():
     assert run.settling_time("q", 5.0) == INF and run.settling_time("q", 15.0) == 0.0
     assert run.settling_time("q", 1.5, [3.0, -3.0]) == 4.0
     assert run.control_effort("u").tolist() == [3, 4] and run.control_energy("u").tolist() == [5, 6]
-    assert run.delta_v("u", 2.0) == 3.5 and run.chattering("f").tolist() == [7, 8]
+    assert run.delta_v("u", 2.0) == 3.5 and run.total_variation("f").tolist() == [7, 8]
     assert run.saturation_time("g").tolist() == [2.0] and run.attitude_error("a") == 0.0
     with pytest.raises(ArgumentError, match="follows no reference"):
         run_by_hand(errors=None, reference=None).miss("q")
@@ -155,7 +155,7 @@ def test_a_run_in_words():
     ("outcome", "text"),
     [
         (Outcome(RunStatus.OK), "ok"),
-        (Outcome(RunStatus.ALARM, "guard", 1.5), "alarm: guard at 1.5 s"),
+        (Outcome(RunStatus.CONTROLLER_ALARM, "guard", 1.5), "alarm: guard at 1.5 s"),
         (Outcome(RunStatus.LOST, "died"), "lost: died"),
     ],
 )
@@ -174,7 +174,8 @@ def test_outcomes_that_left_the_scales():
 # --- campaigns --------------------------------------------------------------------------------------------
 
 OUTCOMES = (
-    Outcome(RunStatus.OK), Outcome(RunStatus.ALARM, "guard", 1.0), Outcome(RunStatus.OK), Outcome(RunStatus.LOST)
+    Outcome(RunStatus.OK), Outcome(RunStatus.CONTROLLER_ALARM, "guard", 1.0), Outcome(RunStatus.OK),
+    Outcome(RunStatus.LOST)
 )  # fmt: skip
 
 
@@ -267,7 +268,7 @@ def test_statistics_of_a_campaign():
     assert campaign.maximum("own") == INF and campaign.worst("q", 3) == [5, 0, 4]
     assert campaign_by_hand(measured={"own": np.arange(4.0)}).maximum("own") == 3.0
     assert len(campaign_by_hand(indices=np.arange(4)).worst("q")) == 4
-    assert campaign.counts == {RunStatus.OK: 2, RunStatus.ALARM: 1, RunStatus.LOST: 1}
+    assert campaign.counts == {RunStatus.OK: 2, RunStatus.CONTROLLER_ALARM: 1, RunStatus.LOST: 1}
     assert list(campaign.failures) == [1, 5] and campaign.failures[1].what == "guard"
     none = campaign_by_hand(outcomes=(), limits={})
     for act in (none.pass_rate, lambda: none.percentile("q", 0.5), lambda: none.maximum("q")):
@@ -358,7 +359,9 @@ def test_errors_in_words_and_parts_of_a_batch():
 
 
 def ending(*oks):
-    return SimpleNamespace(outcomes=[Outcome(RunStatus.OK if ok else RunStatus.ALARM) for ok in oks])
+    return SimpleNamespace(
+        outcomes=[Outcome(RunStatus.OK if ok else RunStatus.CONTROLLER_ALARM) for ok in oks]
+    )
 
 
 def test_progress_counts_runs_and_those_that_failed():
@@ -434,10 +437,10 @@ TWO = np.array([10.0, -20.0])
         (Uniform(-0.1, 0.1, relative=True), Dice(uniform=[1.0, 0.0]), [11, -18]),
         (Choice([[1, 2], [3, 4], 5]), Dice(integer=1), [3, 4]),
         (Choice([[1, 2], [3, 4], 5]), Dice(integer=9), [5, 5]),
-        (Sphere(5.0), Dice([3.0, -4.0]), [13, -24]),
-        (Sphere(5.0), Dice([0.0, 0.0, 3.0, -4.0]), [13, -24]),
-        (Sphere(Uniform(0.0, 10.0)), Dice([3.0, -4.0], [0.5]), [13, -24]),
-        (Ball(5.0), Dice([3.0, -4.0], [0.25]), [11.5, -22]),
+        (RandomDirection(5.0), Dice([3.0, -4.0]), [13, -24]),
+        (RandomDirection(5.0), Dice([0.0, 0.0, 3.0, -4.0]), [13, -24]),
+        (RandomDirection(Uniform(0.0, 10.0)), Dice([3.0, -4.0], [0.5]), [13, -24]),
+        (UniformInBall(5.0), Dice([3.0, -4.0], [0.25]), [11.5, -22]),
     ],
 )
 def test_draws_by_hand(dispersion, dice, drawn):
@@ -447,7 +450,7 @@ def test_draws_by_hand(dispersion, dice, drawn):
 
 def test_a_turn_by_hand():
     """About x by a right angle: (1, 0, 0, 0) becomes (1, 1, 0, 0) / sqrt 2, zero parameters tan(pi / 8) of x."""
-    turn = Turn(np.pi / 2)
+    turn = RandomRotation(np.pi / 2)
     half = np.sqrt(0.5)
     assert turn.draw(Dice([2.0, 0, 0]), np.array([1.0, 0, 0, 0])) == pytest.approx([half, half, 0, 0])
     assert turn.draw(Dice([2.0, 0, 0]), np.zeros(3)) == pytest.approx([np.tan(np.pi / 8), 0, 0])
@@ -466,8 +469,8 @@ def test_a_turn_by_hand():
         (Uniform(0.0, [1.0] * 3), TWO, "upper end of 'x'"),
         (Uniform(0.0, 1.0, relative=True), 0 * TWO, "nominally zero"),
         (Choice([1.0, [1.0] * 3]), TWO, "choice of 'x'"),
-        (Turn(0.1), TWO, "neither a quaternion"),
-        (Turn(0.1), np.array([1.0, 1e-2, 0, 0]), "no unit quaternion"),
+        (RandomRotation(0.1), TWO, "neither a quaternion"),
+        (RandomRotation(0.1), np.array([1.0, 1e-2, 0, 0]), "no unit quaternion"),
     ],
 )
 def test_dispersions_that_do_not_fit(dispersion, nominal, message):
@@ -477,9 +480,16 @@ def test_dispersions_that_do_not_fit(dispersion, nominal, message):
 
 def test_dispersions_that_fit():
     Normal(1.0, relative=True).check("x", np.array([0.0, 1.0]))
-    Turn(0.1).check("x", np.array([1.0, 1e-4, 0, 0]))
-    Turn(0.1).check("x", np.array([5.0, 1.0, 0]))
-    Normal(0.0), Uniform(1.0, 1.0), Sphere(0.0), Ball(0.0), Turn(Normal(0.1)), Sphere(Uniform(0.0, 1.0))
+    RandomRotation(0.1).check("x", np.array([1.0, 1e-4, 0, 0]))
+    RandomRotation(0.1).check("x", np.array([5.0, 1.0, 0]))
+    (
+        Normal(0.0),
+        Uniform(1.0, 1.0),
+        RandomDirection(0.0),
+        UniformInBall(0.0),
+        RandomRotation(Normal(0.1)),
+        RandomDirection(Uniform(0.0, 1.0)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -488,8 +498,10 @@ def test_dispersions_that_fit():
         (lambda: Normal([1.0, -1.0]), "standard deviation"), (lambda: Normal(1.0, mean=INF), "mean"),
         (lambda: Normal(INF), "finite"), (lambda: Normal(1.0, truncate=-1.0), "truncate"),
         (lambda: Uniform([0.0, 2.0], [1.0, 1.0]), "lower end first"), (lambda: Uniform(0.0, INF), "high"),
-        (lambda: Uniform(NAN, 0.0), "low"), (lambda: Sphere(Uniform(0, 1, relative=True)), "relative to nothing"),
-        (lambda: Sphere(Normal([1.0, 2.0])), "radius"), (lambda: Turn(-0.1), "angle"), (lambda: Ball(-1.0), "radius"),
+        (lambda: Uniform(NAN, 0.0), "low"),
+        (lambda: RandomDirection(Uniform(0, 1, relative=True)), "relative to nothing"),
+        (lambda: RandomDirection(Normal([1.0, 2.0])), "radius"), (lambda: RandomRotation(-0.1), "angle"),
+        (lambda: UniformInBall(-1.0), "radius"),
     ],
 )  # fmt: skip
 def test_dispersions_that_make_no_sense(wrong, message):
@@ -534,10 +546,10 @@ def test_attitudes_of_other_sizes_and_bands_of_none_are_refused():
 def test_a_campaign_joins_what_was_flown_and_what_was_lost():
     """Runs 0 and 1 flown, 2 lost with its parameters drawn: a column of not-a-number and a status in its place."""
     cart = double_integrator()
-    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).flight(
+    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).compile(
         [1.0, 0.0], t0=2.0, tf=2.5
     )
-    mission = Mission(flight, {}, 4)
+    mission = CampaignTask(flight, {}, 4)
     (flown,) = mission.fly(range(2))
     goal = np.array([0.5, np.nan])
     lost = Flown(range(2, 3), flight.nominal[:, None], None, "died")
@@ -562,7 +574,7 @@ def test_a_campaign_joins_what_was_flown_and_what_was_lost():
 
 def test_a_batch_that_raises_is_flown_in_halves():
     cart = double_integrator()
-    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).flight([1.0, 0.0], tf=0.2)
+    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).compile([1.0, 0.0], tf=0.2)
 
     class Unlucky(Normal):
         def draw(self, generator, nominal):
@@ -572,6 +584,6 @@ def test_a_batch_that_raises_is_flown_in_halves():
 
     sequence = np.random.SeedSequence([9, 5], spawn_key=(zlib.crc32(b"plant.m"),))
     first = np.random.Generator(np.random.Philox(sequence)).random()
-    parts = Mission(flight, {"plant.m": Unlucky(1.0)}, 9).fly(range(3, 8))
+    parts = CampaignTask(flight, {"plant.m": Unlucky(1.0)}, 9).fly(range(3, 8))
     assert [list(p.batch) for p in parts] == [[3, 4], [5], [6, 7]]
     assert [p.ending is None for p in parts] == [False, True, False] and "no luck" in parts[1].mishap

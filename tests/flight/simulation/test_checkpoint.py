@@ -47,13 +47,13 @@ def whole():
 @pytest.fixture
 def flown(monkeypatch):
     """Numbers of the runs that are flown, as they are flown."""
-    numbers, fly_batch = [], mission_module.Mission.fly
+    numbers, fly_batch = [], mission_module.CampaignTask.fly
 
     def noted(self, batch):
         numbers.extend(batch)
         return fly_batch(self, batch)
 
-    monkeypatch.setattr(mission_module.Mission, "fly", noted)
+    monkeypatch.setattr(mission_module.CampaignTask, "fly", noted)
     return numbers
 
 
@@ -84,9 +84,11 @@ def test_what_is_stored_is_flown_in_smaller_batches(tmp_path, monkeypatch):
     """So that a campaign that is killed has lost little; without a folder batches are as large as they may be."""
     monkeypatch.setattr(mission_module, "BATCHES", 2)
     monkeypatch.setattr(sys.modules["gnc_opt.simulation.monte_carlo"], "MOST_PER_FILE", 3)
-    sizes, fly_batch = [], mission_module.Mission.fly
+    sizes, fly_batch = [], mission_module.CampaignTask.fly
     monkeypatch.setattr(
-        mission_module.Mission, "fly", lambda self, batch: sizes.append(len(batch)) or fly_batch(self, batch)
+        mission_module.CampaignTask,
+        "fly",
+        lambda self, batch: sizes.append(len(batch)) or fly_batch(self, batch),
     )
     fly(12, tf=0.5)
     fly(12, tf=0.5, checkpoint=tmp_path)
@@ -141,14 +143,14 @@ def test_a_damaged_file_is_named_and_can_be_deleted(tmp_path, content):
 
 def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
     path = whole.save(tmp_path / "campaign")
-    flight = loop().flight([1.0, 0.0], tf=3.0)
+    flight = loop().compile([1.0, 0.0], tf=3.0)
     assert np.array_equal(Campaign.load(path, flight=flight).rerun(7).states[:, -1], whole.states[:, 7])
     with pytest.raises(GncOptError, match="from 0 s to 3 s, the given flight from 0 s to 5 s"):
-        Campaign.load(path, flight=loop().flight([1.0, 0.0], tf=5.0))
+        Campaign.load(path, flight=loop().compile([1.0, 0.0], tf=5.0))
     plant = double_integrator()
     other = ClosedLoop(plant, feedback(plant, [[1.0, 1.7]]), loop().actuators, loop().sensors, dt=0.1)
     with pytest.raises(GncOptError, match="another loop than the given flight: plant, controller"):
-        Campaign.load(path, flight=other.flight([1.0, 0.0], tf=3.0))
+        Campaign.load(path, flight=other.compile([1.0, 0.0], tf=3.0))
 
 
 KILLED = """

@@ -15,17 +15,17 @@ from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import (
     Bias,
     ClosedLoop,
-    Constant,
-    Expression,
+    ConstantDisturbance,
+    ExpressionDisturbance,
     Lag,
     Noise,
-    Outage,
+    PiecewiseConstantNoise,
     Quantisation,
-    RandomHold,
     Run,
     RunStatus,
     Saturation,
-    Sinusoid,
+    SensorOutage,
+    SinusoidalDisturbance,
 )
 from problems.rendezvous import chaser_model
 
@@ -134,9 +134,9 @@ def test_disturbances_on_states_and_controls():
     silent = scheduled(plant, lambda t: 0 * t)
     w, m = 2.0, 2.0
     pushes = [
-        Constant("drag", -0.3, on="v"),
-        Sinusoid("slosh", 1.0, w, 0.4, on="a"),
-        Expression("spring", lambda t, x, p: -p["k"] * x["q"], {"k": 0.0}, on="v"),
+        ConstantDisturbance("drag", -0.3, on="v"),
+        SinusoidalDisturbance("slosh", 1.0, w, 0.4, on="a"),
+        ExpressionDisturbance("spring", lambda t, x, p: -p["k"] * x["q"], {"k": 0.0}, on="v"),
     ]
     run = ClosedLoop(plant, silent, disturbances=pushes, dt=0.1, accuracy=1e-11).simulate(
         [0.0, 0.0], tf=5.0, parameters={"plant.m": m}
@@ -153,7 +153,10 @@ def test_disturbances_on_states_and_controls():
 def test_random_hold_is_held_and_has_its_spread():
     plant = double_integrator()
     loop = ClosedLoop(
-        plant, scheduled(plant, lambda t: 0 * t), disturbances=[RandomHold("gust", 0.5, 0.3, on="a")], dt=0.1
+        plant,
+        scheduled(plant, lambda t: 0 * t),
+        disturbances=[PiecewiseConstantNoise("gust", 0.5, 0.3, on="a")],
+        dt=0.1,
     )
     run = loop.simulate([0.0, 0.0], tf=900.0, seed=3)
     push = np.diff(run.states[1]) / 0.1
@@ -173,7 +176,7 @@ def noisy_loop():
         feedback(plant, GAIN),
         [Lag("lag", 0.1)],
         [Noise("sensor", 0.01)],
-        [RandomHold("gust", 0.1, on="a")],
+        [PiecewiseConstantNoise("gust", 0.1, on="a")],
         dt=0.1,
         minor_steps=2,
     )
@@ -186,7 +189,7 @@ def test_same_seed_same_bits_and_other_seeds_differ():
 
 
 def test_final_has_the_bits_of_the_run_also_after_pickling():
-    flight = noisy_loop().flight([1.0, 0.0], tf=5.0)
+    flight = noisy_loop().compile([1.0, 0.0], tf=5.0)
     P = np.tile(flight.nominal[:, None], 4)
     P[flight.layout.slice("plant.m")] = [[0.9, 1.0, 1.1, 1.2]]
     seeds = [[5, i] for i in range(4)]
@@ -273,17 +276,17 @@ def test_a_measurement_that_is_no_number_is_named_with_its_time():
     plant = double_integrator(2)
     gain = np.hstack([np.eye(2), np.eye(2)])
     loop = ClosedLoop(
-        plant, feedback(plant, gain), sensors=[Outage("blind", 1.3, 1.6, on="v")], dt=0.1, accuracy=1e-8
+        plant, feedback(plant, gain), sensors=[SensorOutage("blind", 1.3, 1.6, on="v")], dt=0.1, accuracy=1e-8
     )
     run = loop.simulate([1.0, 0.0, 0.0, 0.0], tf=3.0)
     assert run.outcome.status is RunStatus.NOT_FINITE
     assert run.outcome.what == "measured 'v[0]'" and run.outcome.time == pytest.approx(1.3)
     assert np.all(np.isfinite(run.states[:, :14])) and "at 1.3 s" in str(run)
-    flight = loop.flight([1.0, 0.0, 0.0, 0.0], tf=3.0)
+    flight = loop.compile([1.0, 0.0, 0.0, 0.0], tf=3.0)
     P = np.tile(flight.nominal[:, None], 3)
     P[flight.layout.slice("blind.begin")] = [[9.0, 0.5, np.nan]]
     statuses = [o.status for o in flight.final(P, [0, 1, 2]).outcomes]
-    assert statuses == [RunStatus.OK, RunStatus.NOT_FINITE, RunStatus.REFUSED]
+    assert statuses == [RunStatus.OK, RunStatus.NOT_FINITE, RunStatus.INVALID_PARAMETERS]
 
 
 @pytest.mark.parametrize(
@@ -299,7 +302,7 @@ def test_an_outage_where_there_is_no_such_state_is_refused_with_the_loop(where, 
         ClosedLoop(
             plant,
             feedback(plant, np.hstack([np.eye(2), np.eye(2)])),
-            sensors=[Outage("b", where=where)],
+            sensors=[SensorOutage("b", where=where)],
             dt=0.1,
         )
 
@@ -336,8 +339,8 @@ def test_plausible_sizes_are_given_by_name_or_for_all_states():
     plant = unstable()
     idle, x0 = feedback(plant, [[0.0] * 3]), [0.5, -1.0, 2.0]
 
-    def outcome(plausible):
-        loop = ClosedLoop(plant, idle, dt=1.0, accuracy=1e-7, plausible=plausible)
+    def outcome(divergence_limits):
+        loop = ClosedLoop(plant, idle, dt=1.0, accuracy=1e-7, divergence_limits=divergence_limits)
         return loop.simulate(x0, tf=40.0).outcome
 
     assert outcome(np.inf).ok and outcome({"x": 1e18}).ok
@@ -375,14 +378,14 @@ def test_alarms_of_the_controller_are_reported(symbols):
         plant, expression, memory=Layout("memory", (Variable("guard"),)), alarms=("guard",), symbols=symbols
     )
     run = ClosedLoop(plant, cautious, dt=0.1).simulate([1.0, 0.0], tf=2.0)
-    assert (run.outcome.status, run.outcome.what) == (RunStatus.ALARM, "guard")
+    assert (run.outcome.status, run.outcome.what) == (RunStatus.CONTROLLER_ALARM, "guard")
     assert run.outcome.time == pytest.approx(1.0)
 
 
 def test_an_inaccurate_run_is_flagged():
     plant, *_ = linear_plant()
     loop = ClosedLoop(plant, feedback(plant, [[0.0, 0.0]]), dt=1.0, substeps=1, accuracy=1e-9)
-    assert loop.simulate([1.0, 0.0], tf=20.0).outcome.status is RunStatus.INACCURATE
+    assert loop.simulate([1.0, 0.0], tf=20.0).outcome.status is RunStatus.INTEGRATION_ERROR
 
 
 def test_a_plant_too_fast_for_the_step_is_refused():
@@ -428,7 +431,7 @@ def test_what_does_not_fit_is_refused_by_name():
     with pytest.raises(UnknownNameError, match="no command 'b'"):
         ClosedLoop(plant, law, [Lag("lag", 0.1, on="b")], dt=0.1)
     with pytest.raises(UnknownNameError, match="no state or control 'w'"):
-        ClosedLoop(plant, law, disturbances=[Constant("push", 1.0, on="w")], dt=0.1)
+        ClosedLoop(plant, law, disturbances=[ConstantDisturbance("push", 1.0, on="w")], dt=0.1)
     loop = ClosedLoop(plant, law, sensors=[Bias("gyro", 0.1, on="v")], dt=0.1)
     with pytest.raises(UnknownNameError, match=r"no parameter 'gyro\.bais': did you mean 'gyro\.bias'"):
         loop.simulate([0.0, 0.0], tf=1.0, parameters={"gyro.bais": 0.0})

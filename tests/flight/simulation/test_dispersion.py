@@ -7,7 +7,7 @@ from scipy.stats import kstest, norm, truncnorm, uniform
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Variable
-from gnc_opt.simulation import Ball, Choice, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation import Choice, Normal, RandomDirection, RandomRotation, Uniform, UniformInBall
 from gnc_opt.simulation.dispersions import check_dispersions, dispersed
 from gnc_opt.spacecraft import mrp_difference, mrp_from_axis_angle, mrp_shadow
 
@@ -59,9 +59,9 @@ def test_choice_takes_each_value_equally_often():
 
 def test_sphere_and_ball_have_no_preferred_direction():
     nominal = np.array([20.0, 4.0, -5.0])
-    on_sphere = samples(Sphere(0.2), nominal) - nominal
+    on_sphere = samples(RandomDirection(0.2), nominal) - nominal
     assert np.linalg.norm(on_sphere, axis=1) == pytest.approx(0.2, abs=1e-13)
-    in_ball = samples(Ball(0.2), nominal) - nominal
+    in_ball = samples(UniformInBall(0.2), nominal) - nominal
     assert is_distributed((np.linalg.norm(in_ball, axis=1) / 0.2) ** 3, uniform)
     for drawn, second_moment in ((on_sphere, 0.2**2 / 3), (in_ball, 0.2**2 / 5)):
         scatter = drawn.T @ drawn / COUNT
@@ -71,14 +71,14 @@ def test_sphere_and_ball_have_no_preferred_direction():
 
 
 def test_the_length_of_a_deviation_can_itself_be_drawn():
-    drawn = samples(Sphere(Uniform(0.1, 0.3)), np.zeros(3))
+    drawn = samples(RandomDirection(Uniform(0.1, 0.3)), np.zeros(3))
     assert is_distributed(np.linalg.norm(drawn, axis=1), uniform(0.1, 0.2))
 
 
 def test_a_turn_has_its_angle_about_any_axis():
     angle = np.radians(2)
     q = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_quat(scalar_first=True)
-    turned = samples(Turn(angle), q)
+    turned = samples(RandomRotation(angle), q)
     assert np.linalg.norm(turned, axis=1) == pytest.approx(1, abs=1e-14)
     between = Rotation.from_quat(q, scalar_first=True).inv() * Rotation.from_quat(turned, scalar_first=True)
     assert between.magnitude() == pytest.approx(angle, abs=1e-14)
@@ -90,7 +90,7 @@ def test_a_turn_has_its_angle_about_any_axis():
 def test_a_turn_of_modified_rodrigues_parameters_stays_in_their_set(shadow):
     sigma = mrp_from_axis_angle([1.0, 2.0, 0.5], 2.5)
     sigma = mrp_shadow(sigma) if shadow else sigma
-    for turned in samples(Turn(0.05), sigma, 50):
+    for turned in samples(RandomRotation(0.05), sigma, 50):
         assert 4 * np.arctan(np.linalg.norm(mrp_difference(turned, sigma)) / 4) == pytest.approx(
             0.05, abs=1e-13
         )
@@ -116,7 +116,7 @@ def test_draws_depend_on_seed_run_and_name_alone():
         ({"a": 0.1}, "the dispersion of 'a' is a float"),
         ({"a": Normal([1.0, 2.0])}, "'a' is given 2 values"),
         ({"b": Normal(0.1, relative=True)}, "nominally zero"),
-        ({"m": Turn(0.1)}, "neither a quaternion"),
+        ({"m": RandomRotation(0.1)}, "neither a quaternion"),
         ({"m": Choice([[1.0, 2.0]])}, "a choice of 'm'"),
         ([("a", Normal(1.0))], "is a list"),
     ],
@@ -135,9 +135,9 @@ def test_what_does_not_fit_is_refused(dispersions, message):
         lambda: Normal(1.0, truncate=0.0),
         lambda: Uniform(1.0, 0.0),
         lambda: Choice([]),
-        lambda: Sphere(-0.1),
-        lambda: Ball(np.inf),
-        lambda: Turn(Normal(0.1, relative=True)),
+        lambda: RandomDirection(-0.1),
+        lambda: UniformInBall(np.inf),
+        lambda: RandomRotation(Normal(0.1, relative=True)),
     ],
 )
 def test_impossible_dispersions_are_refused(wrong):
@@ -147,4 +147,4 @@ def test_impossible_dispersions_are_refused(wrong):
 
 def test_a_quaternion_to_turn_must_have_length_one():
     with pytest.raises(ArgumentError, match="no unit quaternion"):
-        Turn(0.1).check("initial.q", np.array([1.0, 1.0, 0.0, 0.0]))
+        RandomRotation(0.1).check("initial.q", np.array([1.0, 1.0, 0.0, 0.0]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.simulation import ClosedLoop, Event, Flight
+from gnc_opt.simulation import ClosedLoop, CompiledLoop, Event
 
 G, DRAG, BACK = 1.6, 0.5, 0.5
 """Gravity (m/s^2), drag (1/s) and what is left of the speed after a bounce."""
@@ -42,7 +42,7 @@ def instant(ceiling: float) -> float:
 
 
 @pytest.fixture(scope="module")
-def flights() -> dict[bool, Flight]:
+def flights() -> dict[bool, CompiledLoop]:
     """Of a fast nominal passage, by whether it ends the run; the ceiling is a parameter."""
     found = {}
     for ends in (True, False):
@@ -52,14 +52,14 @@ def flights() -> dict[bool, Flight]:
         event = Event("ceiling", h - ceiling, "rising", reset=None if ends else {w: -BACK * w})
         law = go.feedforward(go.Reference.constant(model, [0.0, UP], [0.0]))
         loop = ClosedLoop(model, law, events=[event], dt=0.25, substeps=1, accuracy=1e-2)
-        found[ends] = loop.flight([0.0, UP], tf=2.25)
+        found[ends] = loop.compile([0.0, UP], tf=2.25)
     return found
 
 
 @pytest.mark.parametrize("ends", [True, False])
 @pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-4, 1e-6])
 def test_slow_passages_are_not_more_wrong_than_they_say(
-    flights: dict[bool, Flight], ends: bool, gap: float
+    flights: dict[bool, CompiledLoop], ends: bool, gap: float
 ) -> None:
     """A ball that only just reaches a ceiling; the nominal one, from which growth is known, flies into it."""
     flight, top = flights[ends], height(APEX, 0.0, UP)
@@ -97,7 +97,7 @@ def test_accuracy_is_not_asked_of_the_instant_of_a_soft_touchdown() -> None:
     event = Event("touchdown", model.symbol("h"), "falling")
     loop = ClosedLoop(model, law, events=[event], dt=0.1)
     start = [1.0, -np.sqrt(2.0) * (1 + 1e-13)]
-    flight = loop.flight(start, tf=2.0)
+    flight = loop.compile(start, tf=2.0)
     ending = flight.final(flight.nominal[:, None], [0])
     assert flight.substeps == 1 and ending.outcomes[0].ok and ending.outcomes[0].what == "touchdown"
     late = abs(ending.outcomes[0].time - (np.sqrt(2) * (1 + 1e-13) - np.sqrt(4e-13)))
@@ -112,7 +112,7 @@ def test_coming_to_rest_is_judged_by_the_states_that_go_on() -> None:
     model.ode({h: w, w: air * (model.control("a") - G), air: 0.0, mass: 0.0})
     law = go.feedforward(go.Reference.constant(model, [0.0, 0.0, 1.0, 1000.0], [0.0]))
     rest = Event("rest", h, "falling", reset={h: 0.0, w: 0.0, air: 0.0})
-    flight = ClosedLoop(model, law, events=[rest], dt=0.1).flight([0.0, 0.0, 1.0, 1000.0], tf=0.5)
+    flight = ClosedLoop(model, law, events=[rest], dt=0.1).compile([0.0, 0.0, 1.0, 1000.0], tf=0.5)
     ending = flight.final(flight.nominal[:, None], [0])
     assert flight.substeps == 1 and ending.outcomes[0].ok and ending.states[:3, 0].tolist() == [0.0, 0.0, 0.0]
     assert ending.state_error[0] < 1e-13

@@ -15,7 +15,7 @@ from gnc_opt.model import Model
 from gnc_opt.simulation import (
     Campaign,
     ClosedLoop,
-    Constant,
+    ConstantDisturbance,
     Delay,
     Event,
     Lag,
@@ -95,7 +95,7 @@ def test_bounces_are_those_of_the_closed_form_until_they_accumulate(minor):
     assert [event.before[1] for event in run.events[:30]] == pytest.approx(down, abs=1e-12)
     assert [event.after[1] for event in run.events[:30]] == pytest.approx(-0.8 * down, abs=1e-12)
     # infinitely many bounces end at 9 first flights
-    assert run.outcome.status is RunStatus.STOPPED and "Zeno" in run.outcome.what
+    assert run.outcome.status is RunStatus.TERMINATED_BY_EVENT and "Zeno" in run.outcome.what
     assert 9 * first - 0.1 < run.outcome.time < 9 * first
 
 
@@ -253,7 +253,7 @@ def test_a_bouncing_ball_at_rest_on_the_ground_stays_there(restitution):
     """It bounces at once and for ever; it fell through the ground after the first of these."""
     plant, h, v = ball()
     run = falling(plant, Event("bounce", h, "falling", reset={v: -restitution * v})).simulate([0, 0], tf=0.5)
-    assert run.outcome.status is RunStatus.STOPPED and "Zeno" in str(run.outcome)
+    assert run.outcome.status is RunStatus.TERMINATED_BY_EVENT and "Zeno" in str(run.outcome)
     assert np.abs(run.states).max() < 1e-9
 
 
@@ -266,7 +266,7 @@ def test_what_a_reset_puts_to_rest_does_not_fall_through_the_ground(start, direc
     plant, h, v = ball()
     apex, ground = Event("apex", v, "falling", reset={}), Event("ground", h, direction, reset={v: 0})
     run = falling(plant, apex, ground).simulate(start, tf=3.0)
-    assert run.outcome.status is RunStatus.STOPPED
+    assert run.outcome.status is RunStatus.TERMINATED_BY_EVENT
     assert "'ground'" in run.outcome.what and "mode" in run.outcome.what
     fall = (start[1] + np.sqrt(start[1] ** 2 + 2 * G * start[0])) / G
     assert run.outcome.time == pytest.approx(fall, abs=1e-7)
@@ -364,7 +364,7 @@ def test_a_delayed_push_that_arrives_within_the_step_is_flown_before_and_after_t
         scheduled(plant, lambda t: 40.0 * (t > 0.35)),
         [Delay("line", 0.05)],
         [],
-        [Constant("wind", 1.0, on="v")],
+        [ConstantDisturbance("wind", 1.0, on="v")],
         events=[Event("bounce", h, "falling", reset={v: -0.5 * v})],
         dt=0.2,
     )
@@ -390,7 +390,7 @@ def test_an_event_that_is_only_noted_happens_once_also_before_a_bend_of_an_actua
         loop, 60, x0=[4.0, 1.0], tf=1.4, dispersions={"initial.h": Uniform(-1.0, 1.0)}, executor="serial"
     )
     assert set(campaign.counts) == {RunStatus.OK}
-    assert np.all(campaign.happened("marker"))
+    assert np.all(campaign.event_occurred("marker"))
 
 
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
@@ -469,13 +469,13 @@ def test_campaigns_count_events_and_judge_their_times(tmp_path):
     time, speed = np.sqrt(2 * height / G), np.sqrt(2 * G * height)
     ends = time < 1.5
     assert 5 < np.sum(ends) < 60 and np.sum(speed > 14.1) > 5
-    assert np.array_equal(campaign.happened("too fast"), ends & (speed > 14.1))
+    assert np.array_equal(campaign.event_occurred("too fast"), ends & (speed > 14.1))
     soft = ends & (speed <= 14.1)
-    assert np.array_equal(campaign.happened("touchdown"), soft)
+    assert np.array_equal(campaign.event_occurred("touchdown"), soft)
     assert campaign.measure("time(touchdown)")[soft] == pytest.approx(time[soft], abs=1e-12)
     assert np.all(np.isnan(campaign.measure("time(touchdown)")[~soft]))
     assert np.array_equal(campaign.passed(), soft & (time <= 1.45))
-    assert campaign.counts.get(RunStatus.STOPPED, 0) == np.sum(ends & (speed > 14.1))
+    assert campaign.counts.get(RunStatus.TERMINATED_BY_EVENT, 0) == np.sum(ends & (speed > 14.1))
     assert f"touchdown in {np.sum(soft)} runs" in str(campaign)
     again = Campaign.load(campaign.save(tmp_path / "campaign.npz"))
     assert np.array_equal(again.event_times, campaign.event_times, equal_nan=True)
@@ -494,7 +494,7 @@ def test_resumed_campaigns_know_the_events_of_the_runs_before(tmp_path):
 
 def test_a_flight_with_events_can_be_sent_elsewhere():
     plant, h, v = ball()
-    flight = falling(plant, Event("bounce", h, "falling", reset={v: -v})).flight([1.0, 0.0], tf=3.0)
+    flight = falling(plant, Event("bounce", h, "falling", reset={v: -v})).compile([1.0, 0.0], tf=3.0)
     other = pickle.loads(pickle.dumps(flight))
     assert other.fingerprint == flight.fingerprint
     ends = [f.final(f.nominal[:, None], [0]) for f in (flight, other)]
@@ -550,7 +550,7 @@ def test_events_that_are_none_are_refused():
         falling(plant, Event("x", h)), 1, x0=[1.0, 0.0], tf=1.0, target={"h": 0.0}, executor="serial"
     )
     with pytest.raises(UnknownNameError, match="known: x"):
-        campaign.happened("y")
+        campaign.event_occurred("y")
     with pytest.raises(UnknownNameError):
         campaign.measure("time(y)")
 

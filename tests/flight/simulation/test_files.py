@@ -49,7 +49,7 @@ def campaign():
         executor="serial",
     )
     lost = Outcome(RunStatus.LOST, "its process died")
-    alarm = Outcome(RunStatus.ALARM, "'limit'", 0.1 + 0.2)
+    alarm = Outcome(RunStatus.CONTROLLER_ALARM, "'limit'", 0.1 + 0.2)
     return dataclasses.replace(flown, outcomes=(*flown.outcomes[:-2], lost, alarm))
 
 
@@ -92,7 +92,7 @@ def test_a_flight_of_another_loop_is_refused(campaign, tmp_path):
     cart = double_integrator(2)
     other = ClosedLoop(cart, feedback(cart, np.hstack([np.eye(2), np.eye(2)])), dt=0.1)
     with pytest.raises(GncOptError, match="flew another loop"):
-        Campaign.load(path, flight=other.flight([1.0, 0.5, 0.0, 0.0], tf=1.0))
+        Campaign.load(path, flight=other.compile([1.0, 0.5, 0.0, 0.0], tf=1.0))
 
 
 def test_a_run_is_no_campaign(run, tmp_path):

@@ -11,11 +11,11 @@ from gnc_opt.model import Model
 from gnc_opt.simulation import (
     Allocation,
     ClosedLoop,
-    Constant,
+    ConstantDisturbance,
     Lag,
     NonNegativeAllocation,
+    PiecewiseConstantNoise,
     Quantity,
-    RandomHold,
     WheelArray,
 )
 
@@ -64,8 +64,8 @@ def test_units_that_differ_are_refused(flown, message):
         lambda name: Allocation(name, np.eye(2)),
         lambda name: WheelArray(name, np.eye(3)),
         lambda name: NonNegativeAllocation(name, [[1.0, -1.0]]),
-        lambda name: Constant(name, 1.0, on="w"),
-        lambda name: RandomHold(name, 1.0, on="w"),
+        lambda name: ConstantDisturbance(name, 1.0, on="w"),
+        lambda name: PiecewiseConstantNoise(name, 1.0, on="w"),
     ],
 )
 def test_blocks_that_check_more_check_their_names_too(make, name):

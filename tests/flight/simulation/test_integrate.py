@@ -50,17 +50,19 @@ def test_dispersed_runs_of_what_stands_still_are_accurate(rate, damping, step, d
     spread = {"initial.q": Normal(0.3), "initial.v": Normal(0.3)}
     runs = go.monte_carlo(loop, 20, x0=[0.0, 0.0], tf=duration, dispersions=spread, executor="serial")
     assert all(outcome.ok for outcome in runs.outcomes)
-    assert loop.flight([0.0, 0.0], tf=duration).substeps <= 3 * loop.flight([1.0, 0.0], tf=duration).substeps
+    assert (
+        loop.compile([0.0, 0.0], tf=duration).substeps <= 3 * loop.compile([1.0, 0.0], tf=duration).substeps
+    )
     held = go.ClosedLoop(
         swing, go.feedforward(go.Reference.constant(swing, [0, 0], [0])), dt=step, substeps=2
     )
-    assert held.flight([0.0, 0.0], tf=duration).substeps == 2
+    assert held.compile([0.0, 0.0], tf=duration).substeps == 2
 
 
 def test_a_coasting_mass_at_rest_takes_one_step():
     cart = double_integrator()
     assert (
-        go.ClosedLoop(cart, feedback(cart, [[0.0, 0.0]]), dt=1.0).flight([0.0, 0.0], tf=1000.0).substeps == 1
+        go.ClosedLoop(cart, feedback(cart, [[0.0, 0.0]]), dt=1.0).compile([0.0, 0.0], tf=1000.0).substeps == 1
     )
 
 

@@ -13,7 +13,7 @@ import gnc_opt as go
 import gnc_opt.simulation.compiled_loop as flight_module
 from gnc_opt.control import design_lqr
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation import ClosedLoop, Lag, Noise, RandomHold
+from gnc_opt.simulation import ClosedLoop, Lag, Noise, PiecewiseConstantNoise
 
 ARRAYS = ("times", "states", "measured", "commands", "applied", "memory", "errors", "reference")
 
@@ -26,7 +26,7 @@ def loop() -> ClosedLoop:
         regulator,
         [Lag("lag", 0.2)],
         [Noise("gauge", 1e-3, on="q")],
-        [RandomHold("gust", 0.1, 0.7, on="a")],
+        [PiecewiseConstantNoise("gust", 0.1, 0.7, on="a")],
     )
 
 
@@ -45,7 +45,7 @@ def test_legs_change_no_bit(monkeypatch, whole, leg):
     run = fly()
     assert all(np.array_equal(getattr(run, name), getattr(whole, name)) for name in ARRAYS)
     assert np.array_equal(run.effort, whole.effort) and run.integration_error == whole.integration_error
-    flight = loop().flight([1.0, 0.0], tf=23.7)
+    flight = loop().compile([1.0, 0.0], tf=23.7)
     ending = flight.final(np.tile(flight.nominal[:, None], 2), [5, 6])
     assert np.array_equal(ending.states[:, 0], whole.states[:, -1])
     assert np.array_equal(ending.states[:, 1], loop().simulate([1.0, 0.0], tf=23.7, seed=6).states[:, -1])

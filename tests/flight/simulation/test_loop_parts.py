@@ -17,11 +17,11 @@ from gnc_opt.simulation import (
     Bias,
     Block,
     ClosedLoop,
-    Constant,
+    ConstantDisturbance,
     Disturbance,
     Lag,
     Mixer,
-    RandomHold,
+    PiecewiseConstantNoise,
     RandomWalk,
     RunStatus,
     Sampling,
@@ -121,7 +121,7 @@ def loop_of_all(**options):
         idle(plant),
         [Lag("lag", 0.2, on="a"), Saturation("cut", -1.0, [2.0, 3.0])],
         Bias("gyro", [0.1, 0.2], on="v"),
-        RandomHold("gust", 0.5, on="a"),
+        PiecewiseConstantNoise("gust", 0.5, on="a"),
         **({"dt": 0.4, "minor_steps": 4} | options),
     )
 
@@ -145,7 +145,10 @@ def test_what_can_be_dispersed_in_order_with_units_defaults_and_ranges():
 def test_a_push_on_a_state_has_the_unit_of_its_rate():
     plant = double_integrator()
     loop = ClosedLoop(
-        plant, idle(plant), disturbances=[Constant("c", 1.0, on="v"), Constant("d", 1.0, on="a")], dt=DT
+        plant,
+        idle(plant),
+        disturbances=[ConstantDisturbance("c", 1.0, on="v"), ConstantDisturbance("d", 1.0, on="a")],
+        dt=DT,
     )
     assert [v.unit for v in loop.layout.variables[-2:]] == ["m/s/s", "N"]
 
@@ -235,7 +238,7 @@ def test_states_that_are_not_measured_have_no_error():
     run = ClosedLoop(plant, law, dt=DT).simulate([1.0, 0.0], tf=0.3)
     assert run.errors[0] == pytest.approx([-2.0] * 4) and np.isnan(run.errors[1]).all()
     assert run.measured.shape == (1, 3)
-    flight = ClosedLoop(plant, law, dt=DT).flight([1.0, 0.0], tf=0.3)
+    flight = ClosedLoop(plant, law, dt=DT).compile([1.0, 0.0], tf=0.3)
     ending = flight.final(np.tile(flight.nominal[:, None], 2), [0, 1])
     assert ending.errors[0] == pytest.approx([-2.0, -2.0]) and np.isnan(ending.errors[1]).all()
 
@@ -252,7 +255,7 @@ def test_the_fastest_mode_is_integrated_stably(rate, dt, minor, steps):
     plant = Model("fast")
     x, y, u = plant.state("x"), plant.state("y"), plant.control("u")
     plant.ode({x: -0.1 * x + u, y: rate * y})
-    flight = ClosedLoop(plant, idle(plant), dt=dt, minor_steps=minor, accuracy=1.0).flight([0.0, 0.0], tf=dt)
+    flight = ClosedLoop(plant, idle(plant), dt=dt, minor_steps=minor, accuracy=1.0).compile([0.0, 0.0], tf=dt)
     assert flight.substeps == steps
 
 
@@ -261,7 +264,7 @@ def test_a_parameter_of_the_run_counts_for_its_fastest_mode():
     x, u, k = plant.state("x"), plant.control("u"), plant.parameter("k", 1.0)
     plant.ode({x: -k * x + u})
     loop = ClosedLoop(plant, idle(plant), dt=1.0)
-    assert loop.flight([0.0], tf=1.0, parameters={"plant.k": 31.0}).substeps == 11
+    assert loop.compile([0.0], tf=1.0, parameters={"plant.k": 31.0}).substeps == 11
 
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
@@ -272,7 +275,7 @@ def test_hardly_more_steps_are_taken_than_the_accuracy_needs(accuracy):
 
     def flight(substeps=None):
         loop = ClosedLoop(plant, idle(plant), dt=0.5, accuracy=accuracy, substeps=substeps)
-        return loop.flight([1.0, 0.0], tf=3.0)
+        return loop.compile([1.0, 0.0], tf=3.0)
 
     def error(flight):
         return float(flight.final(flight.nominal[:, None], [0]).integration_error[0])
@@ -285,7 +288,7 @@ def test_hardly_more_steps_are_taken_than_the_accuracy_needs(accuracy):
 def test_steps_of_integration_that_are_given_are_taken():
     plant = double_integrator()
     loop = ClosedLoop(plant, idle(plant), dt=DT, substeps=3)
-    assert loop.flight([0.0, 0.0], tf=1.0).substeps == 3
+    assert loop.compile([0.0, 0.0], tf=1.0).substeps == 3
     assert loop.kernel(3) is loop.kernel(3) and loop.kernel(4) is not loop.kernel(3)
     for wrong in (0, 1.5):
         with pytest.raises(ArgumentError, match="substeps of a closed loop"):
@@ -346,8 +349,9 @@ def test_sums_are_over_minor_steps_and_all_controls():
 
 def test_two_pushes_on_one_place_add_up():
     plant = double_integrator()
-    pushes = [Constant("a1", 1.0, on="a"), Constant("a2", 2.0, on="a"), Constant("v1", 4.0, on="v"),
-              Constant("v2", 8.0, on="v"), Constant("q1", 16.0, on="q")]  # fmt: skip
+    pushes = [ConstantDisturbance("a1", 1.0, on="a"), ConstantDisturbance("a2", 2.0, on="a"),
+    ConstantDisturbance("v1", 4.0, on="v"),
+              ConstantDisturbance("v2", 8.0, on="v"), ConstantDisturbance("q1", 16.0, on="q")]  # fmt: skip
     run = ClosedLoop(plant, idle(plant), disturbances=pushes, dt=0.5).simulate([0.0, 0.0], tf=0.5)
     assert run.states[:, -1] == pytest.approx([16 * 0.5 + 0.5 * 15 * 0.25, 15 * 0.5])
 
@@ -424,7 +428,7 @@ def test_alarms_are_named_by_component_and_the_first_one_stays():
 
 
 def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
-    flight = loop_of_all().flight([0.0] * 4, tf=0.4)
+    flight = loop_of_all().compile([0.0] * 4, tf=0.4)
     P = flight.nominal.copy()
     assert flight.refusal(P) == ""
     P[6] = 0.0
@@ -434,7 +438,7 @@ def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
     with pytest.raises(ArgumentError, match=r"cannot be flown: 'lag\.tau\[1\]'"):
         flight.run(P, 0)
     both = flight.final(np.column_stack([P, flight.nominal]), [0, 1])
-    assert [o.status for o in both.outcomes] == [RunStatus.REFUSED, RunStatus.OK]
+    assert [o.status for o in both.outcomes] == [RunStatus.INVALID_PARAMETERS, RunStatus.OK]
     assert np.isnan(both.states[:, 0]).all() and np.isfinite(both.states[:, 1]).all()
     with pytest.raises(ArgumentError, match=r"parameters of 2 runs have the shape \(15, 1\): give \(15, 2\)"):
         flight.final(P[:, None], [0, 1])
@@ -488,7 +492,7 @@ def test_columns_of_a_step_have_one_place_for_everything():
     signals, memory = Layout("signal", (Variable("r", 2),)), Layout("entry", (Variable("z", 3),))
     commands = Layout("command", (Variable("a"),))
     law = controller(plant, lambda t, x, r, z: (r[0], z), signals=signals, memory=memory, commands=commands)
-    blocks = [Lag("lag", 0.2), RandomHold("gust", 0.1, on="a")]
+    blocks = [Lag("lag", 0.2), PiecewiseConstantNoise("gust", 0.1, on="a")]
     loop = ClosedLoop(plant, law, blocks[:1], [RandomWalk("drift", 0.1)], blocks[1:], dt=0.4, minor_steps=2)
     kernel = loop.kernel(1)
     once = (
@@ -512,7 +516,7 @@ def test_columns_of_a_step_have_one_place_for_everything():
 
 
 def test_a_run_logs_every_control_step_unless_told_otherwise():
-    flight = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT).flight([1.0, 0.0], tf=0.5)
+    flight = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT).compile([1.0, 0.0], tf=0.5)
     columns = flight.nominal
     assert flight.run(columns, 0).state("q").times == pytest.approx(DT * np.arange(6))
     assert flight.run(columns, 0, every=2).state("q").times == pytest.approx([0.0, 0.2, 0.4, 0.5])

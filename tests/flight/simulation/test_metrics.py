@@ -20,7 +20,7 @@ def flight(actuators=(), dt=DT):
 
 def test_chattering_counts_changes_and_not_the_first_command():
     """|3 - 3| + |-1 - 3| + |2 + 1| + 0 + 1.5 + 4.5 + 4 = 17, not 20: switching the controller on is no chattering."""
-    assert flight().chattering("a")[0] == pytest.approx(17.0, rel=1e-14)
+    assert flight().total_variation("a")[0] == pytest.approx(17.0, rel=1e-14)
 
 
 def test_effort_energy_and_saturation_are_integrals_over_the_steps():
@@ -33,7 +33,7 @@ def test_effort_energy_and_saturation_are_integrals_over_the_steps():
     limited = flight([Saturation("limit", -3.5, 2.5)])
     assert limited.saturation_time("a")[0] == pytest.approx(3 * DT, rel=1e-14)
     assert limited.control_effort("a")[0] == pytest.approx(DT * (15.5 - 0.5 - 0.5 - 0.5), rel=1e-14)
-    assert limited.chattering("a")[0] == pytest.approx(
+    assert limited.total_variation("a")[0] == pytest.approx(
         17.0, rel=1e-14
     )  # of the command, not of what is applied
 

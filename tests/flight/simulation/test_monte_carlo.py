@@ -29,16 +29,16 @@ from gnc_opt.simulation import (
     Campaign,
     Choice,
     ClosedLoop,
-    Constant,
+    ConstantDisturbance,
     Lag,
     Noise,
     Normal,
-    Outage,
-    RandomHold,
+    PiecewiseConstantNoise,
+    RandomDirection,
+    RandomRotation,
     RunStatus,
     Saturation,
-    Sphere,
-    Turn,
+    SensorOutage,
     Uniform,
     monte_carlo,
 )
@@ -68,14 +68,14 @@ def loop_of_a_cart(**options):
         feedback(cart, gain),
         [Saturation("limits", -1.0, 1.0), Lag("motor", 0.05)],
         [Noise("radar", 0.01, on="q")],
-        [RandomHold("wind", 0.02, on="a"), Constant("slope", 0.0, on="a")],
+        [PiecewiseConstantNoise("wind", 0.02, on="a"), ConstantDisturbance("slope", 0.0, on="a")],
         dt=0.1,
         **options,
     )
 
 
 DISPERSIONS = {
-    "initial.q": Sphere(0.5),
+    "initial.q": RandomDirection(0.5),
     "plant.m": Normal(0.05, relative=True, truncate=3),
     "motor.tau": Uniform(-0.3, 0.3, relative=True),
     "slope.level": Choice([0.0, 0.01, -0.01]),
@@ -167,7 +167,7 @@ def test_a_turned_attitude_of_the_rendezvous_model():
     loop = ClosedLoop(chaser, scheduled(chaser, lambda t: np.zeros((6, t.size))), dt=0.5)
     sigma = np.array([0.0, np.tan(np.pi / 8), 0.0])
     x0 = {"omega": 0.0, "sigma": sigma, "v_L": 0.0, "r_L": 0.0}
-    turn = {"initial.sigma": Turn(np.radians(2))}
+    turn = {"initial.sigma": RandomRotation(np.radians(2))}
     campaign = monte_carlo(
         loop, 20, x0=x0, tf=0.5, dispersions=turn, target={"sigma": sigma}, executor="serial"
     )
@@ -188,7 +188,11 @@ def test_covariance_of_a_noisy_linear_loop_is_that_of_lyapunovs_equation():
     gain, push, blur, dt, n = np.array([[1.2, 0.8]]), 0.7, 0.3, 0.1, 600
     noise = [Noise("sensor", blur, on="x")]
     loop = ClosedLoop(
-        plant, feedback(plant, gain), sensors=noise, disturbances=[RandomHold("w", push, on="u")], dt=dt
+        plant,
+        feedback(plant, gain),
+        sensors=noise,
+        disturbances=[PiecewiseConstantNoise("w", push, on="u")],
+        dt=dt,
     )
     campaign = monte_carlo(loop, n, x0=[0.0, 0.0], tf=25.0, seed=3, executor="serial")
     ad, bd, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), dt)
@@ -309,9 +313,14 @@ def test_failed_runs_are_kept_and_count_as_not_passed():
     for i, outcome in enumerate(campaign.outcomes):
         k, tau = campaign.parameter("plant.k")[0, i], campaign.parameter("lag.tau")[0, i]
         # x = x0 / sqrt(1 - 2 k x0^2 t): 0.98, 5.4, and infinite before the end
-        expected = {0.1: RunStatus.OK, 0.6: RunStatus.ALARM, 5.0: RunStatus.NOT_FINITE}[k]
-        assert outcome.status is (RunStatus.REFUSED if tau < 0 else expected)
-    assert set(campaign.counts) == {RunStatus.OK, RunStatus.ALARM, RunStatus.NOT_FINITE, RunStatus.REFUSED}
+        expected = {0.1: RunStatus.OK, 0.6: RunStatus.CONTROLLER_ALARM, 5.0: RunStatus.NOT_FINITE}[k]
+        assert outcome.status is (RunStatus.INVALID_PARAMETERS if tau < 0 else expected)
+    assert set(campaign.counts) == {
+        RunStatus.OK,
+        RunStatus.CONTROLLER_ALARM,
+        RunStatus.NOT_FINITE,
+        RunStatus.INVALID_PARAMETERS,
+    }
     assert sum(campaign.counts.values()) == 60
     assert campaign.pass_rate().passed == campaign.counts[RunStatus.OK] and campaign.pass_rate().runs == 60
     assert campaign.percentile("x", 0.99).value == np.inf == campaign.maximum("x")
@@ -320,14 +329,16 @@ def test_failed_runs_are_kept_and_count_as_not_passed():
     assert len(json.loads(campaign.to_json())["failures"]) == 60 - campaign.counts[RunStatus.OK]
     blown = next(i for i, o in campaign.failures.items() if o.status is RunStatus.NOT_FINITE)
     assert campaign.rerun(blown).outcome == campaign.outcomes[blown]
-    refused = next(i for i, o in campaign.failures.items() if o.status is RunStatus.REFUSED)
+    refused = next(i for i, o in campaign.failures.items() if o.status is RunStatus.INVALID_PARAMETERS)
     with pytest.raises(ArgumentError, match="lag"):
         campaign.rerun(refused)
 
 
 def test_a_lost_measurement_is_flagged_in_the_runs_that_lose_it():
     cart = double_integrator()
-    loop = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), sensors=[Outage("radar", 50.0, on="q")], dt=0.1)
+    loop = ClosedLoop(
+        cart, feedback(cart, [[1.0, 1.6]]), sensors=[SensorOutage("radar", 50.0, on="q")], dt=0.1
+    )
     losing = {"radar.begin": Choice([3.0, 50.0])}
     campaign = monte_carlo(loop, 20, x0=[1.0, 0.0], tf=5.0, dispersions=losing, executor="serial")
     lost = campaign.parameter("radar.begin")[0] == 3.0
@@ -528,7 +539,7 @@ def test_dispersions_that_cannot_travel_are_refused():
 
 def test_files_keep_every_bit(serial, tmp_path):
     path = serial.save(tmp_path / "campaign")
-    loaded = Campaign.load(path, flight=loop_of_a_cart().flight(CASE["x0"], tf=CASE["tf"]))
+    loaded = Campaign.load(path, flight=loop_of_a_cart().compile(CASE["x0"], tf=CASE["tf"]))
     assert_same(loaded, serial)
     assert np.array_equal(loaded.rerun(3).states[:, -1], serial.states[:, 3])
     with pytest.raises(GncOptError, match="cannot fly"):

@@ -21,15 +21,15 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.model import Model
 from gnc_opt.simulation import (
     ClosedLoop,
+    CompiledLoop,
     Event,
-    Flight,
     Lag,
     Noise,
-    RandomHold,
+    PiecewiseConstantNoise,
     monte_carlo,
 )
 from gnc_opt.simulation import compiled_step as module
-from gnc_opt.simulation.compiled_step import Folded
+from gnc_opt.simulation.compiled_step import StepExecutor
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -45,15 +45,15 @@ def loop(through: float | None = None, weight: float = 1) -> ClosedLoop:
     plant = double_integrator()
     events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
     regulator = design_lqr(plant, [0, 0], Q=weight, R=1, dt=0.1, integral={"q": 0.1})
-    noise, gust = Noise("gauge", 1e-3, on="q"), RandomHold("gust", 0.1, 0.7, on="a")
+    noise, gust = Noise("gauge", 1e-3, on="q"), PiecewiseConstantNoise("gust", 0.1, 0.7, on="a")
     return ClosedLoop(plant, regulator, [Lag("lag", 0.2)], [noise], [gust], events=events)
 
 
-def flown(through: float | None = None, weight: float = 1) -> Flight:
-    return loop(through, weight).flight([1.0, 0.0], t0=0.0, tf=5.0)
+def flown(through: float | None = None, weight: float = 1) -> CompiledLoop:
+    return loop(through, weight).compile([1.0, 0.0], t0=0.0, tf=5.0)
 
 
-def bits(flight: Flight) -> list[bytes]:
+def bits(flight: CompiledLoop) -> list[bytes]:
     P = flight.nominal[:, None] * np.array([1.0, 1.01, np.nan])
     ending = flight.final(P, [1, 2, 3])
     return [
@@ -173,7 +173,7 @@ def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
     cache: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     plant, law = predictive()
-    flight = ClosedLoop(plant, replace(law, easy=None)).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
+    flight = ClosedLoop(plant, replace(law, easy=None)).compile([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
     assert flight.libraries == ("", "") and list(cache.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 
@@ -193,13 +193,13 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     plant, law = predictive()
     events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
     noise = [Noise("gauge", 1e-3, on="q")]
-    flight = ClosedLoop(plant, law, sensors=noise, events=events).flight([1.0, 0.0], t0=0.0, tf=8.0)
+    flight = ClosedLoop(plant, law, sensors=noise, events=events).compile([1.0, 0.0], t0=0.0, tf=8.0)
     quick = flight.natively(2)
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = Folded._interpret
-    monkeypatch.setattr(Folded, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
+    interpret = StepExecutor._interpret
+    monkeypatch.setattr(StepExecutor, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
     quick.final(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
     assert set(interpreted) == {1} and 2 * max(3, at_limit) <= len(interpreted) < 120

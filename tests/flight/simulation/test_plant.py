@@ -7,7 +7,7 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.estimation import Measurement
-from gnc_opt.simulation import fly_plant
+from gnc_opt.simulation import simulate_external_plant
 
 DT = 0.1
 
@@ -42,7 +42,7 @@ def regulator():
 def test_it_flies_as_the_compiled_loop_does():
     law = regulator()
     run = go.ClosedLoop(pendulum(), law, dt=DT, accuracy=1e-10).simulate([1.0, 0.0], tf=6.0)
-    flight = fly_plant(law, Integrated([1.0, 0.0]), tf=6.0)
+    flight = simulate_external_plant(law, Integrated([1.0, 0.0]), tf=6.0)
     assert np.allclose(flight.times, run.times)
     assert np.allclose(flight.measured, run.states, atol=1e-8)
     assert np.allclose(flight.commands, run.commands[:, : flight.commands.shape[1]], atol=1e-8)
@@ -50,7 +50,7 @@ def test_it_flies_as_the_compiled_loop_does():
 
 
 def test_lost_samples_are_those_of_the_law():
-    flight = fly_plant(regulator(), Integrated([1.0, 0.0], deaf=(1.95, 2.55)), tf=3.0)
+    flight = simulate_external_plant(regulator(), Integrated([1.0, 0.0], deaf=(1.95, 2.55)), tf=3.0)
     assert flight.alarms == ("invalid",)
     lost = np.isnan(flight.measured[0])
     assert list(np.flatnonzero(lost)) == [20, 21, 22, 23, 24, 25]
@@ -63,7 +63,7 @@ def test_an_estimator_may_stand_between():
     model = pendulum()
     told = {"sigma0": {"q": 0.1, "v": 0.1}, "process_noise": {"v": 0.1}, "dt": DT}
     law = go.output_feedback(regulator(), go.design_ekf(model, [1.0, 0.0], [Measurement("q", 1e-3)], **told))
-    flight = fly_plant(law, Integrated([1.0, 0.0], seen=1), tf=10.0)
+    flight = simulate_external_plant(law, Integrated([1.0, 0.0], seen=1), tf=10.0)
     assert flight.measured.shape == (1, 101)
     assert flight.measured[0, -1] == pytest.approx(0.4, abs=0.01)
 
@@ -71,16 +71,16 @@ def test_an_estimator_may_stand_between():
 def test_what_cannot_be_flown_is_refused():
     law = regulator()
     with pytest.raises(go.ArgumentError, match="type 'int' cannot be flown: give it the methods measure"):
-        fly_plant(law, 3, tf=1.0)
+        simulate_external_plant(law, 3, tf=1.0)
     with pytest.raises(
         go.ArgumentError, match="the plant measures 1 numbers, and 'LQR' feeds back 2: return q, v"
     ):
-        fly_plant(law, Integrated([1.0, 0.0], seen=1), tf=1.0)
+        simulate_external_plant(law, Integrated([1.0, 0.0], seen=1), tf=1.0)
     with pytest.raises(
         go.ArgumentError, match=r"0 to 1\.05 s are no whole number of control steps of 0\.1 s"
     ):
-        fly_plant(law, Integrated([1.0, 0.0]), tf=1.05)
+        simulate_external_plant(law, Integrated([1.0, 0.0]), tf=1.05)
     with pytest.raises(go.ArgumentError, match="the duration of fly_plant"):
-        fly_plant(law, Integrated([1.0, 0.0]), tf=-1.0)
+        simulate_external_plant(law, Integrated([1.0, 0.0]), tf=-1.0)
     with pytest.raises(go.ArgumentError, match="what fly_plant\\(\\) flies with"):
-        fly_plant(pendulum(), Integrated([1.0, 0.0]), tf=1.0)
+        simulate_external_plant(pendulum(), Integrated([1.0, 0.0]), tf=1.0)

@@ -198,7 +198,7 @@ def test_limits_and_searches_know_them():
     assert np.array_equal(runs.passed(), runs.measure("max(intrusion)") <= 0)
     assert 0 < runs.pass_rate().passed < 40
     found = worst_case(
-        go.Experiment(loop_of(), **MISSION, dispersions={"initial.q": Uniform(-0.5, 0.5)}),
+        go.Scenario(loop_of(), **MISSION, dispersions={"initial.q": Uniform(-0.5, 0.5)}),
         "max(kinetic energy)",
         generations=3,
     )

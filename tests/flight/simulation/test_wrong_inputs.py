@@ -12,7 +12,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.analysis import LoopResponse, loop_response
-from gnc_opt.simulation import ClosedLoop, Constant, Event, Noise, monte_carlo
+from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Event, Noise, monte_carlo
 
 BALL = go.Model("ball")
 H, W = BALL.state("h", unit="m"), BALL.state("w", unit="m/s")
@@ -58,7 +58,10 @@ def test_an_event_that_never_passes_through_zero(expression: Any, what: str) -> 
         (lambda: loop(events=None), "the events of a closed loop are None: give a list"),
         (lambda: loop(actuators=3), "the actuators of a closed loop are 3: give a list"),
         (lambda: loop(quantities=None), "the quantities of a closed loop are None"),
-        (lambda: loop(sensors=[Constant("push", 0.1, on="w")]), "'push' is a disturbance, not an actuator"),
+        (
+            lambda: loop(sensors=[ConstantDisturbance("push", 0.1, on="w")]),
+            "'push' is a disturbance, not an actuator",
+        ),
         (lambda: Event("e", H, failure="yes"), "failure of event 'e' is a str where a bool"),  # type: ignore[arg-type]
         (lambda: fly([1.0, math.inf]), "'initial.w' of a run is not a number .it is inf"),
         (lambda: fly(tf=[0.2, 0.4]), "tf of a run is given 2 values"),

@@ -10,7 +10,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 
 ROOT = 5 * (np.sqrt(1.2) - 1)
 """Where v + v^2 / 10 = 1/2."""
@@ -131,8 +131,10 @@ def test_a_limit_met_at_an_end_only(stated: Callable[[], tuple[go.Problem, float
     assert go.verify(found).minimum, go.verify(found).explain()
 
 
-@pytest.mark.parametrize(("pull", "result"), [(2.5, Result.PASS), (3.5, Result.FAIL)])
-def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(pull: float, result: Result) -> None:
+@pytest.mark.parametrize(("pull", "result"), [(2.5, ConditionResult.PASS), (3.5, ConditionResult.FAIL)])
+def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(
+    pull: float, result: ConditionResult
+) -> None:
     # From 3 m straight at a disc of 1 m: c(phi) = (10 - 6 cos phi) / 2 + pull cos phi on its edge, c'' = 3 - pull.
     point = go.Model("point")
     x, y, u = point.state("x"), point.state("y"), point.control("u", 2)
@@ -147,11 +149,11 @@ def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(pull: flo
     straight = np.vstack([0 * t - 2, 0 * t])
     verdict = go.verify_trajectory(problem, t, {"x": 3 - 2 * t, "y": 0 * t}, {"u": straight})
     assert verdict["second order"].result is result, verdict
-    assert verdict.minimum == (result is Result.PASS)
+    assert verdict.minimum == (result is ConditionResult.PASS)
 
 
-@pytest.mark.parametrize(("gain", "result"), [(2.0, Result.PASS), (0.2, Result.FAIL)])
-def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Result) -> None:
+@pytest.mark.parametrize(("gain", "result"), [(2.0, ConditionResult.PASS), (0.2, ConditionResult.FAIL)])
+def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: ConditionResult) -> None:
     model, _, v, a = cart()
     problem = go.Problem("fast at the end")
     leg = problem.phase("leg", model)
@@ -162,7 +164,7 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Result
     t = np.linspace(0.0, 1.0, 41)
     verdict = go.verify_trajectory(problem, t, {"q": ROOT * t**2 / 2, "v": ROOT * t}, {"a": 0 * t + ROOT})
     assert verdict["transversality"].result is result, verdict
-    assert verdict.minimum == (result is Result.PASS)
+    assert verdict.minimum == (result is ConditionResult.PASS)
 
 
 def test_limits_met_at_both_ends_are_found_once() -> None:

@@ -216,6 +216,6 @@ def test_an_arc_cannot_be_shorter_than_nothing(scheme: str) -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     mesh = go.Mesh.at_times([0.0, 1.2, 1.4], 3, movable=True)
-    solution = solve(problem.with_arcs(arcs=[[1, -1]]), mesh, scheme)
+    solution = solve(problem.with_fixed_arcs(arcs=[[1, -1]]), mesh, scheme)
     assert solution.objective == pytest.approx(1.0, abs=1e-7)
     assert np.min(np.diff(solution.phase().breaks)) >= 0.0

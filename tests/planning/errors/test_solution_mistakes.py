@@ -51,7 +51,7 @@ def test_unknown_names(ask: Callable[[go.Solution], object], fragments: tuple[st
         lambda s, t: s.state("q")(t),
         lambda s, t: s.costate("v")(t),
         lambda s, t: s.control("a")(t),
-        lambda s, t: s.flown_control("a")(t),
+        lambda s, t: s.saturated_control("a")(t),
         lambda s, t: s.hamiltonian(t),
         lambda s, t: s.switching_function("a", t),
         lambda s, t: s.evaluate(s.problem.phases["leg"].model.symbol("q"), t),

@@ -158,7 +158,7 @@ def test_vanishing_phase(mesh: str, scheme: str, cost: str) -> None:
     assert solution.state("q")(0.0) == pytest.approx(1.0, abs=1e-9)
     assert solution.state("q")(solution.phase().final_time) == pytest.approx(1.0, abs=1e-9)
     assert np.isfinite(solution.hamiltonian(0.0)) and np.isfinite(solution.quality.max_defect)
-    assert -1.0 <= solution.flown_control("a")(0.0) <= 1.0  # type: ignore[operator]
+    assert -1.0 <= solution.saturated_control("a")(0.0) <= 1.0  # type: ignore[operator]
     assert "solved" in str(solution) and len(go.verify(solution).conditions) > 0
 
 
@@ -231,9 +231,9 @@ def test_the_guess_that_helps_is_named() -> None:
         go.SolveError, match=r"go\.simulate_guess\(\) flies, waypoints .* polar .* Begin with 'v': no"
     ):
         go.solve(circle(), mesh="4x3", tol=None)
-    with pytest.raises(go.SolveError, match=r"simulate_guess") as told:
+    with pytest.raises(go.SolveError, match=r"guess_from_simulation") as told:
         go.solve(circle(speed=1.0), mesh="4x3", tol=None)
     assert "Begin with" not in str(told.value)
     with pytest.raises(go.SolveError) as own:
         go.solve(circle(np.linspace(0.0, 1.0, 5)), mesh="4x3", tol=None)
-    assert "simulate_guess" not in str(own.value)
+    assert "guess_from_simulation" not in str(own.value)

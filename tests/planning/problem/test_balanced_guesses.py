@@ -28,7 +28,7 @@ def tilting(thrust: float = 8000.0, kilo: float = 1.0) -> go.Problem:
     leg.time(initial=0.0, final=(20.0, 60.0))
     leg.initial(r=[0.0, 500.0 / kilo], v=[0.0, -25.0 / kilo], angle=0.0, spin=0.0)
     leg.final(r=[0.0, 0.0], v=[0.0, -1.0 / kilo], angle=0.0, spin=0.0)
-    leg.bounds_norm(T=(0.0, thrust / kilo**2))
+    leg.norm_bounds(T=(0.0, thrust / kilo**2))
     problem.minimize(leg.final_time)
     return problem
 

@@ -54,7 +54,7 @@ def test_magnitude_of_a_vector_over_time() -> None:
     leg.time(0.0, (0.1, 10.0))
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[3.0, 4.0])
-    leg.bounds_norm(T=(0.0, lambda t: 1.0 + t))
+    leg.norm_bounds(T=(0.0, lambda t: 1.0 + t))
     problem.minimize(leg.final_time)
     expected = brentq(lambda t: t**2 / 2.0 + t**3 / 6.0 - 5.0, 0.1, 10.0)
     assert go.solve(problem).objective == pytest.approx(expected, rel=1e-7)

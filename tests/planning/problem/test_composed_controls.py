@@ -36,7 +36,7 @@ def move(direction: Any) -> go.Problem:
     zero = np.zeros(len(direction))
     leg.initial(r=zero, v=zero)
     leg.final(r=np.asarray(direction) / np.linalg.norm(direction), v=zero)
-    leg.bounds_norm(a=(None, 1.0))
+    leg.norm_bounds(a=(None, 1.0))
     problem.minimize(leg.integral(norm))
     return problem
 
@@ -58,7 +58,7 @@ def landed() -> go.Solution:
     leg.time(initial=0.0, final=(1.0, 10.0))
     leg.initial(r=[0.0, 2.0], v=[0.0, 0.0])
     leg.final(r=[0.0, 0.0], v=[0.0, 0.0])
-    leg.bounds_norm(thrust=(LEAST, 3.0))
+    leg.norm_bounds(thrust=(LEAST, 3.0))
     problem.minimize(leg.integral(norm))
     return go.solve(problem, mesh="10x3", tol=1e-8)
 
@@ -79,7 +79,7 @@ def test_least_fuel_in_the_plane_is_that_along_a_line() -> None:
 def test_vector_is_reported_as_declared() -> None:
     solution, t = moved(), np.array([0.1, 1.5, 2.9])
     wanted = np.outer([0.6, -0.8], [1.0, 0.0, -1.0])
-    for signal in (solution.control("a"), solution.flown_control("a")):
+    for signal in (solution.control("a"), solution.saturated_control("a")):
         np.testing.assert_allclose(signal(t), wanted, atol=1e-8)
         assert signal.labels == ("a[0]", "a[1]")
         assert signal.unit == "m/s^2"
@@ -148,10 +148,10 @@ def test_direction_is_relaxed_only_where_that_loses_nothing() -> None:
     leg.integral(norm**2)
     leg.path("forwards", model.output_expression("a")[0] - 0.5 * norm, lower=0.0)
     assert not leg.on_sphere(vector)
-    leg.bounds_norm(a=(0.1, 1.0))
+    leg.norm_bounds(a=(0.1, 1.0))
     assert leg.on_sphere(vector)
     np.testing.assert_array_equal([leg.path_interval().lower[0], leg.path_interval().upper[0]], [1.0, 1.0])
-    leg.bounds_norm(a=(0.0, 1.0))
+    leg.norm_bounds(a=(0.0, 1.0))
     leg.path("curved", ca.sumsqr(model.output_expression("a")), upper=0.5)
     assert leg.on_sphere(vector)
 
@@ -200,10 +200,10 @@ def test_split_control_is_reported_as_declared() -> None:
     [
         (lambda model, leg: model.vector_control("b", 1), "size of vector control 'b'"),
         (lambda model, leg: leg.bounds(a=(0.0, 1.0)), r"give bounds_norm\(a=...\)"),
-        (lambda model, leg: leg.bounds_norm(a=(-2.0, -1.0)), "at most -1: give a limit >= 0"),
-        (lambda model, leg: leg.bounds_norm(b=1.0), "'b'"),
-        (lambda model, leg: leg.bounds_norm(a_magnitude=1.0), "declare 'a_magnitude' with vector_control"),
-        (lambda model, leg: leg.bounds_norm(a=(2.0, 1.0)), "norm of 'a'"),
+        (lambda model, leg: leg.norm_bounds(a=(-2.0, -1.0)), "at most -1: give a limit >= 0"),
+        (lambda model, leg: leg.norm_bounds(b=1.0), "'b'"),
+        (lambda model, leg: leg.norm_bounds(a_magnitude=1.0), "declare 'a_magnitude' with vector_control"),
+        (lambda model, leg: leg.norm_bounds(a=(2.0, 1.0)), "norm of 'a'"),
         (lambda model, leg: leg.guess(a=[1.0, 2.0, 3.0]), "guess of 'a'"),
     ],
 )

@@ -71,7 +71,7 @@ def test_every_difference_that_moves_the_answer_is_seen() -> None:
     [
         lambda p: p.with_guess(q=(0.0, 2.0)),
         lambda p: p.with_scale(q=10.0),
-        lambda p: p.with_arcs(arcs=[[-1, 1]]),
+        lambda p: p.with_fixed_arcs(arcs=[[-1, 1]]),
         lambda p: cart(nominal=7.0),
         lambda p: cart(unit="km"),
     ],

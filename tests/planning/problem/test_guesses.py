@@ -42,7 +42,7 @@ def guessed(problem: go.Problem, phase: str = "burn") -> Any:
 
 def test_a_coast_is_keplers() -> None:
     """Without thrust the unit circle is flown: r = (cos t, sin t)."""
-    start = guessed(go.simulate_guess(spiral(), {"u": 0.0}, duration=20.0))
+    start = guessed(go.guess_from_simulation(spiral(), {"u": 0.0}, duration=20.0))
     assert start.times == pytest.approx([0.0, 20.0])
     t = 20.0 * FRACTIONS
     np.testing.assert_allclose(
@@ -56,7 +56,9 @@ def test_tangential_thrust_spirals_out_until_a_radius() -> None:
     problem, thrust = spiral(), 1e-3
     r, v = (problem.phases["burn"].model.symbol(name) for name in "rv")
     a = 1 / (2 / ca.norm_2(r) - ca.dot(v, v))
-    flown = go.simulate_guess(problem, along_velocity(problem, thrust), duration=1000.0, until=a - 1.15)
+    flown = go.guess_from_simulation(
+        problem, along_velocity(problem, thrust), duration=1000.0, until=a - 1.15
+    )
     start = guessed(flown)
     last = start.states[:, -1]
     assert 1 / (2 / np.linalg.norm(last[:2]) - last[2:] @ last[2:]) == pytest.approx(1.15, abs=1e-6)
@@ -72,7 +74,7 @@ def test_laws_are_expressions_numbers_and_functions_of_time_within_bounds() -> N
         ({"u": 1.0}, [0.01, 0.01]),
         ({}, [0.0, 0.0]),
     ):
-        start = guessed(go.simulate_guess(spiral(), law, duration=10.0))
+        start = guessed(go.guess_from_simulation(spiral(), law, duration=10.0))
         np.testing.assert_allclose(start.controls[:, 5], wanted, atol=1e-12)
 
 
@@ -88,7 +90,7 @@ def pushed(*, plain: bool = False) -> go.Problem:
     leg.time(0.0, 1.0)
     leg.initial(v=[0.0, 0.0], w=0.0)
     if not plain:
-        leg.bounds_norm(T=(0.0, 2.0))
+        leg.norm_bounds(T=(0.0, 2.0))
         leg.bounds(q=(-1.0, 1.0))
     problem.minimize(leg.integral(ca.sumsqr(T) + q**2))
     return problem
@@ -105,7 +107,7 @@ def test_laws_of_vector_and_split_controls() -> None:
     """A law names what the user declared; it is clipped to its norm, or to its bounds."""
     problem = pushed()
     t = problem.phases["burn"].model.time
-    flown = go.simulate_guess(problem, {"T": ca.vertcat(3.0, 4.0) * t, "q": lambda t: -2.0 * t})
+    flown = go.guess_from_simulation(problem, {"T": ca.vertcat(3.0, 4.0) * t, "q": lambda t: -2.0 * t})
     times = FRACTIONS[:, None]
     norm = np.minimum(5.0 * FRACTIONS, 2.0)
     wanted = np.vstack([0.6 * norm, 0.8 * norm, -np.minimum(2.0 * times[:, 0], 1.0)])
@@ -115,7 +117,7 @@ def test_laws_of_vector_and_split_controls() -> None:
     # integral of min(5 t, 2): 0.4 until t = 0.4, and 1.2 more; of -min(2 t, 1): -3 / 4
     np.testing.assert_allclose(guessed(flown).states[:, -1], [0.96, 1.28, -0.75], atol=1e-6)
     with pytest.raises(go.GncOptError, match=r"law of 'T' .* 3 components: give 2"):
-        go.simulate_guess(problem, {"T": [1.0, 2.0, 3.0]})
+        go.guess_from_simulation(problem, {"T": [1.0, 2.0, 3.0]})
 
 
 def test_vector_and_split_controls_from_data_and_solutions() -> None:
@@ -139,23 +141,26 @@ def test_open_initial_values_and_free_parameters() -> None:
     leg = problem.phase("leg", model)
     leg.time(1.0, 2.0)
     problem.minimize(leg.integral(u**2 + x**2))
-    start = guessed(go.simulate_guess(problem, {"u": 0.0}, initial={"x": 3.0}), "leg")
+    start = guessed(go.guess_from_simulation(problem, {"u": 0.0}, initial={"x": 3.0}), "leg")
     np.testing.assert_allclose(start.states[0], 3.0 * np.exp(-2.0 * FRACTIONS), atol=1e-5)
 
 
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda p: go.simulate_guess(p, {"w": 0.0}), "no control 'w'"),
-        (lambda p: go.simulate_guess(p, {"u": [1.0, 2.0, 3.0]}), "law of 'u' .* 3 components: give 2"),
-        (lambda p: go.simulate_guess(p, {"u": p.phases["burn"].model.symbol("u")}), "uses controls of phase 'burn'"),
-        (lambda p: go.simulate_guess(p, {"u": "up"}), "law of 'u' .* is not a number"),
-        (lambda p: go.simulate_guess(p, 0.0), "law of simulate_guess"),
-        (lambda p: go.simulate_guess(p, {}, initial={"r": 0.0}), "rate of state 'v.0.' is nan at t = 0 s"),
-        (lambda p: go.simulate_guess(p, {}, until=p.phases["burn"].model.time + 1.0), "was never zero"),
-        (lambda p: go.simulate_guess(p, {}, duration=-1.0), "duration of simulate_guess"),
-        (lambda p: go.simulate_guess(p, {}, n=1), "n of simulate_guess"),
-        (lambda p: go.simulate_guess(None, {}), "what simulate_guess"),
+        (lambda p: go.guess_from_simulation(p, {"w": 0.0}), "no control 'w'"),
+        (lambda p: go.guess_from_simulation(p, {"u": [1.0, 2.0, 3.0]}), "law of 'u' .* 3 components: give 2"),
+        (
+            lambda p: go.guess_from_simulation(p, {"u": p.phases["burn"].model.symbol("u")}),
+            "uses controls of phase 'burn'",
+        ),
+        (lambda p: go.guess_from_simulation(p, {"u": "up"}), "law of 'u' .* is not a number"),
+        (lambda p: go.guess_from_simulation(p, 0.0), "law of simulate_guess"),
+        (lambda p: go.guess_from_simulation(p, {}, initial={"r": 0.0}), "rate of state 'v.0.' is nan at t = 0 s"),
+        (lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0), "was never zero"),
+        (lambda p: go.guess_from_simulation(p, {}, duration=-1.0), "duration of simulate_guess"),
+        (lambda p: go.guess_from_simulation(p, {}, n=1), "n of simulate_guess"),
+        (lambda p: go.guess_from_simulation(None, {}), "what simulate_guess"),
         (lambda p: go.guess_from_data(p, {"t": [0, 1]}), "no column 'time'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' and none 'r.1.'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "q": [0, 1]}), "no column of a state or control"),
@@ -270,7 +275,7 @@ def filtered(bandwidth: float) -> go.Problem:
 def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind the filter with its lag 1/b the motion is x = 1 + c (t^2 / 2 - t / b + ...) with the command c."""
     monkeypatch.setattr(simulate, "MOST_EXPLICIT", 3000)
-    start = guessed(go.simulate_guess(filtered(1e6), {"u": 0.5}), "leg")
+    start = guessed(go.guess_from_simulation(filtered(1e6), {"u": 0.5}), "leg")
     assert start.states[0, -1] == pytest.approx(1 + 0.5 * (4**2 / 2 - 4e-6), abs=1e-4)
     assert start.states[1, -1] == pytest.approx(2.0, abs=1e-4)
 
@@ -282,7 +287,7 @@ def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPa
     problem = filtered(1e5)
     x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
     with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* led to t = .* s only\): .*tanh"):
-        go.simulate_guess(problem, {"u": -ca.sign(x + v)})
+        go.guess_from_simulation(problem, {"u": -ca.sign(x + v)})
 
 
 # --- lines through a singular point ---------------------------------------------------------------------------

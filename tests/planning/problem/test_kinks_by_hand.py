@@ -290,7 +290,7 @@ def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> N
         solution = go.solve(cart(cost), mesh="10x3")
     assert go.verify(solution).minimum
     assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
-    flown = solution.flown_control("a")(np.linspace(0, DURATION, 201))
+    flown = solution.saturated_control("a")(np.linspace(0, DURATION, 201))
     assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
 
 
@@ -339,7 +339,7 @@ def test_parts_that_push_at_once_fail_the_verdict() -> None:
     wasteful = rocket(lambda leg, T, m: leg.integral(m) + 0.001 * leg.integral(ca.fabs(T)))
     solution = go.solve(wasteful, mesh="10x3", throw=False, tol=None)
     condition = go.verify(solution)["dynamics"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert "parts of T push at once, which moves m" in condition.where
 
 

@@ -206,8 +206,8 @@ def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
     assert solution.objective == pytest.approx(FUEL, rel=1e-9)
     burn = FUEL / 2
     at = np.array([0.5 * burn, 1.5, DURATION - 0.5 * burn])
-    np.testing.assert_allclose(solution.flown_control("T_x")(at), [0.6, 0.0, -0.6], atol=1e-7)
-    np.testing.assert_allclose(solution.flown_control("T_y")(at), [-0.8, 0.0, 0.8], atol=1e-7)
+    np.testing.assert_allclose(solution.saturated_control("T_x")(at), [0.6, 0.0, -0.6], atol=1e-7)
+    np.testing.assert_allclose(solution.saturated_control("T_y")(at), [-0.8, 0.0, 0.8], atol=1e-7)
     model = by_hand(SLACK["root"], "scalars").phases["leg"].model
     assert "T_x" in solution.to_pandas().columns if _pandas() else model
     assert "whose magnitude 'n' limits" in str(solution)
@@ -343,7 +343,7 @@ def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     assert solution.converged
     assert solution.objective == pytest.approx(FUEL, rel=1e-9)
     at = np.array([0.25 * FUEL, 1.5, DURATION - 0.25 * FUEL])
-    np.testing.assert_allclose(solution.flown_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
+    np.testing.assert_allclose(solution.saturated_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
     assert "u is solved for as u_plus - u_minus" in str(solution)
 
 

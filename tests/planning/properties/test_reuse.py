@@ -55,16 +55,16 @@ def test_variations_reuse_the_build(what: str, scheme: str) -> None:
     problem = bounded_van_der_pol()
     first = solve(problem, MESH, scheme)
     varied, fresh = solve(vary(problem), MESH, scheme), solve(state_afresh(), MESH, scheme)
-    assert not first.statistics.build_reused
-    assert varied.statistics.build_reused
-    assert not fresh.statistics.build_reused
+    assert not first.statistics.compiled_before
+    assert varied.statistics.compiled_before
+    assert not fresh.statistics.compiled_before
     assert varied.objective == pytest.approx(fresh.objective, rel=1e-9)
     assert abs(varied.objective - first.objective) > 1e-3
     times = fresh.phase().sample_times(4)
     np.testing.assert_allclose(varied.phase().x(times), fresh.phase().x(times), atol=1e-6)
     np.testing.assert_allclose(varied.phase().lam(times), fresh.phase().lam(times), atol=1e-6)
     again = solve(problem, MESH, scheme)
-    assert again.statistics.build_reused
+    assert again.statistics.compiled_before
     assert again.objective == first.objective
 
 
@@ -73,7 +73,7 @@ def test_a_time_set_free_builds_anew() -> None:
     problem = reorientation()
     fixed = solve(problem, MESH)
     free = solve(problem.with_time(final=(1.0, 3.5)), MESH)
-    assert not free.statistics.build_reused
+    assert not free.statistics.compiled_before
     assert free.phase().final_time == pytest.approx(3.5, abs=1e-6)
     assert free.objective < fixed.objective
 
@@ -82,7 +82,7 @@ def test_other_meshes_and_schemes_build_anew() -> None:
     """A build belongs to a mesh and a scheme, and all of them are kept."""
     problem = van_der_pol()
     reused = [
-        solve(problem, mesh, scheme).statistics.build_reused
+        solve(problem, mesh, scheme).statistics.compiled_before
         for mesh, scheme in (("4x5", "LG"), ("5x4", "LG"), ("4x5", "LGR"), ("4x5", "LG"), ("4x5", "LGR"))
     ]
     assert reused == [False, False, False, True, True]

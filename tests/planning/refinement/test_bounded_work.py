@@ -120,7 +120,7 @@ def test_a_change_of_arcs_that_was_undone_is_not_asked_for_again(corner_turn: go
 def test_all_solves_share_one_budget(corner_turn: go.Solution, seconds: float) -> None:
     """No solve begins after it is spent, and the answer is the one with the least estimated error or loss."""
     refined = go.refine(corner_turn, tol=1e-12, limits=go.RefinementLimits(max_work=seconds))
-    assert refined.history is not None and refined.history.status is go.RefinementStatus.WORK_LIMIT
+    assert refined.history is not None and refined.history.status is go.RefinementStatus.BUDGET_LIMIT
     variables = 4
     spent = [p.work * variables / WORK_PER_SECOND for p in refined.history.passes]
     assert sum(spent[:-1]) <= 2.0 * seconds + max(spent)

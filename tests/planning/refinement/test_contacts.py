@@ -212,7 +212,7 @@ def test_where_a_touch_moves(form: str) -> None:
     limit = 0.2
     moved = go.sensitivity(thrown(limit, form, 1.0, "20x4" if form == "bound" else "11x4"), initial="v")
     exact = -(96 * limit - 16) / (4608 * limit**2 - 1152 * limit + 64)
-    assert moved.phases["leg"].switch_times == pytest.approx([exact], abs=1e-6)
+    assert moved.phases["leg"].switching_times == pytest.approx([exact], abs=1e-6)
     assert moved.objective == pytest.approx(8 - 24 * limit, abs=1e-6)
 
 

@@ -228,7 +228,7 @@ def test_an_error_that_falls_fast_may_cost_twice_as_much(thin: go.Solution) -> N
     assert refine_mesh(thin, tol=1e-8, limits=PassLimits(work=0.6 * work))[1].converged
     assert (
         refine_mesh(thin, tol=1e-8, limits=PassLimits(work=0.2 * work))[1].status
-        is RefinementStatus.WORK_LIMIT
+        is RefinementStatus.BUDGET_LIMIT
     )
 
 
@@ -300,7 +300,7 @@ def test_point_limit() -> None:
 
 def test_pass_limit() -> None:
     solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=PassLimits(1))
-    assert history.status is RefinementStatus.PASS_LIMIT and len(history.passes) == 2
+    assert history.status is RefinementStatus.ITERATION_LIMIT and len(history.passes) == 2
     assert "max_passes" in history.message and solution.objective == history.final.objective
 
 
@@ -314,7 +314,7 @@ def test_work_limit() -> None:
     """The first pass is allowed, what comes after it is not; and the best solution is kept."""
     first = go.solve(layered(), tol=None)
     solution, history = refine_mesh(first, tol=1e-10, limits=PassLimits(work=1.0))
-    assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
+    assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 2
     assert "max_work" in history.message and solution.objective == history.final.objective
     _, at_once = refine_mesh(solution, tol=1.0, limits=PassLimits(work=0.0))
     assert at_once.converged

@@ -100,7 +100,7 @@ def test_switches_of_several_controls_pass_each_other() -> None:
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
         own = [found.times[k] for k in range(1, found.pieces) if i in found.changes(k)]
-        assert own == pytest.approx(channel.switch_times, abs=1e-4)
+        assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
 def fuller() -> go.Problem:
@@ -229,7 +229,7 @@ def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> Non
     assert leg.point_costates == pytest.approx(leg.lam(leg.point_times), abs=1e-6)
     assert leg.control_multipliers.shape == (1, leg.mesh.size) and not leg.state_impulses.any()
     # Flown with its own control it ends where it says.
-    assert go.verify(guess)["dynamics"].result is go.Result.PASS
+    assert go.verify(guess)["dynamics"].result is go.ConditionResult.PASS
 
 
 def test_conditions_and_costs_at_the_ends_count() -> None:

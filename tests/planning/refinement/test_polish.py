@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from testing.nonlinear_problems import orbit_raising, reorientation, van_der_pol
 
 import gnc_opt as go
-from gnc_opt.planning import polish
+from gnc_opt.planning import solve_indirect
 
 VERDICT = 1e-9
 """Tolerance of every condition; the direct solutions that polish starts from miss it by orders of magnitude."""
@@ -48,7 +48,7 @@ def test_brachistochrone_is_a_cycloid(bounded: bool) -> None:
     phi = brentq(lambda p: (p - np.sin(p)) / (1 - np.cos(p)) - 2.0, 0.1, 6.0, xtol=1e-15, rtol=1e-15)
     radius = 1.0 / (1 - np.cos(phi))
     time = phi * np.sqrt(radius / 9.81)
-    solution = polish(go.solve(brachistochrone(bounded), mesh="5x4", tol=None))
+    solution = solve_indirect(go.solve(brachistochrone(bounded), mesh="5x4", tol=None))
     assert solution.objective == pytest.approx(time, rel=1e-12)
     t = np.linspace(0.0, time * (1 - 1e-12), 57)
     turned = phi * t / time
@@ -69,7 +69,7 @@ def test_scalar_regulator() -> None:
     leg.time(initial=0.0, final=1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
-    solution = polish(go.solve(problem, mesh="2x2", tol=None))
+    solution = solve_indirect(go.solve(problem, mesh="2x2", tol=None))
     t = np.linspace(0.0, 1.0, 33)
     state = np.cosh(1 - t) / np.cosh(1)
     assert solution.objective == pytest.approx(np.tanh(1) / 2, abs=1e-13)
@@ -88,7 +88,7 @@ def test_least_energy_transfer(scheme: str) -> None:
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     problem.minimize(leg.integral(a**2 / 2))
-    solution = polish(go.solve(problem, mesh="3x3", scheme=scheme, tol=None))
+    solution = solve_indirect(go.solve(problem, mesh="3x3", scheme=scheme, tol=None))
     assert solution.objective == pytest.approx(6.0, abs=1e-12)
     assert solution.phase().scheme == "LG"
     t = np.linspace(0.0, 1.0, 21)
@@ -99,7 +99,7 @@ def test_least_energy_transfer(scheme: str) -> None:
 
 def test_orbit_raising() -> None:
     """Bryson & Ho's maximisation; 1.52527770065 is an independent indirect solution."""
-    solution = polish(go.solve(orbit_raising(), mesh="8x4", tol=None))
+    solution = solve_indirect(go.solve(orbit_raising(), mesh="8x4", tol=None))
     assert solution.objective == pytest.approx(1.52527770065, abs=1e-11)
     assert go.verify(solution, tol=VERDICT).ok
     assert "indirect" in solution.provenance["polished"]
@@ -110,7 +110,7 @@ def test_orbit_raising() -> None:
 def test_unbounded_problems_pass_a_tight_verdict(build: object) -> None:
     direct = go.solve(build(), mesh="6x4", tol=None)
     assert not go.verify(direct, tol=VERDICT).ok
-    solution = polish(direct)
+    solution = solve_indirect(direct)
     assert go.verify(solution, tol=VERDICT).ok, str(go.verify(solution, tol=VERDICT))
     assert solution.quality.max_defect < 1e-10
     assert solution.objective == pytest.approx(direct.objective, rel=1e-4)
@@ -127,7 +127,7 @@ def test_free_initial_time_and_nonlinear_functions_of_integrals() -> None:
     energy, moment = leg.integral(a**2 / 2), leg.integral(q**2 * a)
     problem.constrain("moment", moment, equals=-0.5)
     problem.minimize(ca.sqrt(energy) + 0.3 * leg.duration**2)
-    solution = polish(go.solve(problem, mesh="6x4", tol=None))
+    solution = solve_indirect(go.solve(problem, mesh="6x4", tol=None))
     verdict = go.verify(solution, tol=VERDICT)
     assert verdict.ok, str(verdict)
     leg_solution = solution.phase()
@@ -153,7 +153,7 @@ def test_two_phases_and_an_optimised_parameter() -> None:
     effort = first.integral(force**2) + second.integral(force**2 + 0.1 * q**2)
     problem.maximize(second.final_state("q") - effort - 0.05 / k - 0.1 * second.final_time**2)
     direct = go.solve(problem, mesh="5x3", tol=None)
-    solution = polish(direct)
+    solution = solve_indirect(direct)
     verdict = go.verify(solution, tol=VERDICT)
     assert verdict.ok, str(verdict)
     assert solution.parameter("stiffness") == pytest.approx(direct.parameter("stiffness"), rel=1e-3)
@@ -163,7 +163,7 @@ def test_two_phases_and_an_optimised_parameter() -> None:
 
 def test_a_polished_solution_is_an_ordinary_one(tmp_path: Path) -> None:
     problem = van_der_pol()
-    solution = polish(go.solve(problem, mesh="6x4", tol=None))
+    solution = solve_indirect(go.solve(problem, mesh="6x4", tol=None))
     loaded = go.load(solution.save(tmp_path / "polished.npz"), problem=problem)
     assert loaded.objective == solution.objective
     again = go.solve(problem, guess=solution, options=go.SolverOptions(tolerance=1e-10))
@@ -182,13 +182,13 @@ def test_refusals_name_the_culprit() -> None:
     problem.minimize(leg.final_time)
     bang = go.solve(problem, tol=None)
     with pytest.raises(go.GncOptError, match=r"control 'a' is at its limit at t = .*structure='auto'"):
-        polish(bang)
+        solve_indirect(bang)
     with pytest.raises(go.GncOptError, match="without its problem"):
-        polish(replace(bang, problem=None))
+        solve_indirect(replace(bang, problem=None))
     with pytest.raises(go.ArgumentError, match=r"polish\(\) got"):
-        polish(problem)
+        solve_indirect(problem)
     with pytest.raises(go.GncOptError, match="the tolerance of polish"):
-        polish(bang, tol=0.0)
+        solve_indirect(bang, tol=0.0)
 
 
 def test_singular_control_is_refused() -> None:
@@ -202,7 +202,7 @@ def test_singular_control_is_refused() -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral((x - 0.3 * model.time) ** 2))
     with pytest.raises(go.GncOptError, match=r"no positive curvature in control 'u' at t = "):
-        polish(go.solve(problem, tol=None))
+        solve_indirect(go.solve(problem, tol=None))
 
 
 def test_active_path_constraint_and_state_bound_are_refused() -> None:
@@ -220,7 +220,7 @@ def test_active_path_constraint_and_state_bound_are_refused() -> None:
             leg.bounds(q=(None, 0.1))
         problem.minimize(leg.integral(a**2 / 2))
         with pytest.raises(go.GncOptError, match=f"{kind} is at its limit at t = "):
-            polish(go.solve(problem, tol=None))
+            solve_indirect(go.solve(problem, tol=None))
 
 
 def test_a_control_that_is_zero_all_along_is_determined_too() -> None:
@@ -235,6 +235,6 @@ def test_a_control_that_is_zero_all_along_is_determined_too() -> None:
     leg.initial(x=0.0, y=0.0)
     leg.final(x=1e4, y=0.0)
     problem.minimize(leg.integral(0.5 * (u**2 + w**2)))
-    solution = polish(go.solve(problem, mesh="2x4", tol=None))
+    solution = solve_indirect(go.solve(problem, mesh="2x4", tol=None))
     assert solution.objective == pytest.approx(0.5e8, rel=1e-12)
     assert go.verify(solution, tol=VERDICT).ok

@@ -106,14 +106,16 @@ def test_a_verdict_that_fails_is_no_convergence(
     real = module._judge
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
-        open_one = Condition("stationarity", go.Result.FAIL, 2e-4, tol, "phase leg, t = 1 s, a", "It is not.")
+        open_one = Condition(
+            "stationarity", go.ConditionResult.FAIL, 2e-4, tol, "phase leg, t = 1 s, a", "It is not."
+        )
         verdict: Verdict = real(solution, tol)
         return replace(verdict, conditions=(open_one, *verdict.conditions))
 
     monkeypatch.setattr(module, "_judge", judge)
     refined = go.refine(cart, tol=1e-5, structure=structure)
     history = told(refined)
-    assert history.status is RefinementStatus.VERDICT_FAILS and not refined.converged
+    assert history.status is RefinementStatus.CONDITIONS_FAIL and not refined.converged
     assert history.final.error <= 1e-5
     assert "stationarity 2.0e-04 (tolerance 1e-05) at phase leg, t = 1 s, a" in history.message
     text = str(refined)
@@ -149,7 +151,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
 
 def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
     refined = go.refine(cubic, tol=1e-12, limits=go.RefinementLimits(max_passes=1))
-    assert told(refined).status is RefinementStatus.PASS_LIMIT
+    assert told(refined).status is RefinementStatus.ITERATION_LIMIT
     assert "NOT CONVERGED (pass limit)" in str(refined) and "(wanted 1.0e-12)" in str(refined)
 
 
@@ -293,7 +295,7 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
 def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution) -> None:
     refined = go.refine(cart, structure="none", limits=go.RefinementLimits(max_work=1e-9))
     history = told(refined)
-    assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
+    assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 2
     assert "NOT CONVERGED (work limit)" in str(refined) and "max_work" in history.message
     with pytest.raises(go.GncOptError, match="max_work of RefinementLimits"):
         go.RefinementLimits(max_work=0.0)
@@ -352,7 +354,7 @@ def test_an_arc_that_chatters_is_told() -> None:
 
 
 def condition(value: float, *, sufficient: bool = False) -> Condition:
-    return Condition("c", go.Result.FAIL, value, 1e-5, "", "", sufficient=sufficient)
+    return Condition("c", go.ConditionResult.FAIL, value, 1e-5, "", "", sufficient=sufficient)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.solution.tail import rest_of
-from gnc_opt.planning.solver import Way
+from gnc_opt.planning.solver import SolveMethod
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -55,7 +55,7 @@ def test_switch_times_are_those_of_the_closed_form(fast: Resolver, distance: flo
     """Half of 2 sqrt(d) forwards, half backwards; costates -(1, sqrt(d) - t) / sqrt(d)."""
     problem = fast.solution.need_problem("").with_initial(q=-distance)
     found = fast.solve(problem)
-    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.provenance["way"] == SolveMethod.SWITCH_TIMES.value
     assert found.objective == pytest.approx(2 * distance**0.5, rel=1e-9)
     switches = [arc.end for arc in found.structure[:-1]]
     assert switches == pytest.approx([distance**0.5], rel=1e-7)
@@ -67,7 +67,7 @@ def test_switch_times_are_those_of_the_closed_form(fast: Resolver, distance: flo
 
 def test_parameters_change_the_flight(fast: Resolver) -> None:
     found = fast.solve(fast.solution.need_problem("").with_parameters(gain=4.0))
-    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.provenance["way"] == SolveMethod.SWITCH_TIMES.value
     assert found.objective == pytest.approx(1.0, rel=1e-9)
 
 
@@ -79,12 +79,12 @@ def test_a_start_on_the_way_is_solved_from_the_rest(fast: Resolver, begin: float
     speed = np.sqrt(0.5 * v**2 - q)
     problem = known.need_problem("").with_time(initial=begin).with_initial(q=q, v=v)
     if begin > 1.0:  # the switch has passed: no arc is left that could be moved, and v^2/2 + q is not 0
-        assert fast.solve(problem).provenance["way"] == Way.COLD.value
+        assert fast.solve(problem).provenance["way"] == SolveMethod.COLD.value
         with pytest.raises(go.ProblemError, match="not to begin from the start"):
             Resolver(known, cold=False).solve(problem)
         return
     found = fast.solve(problem)
-    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.provenance["way"] == SolveMethod.SWITCH_TIMES.value
     assert found.objective == pytest.approx(begin + 2 * speed - v, rel=1e-9)
     assert found.phase().initial_time == begin and found.phase().x(begin) == pytest.approx([q, v], abs=1e-12)
     near = found.phase().x(begin + 0.1)
@@ -97,7 +97,7 @@ def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
     first = go.solve(cart("effort"), mesh="4x3", tol=None)
     problem = first.need_problem("").with_time(initial=0.4).with_initial(q=-0.7, v=1.5)
     found = Resolver(first, cold=False).solve(problem)
-    assert found.provenance["way"] == Way.WARM.value
+    assert found.provenance["way"] == SolveMethod.WARM.value
     cost = 12 * 0.7**2 / 0.6**3 - 12 * 0.7 * 1.5 / 0.6**2 + 4 * 1.5**2 / 0.6
     assert found.objective == pytest.approx(cost, rel=1e-8)
 
@@ -120,7 +120,7 @@ def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) ->
 def test_a_limit_that_the_flight_would_exceed_is_kept(fast: Resolver) -> None:
     """At most 0.8 m/s: 0.8 s up and down each, and (1 - 0.64) / 0.8 = 0.45 s between."""
     found = Resolver(fast.solution, tol=1e-4).solve(fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8)))
-    assert found.provenance["way"] == Way.COLD.value
+    assert found.provenance["way"] == SolveMethod.COLD.value
     assert found.objective == pytest.approx(2.05, abs=1e-4)
 
 
@@ -128,7 +128,7 @@ def test_a_smooth_solution_is_solved_again_on_its_mesh() -> None:
     """Least integral of u^2 in 1 s: 12 d^2."""
     first = go.solve(cart("effort"), mesh="4x3", tol=None)
     found = Resolver(first).solve(first.need_problem("").with_initial(q=-2.0))
-    assert found.provenance["way"] == Way.WARM.value
+    assert found.provenance["way"] == SolveMethod.WARM.value
     assert found.objective == pytest.approx(48.0, rel=1e-8)
 
 
@@ -160,10 +160,10 @@ def test_a_guess_of_a_variation_is_solved_by_its_switch_times(fast: Resolver) ->
     known = fast.solution
     problem = known.need_problem("").with_initial(q=-1.44)
     found = go.solve(problem, guess=known)
-    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.provenance["way"] == SolveMethod.SWITCH_TIMES.value
     assert found.objective == pytest.approx(2.4, rel=1e-9)
     again = go.solve(problem.with_initial(q=-1.69), guess=found)
-    assert again.provenance["way"] == Way.SWITCH_TIMES.value and again.objective == pytest.approx(
+    assert again.provenance["way"] == SolveMethod.SWITCH_TIMES.value and again.objective == pytest.approx(
         2.6, rel=1e-9
     )
     for asked in (
@@ -174,15 +174,19 @@ def test_a_guess_of_a_variation_is_solved_by_its_switch_times(fast: Resolver) ->
         {"structure": "none"},
     ):
         other = go.solve(problem, guess=known, **asked)
-        assert other.provenance["way"] == Way.WARM.value and other.objective == pytest.approx(2.4, rel=1e-3)
+        assert other.provenance["way"] == SolveMethod.WARM.value and other.objective == pytest.approx(
+            2.4, rel=1e-3
+        )
     assert "way" not in go.solve(problem, mesh="6x3", tol=None).provenance
 
 
 def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver) -> None:
-    assert go.solve(cart(), guess=fast.solution).provenance["way"] == Way.WARM.value
+    assert go.solve(cart(), guess=fast.solution).provenance["way"] == SolveMethod.WARM.value
     limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
     found = go.solve(limited, guess=fast.solution)
-    assert found.provenance["way"] == Way.WARM.value and found.objective == pytest.approx(2.05, rel=1e-9)
+    assert found.provenance["way"] == SolveMethod.WARM.value and found.objective == pytest.approx(
+        2.05, rel=1e-9
+    )
     assert found.converged and go.verify(found).minimum
 
 
@@ -197,7 +201,7 @@ def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.M
 
     monkeypatch.setattr(module, "solve_mesh", lost)
     found = go.solve(limited, guess=fast.solution)
-    assert found.provenance["way"] == Way.COLD.value and found.converged
+    assert found.provenance["way"] == SolveMethod.COLD.value and found.converged
     assert found.objective == pytest.approx(2.05, rel=1e-9)
 
 
@@ -255,7 +259,7 @@ def test_arcs_on_a_limit_serve_on(limited: Resolver, distance: float) -> None:
     problem = limited.solution.need_problem("").with_initial(q=-distance)
     expected = 1.6 + (distance - 0.64) / 0.8
     for found in (limited.solve(problem), go.solve(problem, guess=limited.solution)):
-        assert found.provenance["way"] == Way.WARM.value
+        assert found.provenance["way"] == SolveMethod.WARM.value
         assert found.objective == pytest.approx(expected, rel=1e-12)
         assert [arc.end for arc in found.structure[:2]] == pytest.approx([0.8, expected - 0.8], rel=1e-9)
         assert go.verify(found).minimum
@@ -273,7 +277,7 @@ def test_a_start_on_an_arc_on_a_limit_is_solved_from_the_rest(limited: Resolver)
     known = limited.solution
     q = known.state("q")(1.0) - 0.3
     found = limited.solve(known.need_problem("").with_time(initial=1.0).with_initial(q=q, v=0.8))
-    assert found.provenance["way"] == Way.WARM.value
+    assert found.provenance["way"] == SolveMethod.WARM.value
     assert found.objective == pytest.approx(known.objective + 0.375, rel=1e-12)
 
 
@@ -281,7 +285,7 @@ def test_a_refined_smooth_solution_is_followed_on_its_mesh() -> None:
     """Least integral of u^2 in 1 s: 12 d^2; on the mesh of what is known, within its tolerance."""
     first = go.solve(cart("effort"), mesh="4x3")
     found = Resolver(first, cold=False).solve(first.need_problem("").with_initial(q=-2.0))
-    assert found.provenance["way"] == Way.WARM.value
+    assert found.provenance["way"] == SolveMethod.WARM.value
     assert found.phase().mesh == first.phase().mesh and found.objective == pytest.approx(48.0, rel=1e-10)
 
 

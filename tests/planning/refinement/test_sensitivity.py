@@ -206,7 +206,7 @@ def test_switch_time_of_a_bang_bang_solution() -> None:
     root = np.sqrt(1.0 + 0.2**2 / 2)
     found = go.sensitivity(solution, initial="q")
     assert found.objective == pytest.approx(1 / root, rel=1e-8)
-    assert found.phase().switch_times == pytest.approx([0.5 / root], rel=1e-8)
+    assert found.phase().switching_times == pytest.approx([0.5 / root], rel=1e-8)
     assert go.sensitivity(solution, "c").objective == pytest.approx(-0.2 - (1.0 + 0.2**2) / root, rel=1e-8)
 
 

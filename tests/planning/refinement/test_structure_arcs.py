@@ -204,7 +204,7 @@ def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:
     def cost(degree: int) -> float:
         smooth = (Smooth(0, 0, 4, degree),)
         return go.solve(
-            problem.with_arcs(arcs=np.zeros((1, 4)), smooth=smooth), mesh="4x5", tol=None
+            problem.with_fixed_arcs(arcs=np.zeros((1, 4)), smooth=smooth), mesh="4x5", tol=None
         ).objective
 
     assert cost(0) == pytest.approx(0.0, abs=1e-10)
@@ -222,11 +222,11 @@ def test_progress_shows_the_passes_of_the_structure_loop(capsys: pytest.CaptureF
 def test_held_arcs_are_checked() -> None:
     problem = speed_limited(0.5)
     with pytest.raises(go.ProblemError, match="one column per segment"):
-        go.solve(problem.with_arcs(arcs=[[1, 0]], states=[[0, 0, 0], [0, 1, 0]]), mesh="2x4", tol=None)
+        go.solve(problem.with_fixed_arcs(arcs=[[1, 0]], states=[[0, 0, 0], [0, 1, 0]]), mesh="2x4", tol=None)
     with pytest.raises(go.ProblemError, match="cannot hold 'x'"):
-        problem.with_arcs(arcs=[[1]], states=[[1], [0]])
+        problem.with_fixed_arcs(arcs=[[1]], states=[[1], [0]])
     with pytest.raises(go.ProblemError, match="2 rows"):
-        problem.with_arcs(arcs=[[1]], states=[[1]])
+        problem.with_fixed_arcs(arcs=[[1]], states=[[1]])
 
 
 @pytest.mark.parametrize("k", [0.1, -0.2])

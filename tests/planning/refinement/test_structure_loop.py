@@ -34,7 +34,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.iterations import PassLimits
-from gnc_opt.planning.solution.history import Pass
+from gnc_opt.planning.solution.history import RefinementIteration
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
@@ -146,7 +146,7 @@ def held_by(plan: Plan) -> Any:
     asked: dict[str, Any] = {}
     leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(fixed=np.ones(1, dtype=bool))))
     problem = SimpleNamespace(
-        phases={"leg": leg}, with_arcs=lambda name, **more: asked.update(more, name=name) or problem
+        phases={"leg": leg}, with_fixed_arcs=lambda name, **more: asked.update(more, name=name) or problem
     )
     assert plan.hold(problem, "leg") is problem  # type: ignore[arg-type]
     return asked
@@ -627,8 +627,8 @@ TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,
 # --- the loop ---------------------------------------------------------------------------------------------
 
 
-def record(error: float, actions: str) -> Pass:
-    return Pass({}, {}, error, "", 0.0, True, 1, 0.0, actions)
+def record(error: float, actions: str) -> RefinementIteration:
+    return RefinementIteration({}, {}, error, "", 0.0, True, 1, 0.0, actions)
 
 
 def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
@@ -852,16 +852,16 @@ def test_errors_that_are_no_numbers_ask_for_the_finest() -> None:
     [("resolution raised", 1e-9, True), ("resolution raised", 1e-7, False), ("kinks moved", 1e-9, False)],
 )
 def test_at_a_limit_a_structure_that_is_accurate_enough_rests(action: str, error: float, rests: bool) -> None:
-    record = Pass({}, {}, error, "", 1.0, True, 3, 0.1, action)
+    record = RefinementIteration({}, {}, error, "", 1.0, True, 3, 0.1, action)
     nothing: Any = None
     tried = s._Try(nothing, {}, record)
 
     def loop(*tries: Any) -> s._Loop:
         return s._Loop(nothing, 1e-8, PassLimits(), nothing, nothing, list(tries))
 
-    status = loop(tried)._limited(RefinementStatus.WORK_LIMIT)
-    assert status is (RefinementStatus.CONVERGED if rests else RefinementStatus.WORK_LIMIT)
-    assert loop()._limited(RefinementStatus.PASS_LIMIT) is RefinementStatus.PASS_LIMIT
+    status = loop(tried)._limited(RefinementStatus.BUDGET_LIMIT)
+    assert status is (RefinementStatus.CONVERGED if rests else RefinementStatus.BUDGET_LIMIT)
+    assert loop()._limited(RefinementStatus.ITERATION_LIMIT) is RefinementStatus.ITERATION_LIMIT
 
 
 @pytest.mark.parametrize(

@@ -25,11 +25,11 @@ LOW, UP = ArcKind.LOWER, ArcKind.UPPER
     [
         (
             (3.0e-10, 3.001e-10, 3.002e-10),
-            go.RefinementStatus.WORK_LIMIT,
+            go.RefinementStatus.BUDGET_LIMIT,
             2,
         ),  # the last mended more than errors show
-        ((3.0e-10, 3.2e-10, 9e-9), go.RefinementStatus.WORK_LIMIT, 0),
-        ((9e-9, 3e-10, None), go.RefinementStatus.PASS_LIMIT, 1),
+        ((3.0e-10, 3.2e-10, 9e-9), go.RefinementStatus.BUDGET_LIMIT, 0),
+        ((9e-9, 3e-10, None), go.RefinementStatus.ITERATION_LIMIT, 1),
         ((3e-10, 9e-9), go.RefinementStatus.CONVERGED, 1),
         ((float("nan"), None), go.RefinementStatus.STALLED, 0),
         ((None,), go.RefinementStatus.FAILED, None),
@@ -100,7 +100,7 @@ def double_integrator(lower: float, upper: float) -> tuple[go.Problem, go.Phase]
     return problem, leg
 
 
-def switch_times(solution: go.Solution) -> list[float]:
+def switching_times(solution: go.Solution) -> list[float]:
     """Inner boundaries of all arcs, in order."""
     end = solution.phase().final_time
     return sorted({arc.end for arc in solution.structure if arc.end < end})
@@ -117,7 +117,7 @@ def test_asymmetric_bounds() -> None:
     solution = go.solve(problem, tol=1e-8)
     t_f = np.sqrt(2 * length * (a + b) / (a * b))
     assert solution.objective == pytest.approx(t_f, abs=1e-8)
-    assert switch_times(solution) == pytest.approx([t_f * b / (a + b)], abs=1e-8)
+    assert switching_times(solution) == pytest.approx([t_f * b / (a + b)], abs=1e-8)
     assert [arc.kind for arc in solution.structure] == [ArcKind.UPPER, ArcKind.LOWER]
     assert go.verify(solution, tol=1e-8).minimum
 
@@ -138,7 +138,7 @@ def test_minimum_fuel() -> None:
     solution = go.solve(problem, tol=1e-8)
     burn = (3 - np.sqrt(5)) / 2
     assert solution.objective == pytest.approx(2 * burn, abs=1e-9)
-    assert switch_times(solution) == pytest.approx([burn, 3 - burn], abs=1e-8)
+    assert switching_times(solution) == pytest.approx([burn, 3 - burn], abs=1e-8)
     assert go.verify(solution, tol=1e-7).ok
 
 
@@ -158,7 +158,7 @@ def test_soft_lunar_landing() -> None:
     problem.minimize(leg.integral(u))
     solution = go.solve(problem, tol=1e-8)
     assert solution.objective == pytest.approx(2 * np.sqrt(17), abs=1e-8)
-    assert switch_times(solution) == pytest.approx([(2 * np.sqrt(17) - 4) / 3], abs=1e-8)
+    assert switching_times(solution) == pytest.approx([(2 * np.sqrt(17) - 4) / 3], abs=1e-8)
 
 
 def test_singular_arc_is_found() -> None:
@@ -194,7 +194,7 @@ def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equat
     assert solution.objective == pytest.approx(reference.value, abs=1e-9)
     verdict = go.verify(solution, tol=1e-8)
     assert verdict.minimum, verdict.explain()
-    assert solution.quality.terminal_error < 1e-8
+    assert solution.quality.propagation_error < 1e-8
     times = np.linspace(0.0, solution.objective, 10_000)
     np.testing.assert_allclose(np.asarray(solution.hamiltonian(times)), -1.0, atol=2e-8)
     arcs = {1: 24, 2: 25, 3: 20, 4: 24, 5: 24}[case]  # 18, 19, 14, 18, 18 switches and six channels
@@ -252,7 +252,7 @@ def test_arcs_held_by_hand_are_a_start() -> None:
     leg.initial(x=1.0, v=0.0)
     leg.final(x=0.0, v=0.0)
     problem.minimize(leg.final_time)
-    held = problem.with_arcs(arcs=[[-1, 0, 1]])
+    held = problem.with_fixed_arcs(arcs=[[-1, 0, 1]])
     solution = go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 1.2, 2.0], 4), tol=None)
     for structure in ("auto", "none"):
         refined = go.refine(solution, structure=structure)
@@ -273,7 +273,7 @@ def test_what_is_best_with_arcs_held_by_hand_need_not_be_without(structure: Any)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.final_state("x") - 0.5 * leg.integral(x + x**2))
     mesh = go.Mesh.at_times([0.0, 1.0, 2.0], 4, movable=True)
-    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=mesh, tol=None)
+    held = go.solve(problem.with_fixed_arcs(arcs=[[1, -1]]), mesh=mesh, tol=None)
     assert 0.0 < held.phase().breaks[1] < 1e-6
     refined = go.refine(held, structure=structure)
     assert refined.objective == pytest.approx(-7 / 3, abs=1e-9) and refined.converged

@@ -32,7 +32,7 @@ def flight(start: list[float], target: list[float], fuel: bool = False) -> go.Pr
     leg.time(initial=0.0, final=7.0 if fuel else (0.1, 20.0))
     leg.initial(r=[0.0] * size, v=start)
     leg.final(r=target, v=[0.0] * size)
-    leg.bounds_norm(a=(0.0, 1.0))
+    leg.norm_bounds(a=(0.0, 1.0))
     leg.path("speed", ca.sumsqr(v), upper=1.0)
     problem.minimize(leg.integral(norm, "fuel") if fuel else leg.final_time)
     return problem
@@ -53,7 +53,7 @@ def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
     assert told == [UP, SINGULAR, UP]
     times = np.array([0.5, 3.0, straight.objective - 0.5])
     pushes = np.array([5.0, 2.0])[:, None] / math.sqrt(29.0) * np.array([1.0, 0.0, -1.0])
-    np.testing.assert_allclose(straight.phase().flown_control("a")(times), pushes, atol=1e-6)
+    np.testing.assert_allclose(straight.phase().saturated_control("a")(times), pushes, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -627,7 +627,7 @@ def arc_ends(part: Any) -> Array:
 
 def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
     _, result, solution = solved
-    assert solution.statistics.iterations == result.iterations and not solution.statistics.build_reused
+    assert solution.statistics.iterations == result.iterations and not solution.statistics.compiled_before
     assert solution.statistics.solve_s == result.wall_time
     assert solution.statistics.function_s == result.function_time
     assert solution.statistics.linear_solver_s == result.linear_solver_time
@@ -841,7 +841,7 @@ def test_short_arcs_are_pivoted_with_care(movable: Any, asked: Any, careful: Any
 
 
 def test_a_fixed_variable_sits_exactly_at_its_value() -> None:
-    problem = guessed().with_arcs(arcs=[[ArcKind.UPPER, ArcKind.INTERIOR]])
+    problem = guessed().with_fixed_arcs(arcs=[[ArcKind.UPPER, ArcKind.INTERIOR]])
     attempt = Attempt.prepare(problem, {"leg": Mesh.uniform(2, 3)}, "LG", None, SolverOptions())
     point = attempt.point(attempt.start)
     result = attempt.solver.solve(point)

@@ -8,21 +8,21 @@ from scipy.integrate import quad
 
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.saturated_control import FlownControl
+from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([0.0, 1.0, 3.0])
 
 
-def flown(values: list[list[float]], lower: float, upper: float) -> FlownControl:
+def flown(values: list[list[float]], lower: float, upper: float) -> SaturatedControl:
     """One channel on two segments of three Gauss points."""
     rules = (collocation_rule("LG", 3),) * 2
     nodal = tuple(np.array([v]) for v in values)
     polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
-    return FlownControl(polynomial, Interval(np.array([lower]), np.array([upper])), rules)
+    return SaturatedControl(polynomial, Interval(np.array([lower]), np.array([upper])), rules)
 
 
-def impulse(signal: FlownControl, k: int) -> float:
+def impulse(signal: SaturatedControl, k: int) -> float:
     left, right = BREAKS[k], BREAKS[k + 1]
     inside = [t for t in signal.jumps if left < t < right]
     return float(quad(lambda t: signal(t)[0], left, right, points=inside or None, epsabs=1e-13)[0])
@@ -91,7 +91,7 @@ def test_each_channel_is_held_by_itself() -> None:
     )
     polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
     bounds = Interval(np.array([0.0, -2.0, -np.inf]), np.array([1.0, 2.0, np.inf]))
-    signal = FlownControl(polynomial, bounds, rules)
+    signal = SaturatedControl(polynomial, bounds, rules)
     assert signal.held.tolist() == [[True, False], [False, True], [False, False]]
     cells = np.array([0.0, 5 / 18, 13 / 18, 1.0])
     assert signal.jumps == pytest.approx([*cells, *(1 + 2 * cells[1:])], abs=1e-14)

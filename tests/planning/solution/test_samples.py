@@ -416,7 +416,7 @@ def test_a_direction_is_idle_where_its_vector_has_no_magnitude() -> None:
     problem = go.Problem("thrust")
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)
-    leg.bounds_norm(T=(0.0, 4.0))
+    leg.norm_bounds(T=(0.0, 4.0))
     problem.minimize(leg.integral(magnitude))
     box = leg.numbers.controls
 
@@ -558,11 +558,11 @@ def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
 def test_three_figures_of_all_phases() -> None:
     wrong = samples(CART, state_bounds=interval([-9, -9], [9, 1.4]))
     found = measure_quality([samples(CART), wrong, samples(CART)])
-    assert found.max_bound_violation == pytest.approx(0.1 / 1.5) and found.bound_where.endswith("v")
-    assert found.max_defect < 1e-12 and found.terminal_error < 1e-9
+    assert found.max_bound_violation == pytest.approx(0.1 / 1.5) and found.bound_location.endswith("v")
+    assert found.max_defect < 1e-12 and found.propagation_error < 1e-9
     cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
     found = measure_quality([samples(CART), cut])
-    assert (found.terminal_error, found.terminal_where) == astuple(worst_terminal_error(cut))
+    assert (found.propagation_error, found.propagation_location) == astuple(worst_terminal_error(cut))
 
 
 # --- propagation ------------------------------------------------------------------------------------------
@@ -815,7 +815,7 @@ def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:
     assert (q.name, q.unit, q.labels) == ("q", "m", ("q",))
     lam = leg.costate("v")
     assert (lam.name, lam.unit) == ("lam_v", "1/(m/s)") and lam(0.25) == pytest.approx(-3.0)
-    assert leg.control("a")(0.0) == pytest.approx(6.0) and leg.flown_control("a")(0.0) <= 5.0
+    assert leg.control("a")(0.0) == pytest.approx(6.0) and leg.saturated_control("a")(0.0) <= 5.0
     assert leg.duration == 1.0 and leg.breaks.tolist() == [0.0, 0.5, 1.0]
     assert leg.point_times == pytest.approx(
         np.concatenate([0.25 * (1 + leg.rules[0].points) + k / 2 for k in (0, 1)])

@@ -29,7 +29,7 @@ from gnc_opt.planning.direct.failure import bounds_to_give, failure_message
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.nlp import NlpResult
 from gnc_opt.planning.solution.diagnosis import Violation, find_violations
-from gnc_opt.planning.solution.history import Actions, Pass
+from gnc_opt.planning.solution.history import Actions, RefinementIteration
 from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------
@@ -60,9 +60,9 @@ def test_signals_of_a_solution(moved: Solution) -> None:
     assert moved.state("q")(0.5) == pytest.approx(0.5) and moved.control("a", "leg")(0.0) == pytest.approx(
         6.0
     )
-    assert moved.costate("q")(0.3) == pytest.approx(-12.0) and moved.flown_control("a")(1.0) == pytest.approx(
-        -6.0
-    )
+    assert moved.costate("q")(0.3) == pytest.approx(-12.0) and moved.saturated_control("a")(
+        1.0
+    ) == pytest.approx(-6.0)
 
 
 def test_functions_along_a_solution_are_numbers_or_vectors(moved: Solution) -> None:
@@ -167,9 +167,9 @@ def test_propagation_by_either_control(moved: Solution) -> None:
 # --- histories --------------------------------------------------------------------------------------------
 
 
-def one_pass(segments: int, seconds: float) -> Pass:
+def one_pass(segments: int, seconds: float) -> RefinementIteration:
     meshes = {"a": Mesh.uniform(segments, 3), "b": Mesh.uniform(2, 5)}
-    return Pass(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))
+    return RefinementIteration(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))
 
 
 def test_a_history_of_passes() -> None:

@@ -8,17 +8,17 @@ import pytest
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.solution.diagnosis import _running_off
-from gnc_opt.planning.solution.history import Pass, Statistics
+from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 
 
 def test_costs_of_tries_add_up() -> None:
     first = Statistics(iterations=3, build_s=0.5, solve_s=2.0, function_s=0.25, linear_solver_s=1.0)
     second = Statistics(
-        iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, build_reused=True
+        iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, compiled_before=True
     )
     assert second.after(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
-    assert not first.build_reused and not first.after(second).build_reused
+    assert not first.compiled_before and not first.after(second).compiled_before
 
 
 def test_integrals_by_name() -> None:
@@ -90,7 +90,9 @@ def test_costs_at_both_ends(scheme: Scheme) -> None:
 
 def test_a_record_after_an_earlier_one_has_the_passes_and_seconds_of_both() -> None:
     def record(status: RefinementStatus, n: int, chosen: int, seconds: float) -> History:
-        passes = tuple(Pass({}, {}, 0.5**i, status.value, 0.0, True, i, 0.0, "") for i in range(n))
+        passes = tuple(
+            RefinementIteration({}, {}, 0.5**i, status.value, 0.0, True, i, 0.0, "") for i in range(n)
+        )
         return History(status, 1e-6, passes, chosen, status.value, seconds)
 
     earlier, later = (

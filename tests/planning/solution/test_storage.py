@@ -133,7 +133,7 @@ def test_loaded_without_the_problem(solution: go.Solution, file: Path) -> None:
     assert loaded.problem is None
     assert loaded.state("x", "first")(0.3) == pytest.approx(solution.state("x", "first")(0.3), abs=0)
     assert loaded.costate("x", "second")(0.8) == pytest.approx(solution.costate("x", "second")(0.8), abs=0)
-    assert loaded.flown_control("u", "first")(0.1) == solution.flown_control("u", "first")(0.1)
+    assert loaded.saturated_control("u", "first")(0.1) == solution.saturated_control("u", "first")(0.1)
     assert loaded.parameter("stretch") == solution.parameter("stretch")
     assert loaded.multiplier("fair") == solution.multiplier("fair")
     assert loaded.provenance == solution.provenance

@@ -18,7 +18,7 @@ def closed_form(k: float) -> float:
 def test_every_solution_on_the_way_is_the_closed_form(variations: bool) -> None:
     problem = stiff()
     family = (lambda k: problem.with_parameters(k=k)) if variations else stiff
-    found = go.continue_in(family, [1.0, 20.0, 100.0], step=2.0, mesh="10x4")
+    found = go.continuation(family, [1.0, 20.0, 100.0], step=2.0, mesh="10x4")
     assert found.complete and found.status is go.ContinuationStatus.COMPLETE and not found.events
     assert {1.0, 20.0, 100.0} <= set(found.values) and found.values[-1] == 100.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
@@ -30,7 +30,7 @@ def test_every_solution_on_the_way_is_the_closed_form(variations: bool) -> None:
 
 
 def test_it_goes_down_too() -> None:
-    found = go.continue_in(stiff, [4.0, 1.0], mesh="5x4")
+    found = go.continuation(stiff, [4.0, 1.0], mesh="5x4")
     assert repr(found).startswith("Continuation(") and repr(found).endswith("solutions, 4 to 1)")
     assert found.complete and found.objectives[-1] == pytest.approx(closed_form(1.0), rel=1e-7)
 
@@ -59,8 +59,8 @@ def test_initial_values_are_predicted_too() -> None:
 def test_where_a_solution_vanishes() -> None:
     """Less than 2 s cannot be done."""
     problem = rest_to_rest()
-    found = go.continue_in(lambda t: problem.with_time(final=t), [4.0, 1.5], smallest=0.02, mesh="10x4")
-    assert found.status is go.ContinuationStatus.VANISHED and not found.complete
+    found = go.continuation(lambda t: problem.with_time(final=t), [4.0, 1.5], smallest=0.02, mesh="10x4")
+    assert found.status is go.ContinuationStatus.BRANCH_ENDED and not found.complete
     assert 2.0 - 1e-3 < found.values[-1] < 2.05
     assert found.events[-1].startswith("no solution beyond 2.0") and "infeasible" in found.events[-1]
     early = found.values > np.sqrt(6.0)
@@ -83,7 +83,7 @@ def cubic(k: float) -> go.Problem:
 
 
 def test_the_end_of_a_branch_is_a_jump() -> None:
-    found = go.continue_in(cubic, [0.0, 0.6], smallest=2e-3, mesh="2x3")
+    found = go.continuation(cubic, [0.0, 0.6], smallest=2e-3, mesh="2x3")
     assert found.complete and len(found.events) == 1
     fold = 2 / np.sqrt(27)
     before, after = (float(text) for text in found.events[0].split(":")[0].split()[2::2])
@@ -95,7 +95,7 @@ def test_the_end_of_a_branch_is_a_jump() -> None:
 def test_a_structure_is_carried_along() -> None:
     """Saturated, free, saturated: below T^2 = 6 the control meets its bounds."""
     problem = rest_to_rest(2.2)
-    found = go.continue_in(lambda t: problem.with_time(final=t), [2.2, 2.3], tol=1e-8)
+    found = go.continuation(lambda t: problem.with_time(final=t), [2.2, 2.3], tol=1e-8)
     assert found.complete and not found.events
     first, last = found.solutions[0], found.final
     assert [arc.kind for arc in first.structure] == [arc.kind for arc in last.structure] and len(
@@ -122,9 +122,9 @@ def test_a_structure_is_carried_along() -> None:
 )
 def test_mistakes_get_a_sentence(arguments: Any, message: str) -> None:
     with pytest.raises(go.GncOptError, match=message):
-        go.continue_in(*arguments)
+        go.continuation(*arguments)
     with pytest.raises(go.GncOptError, match="step of continue_in"):
-        go.continue_in(stiff, [1.0, 2.0], step=0.0)
+        go.continuation(stiff, [1.0, 2.0], step=0.0)
 
 
 def test_ctrl_c_keeps_what_was_found() -> None:
@@ -136,7 +136,7 @@ def test_ctrl_c_keeps_what_was_found() -> None:
             raise KeyboardInterrupt
         return stiff(k)
 
-    found = go.continue_in(family, [1.0, 2.0, 3.0, 4.0, 5.0], mesh="5x4")
+    found = go.continuation(family, [1.0, 2.0, 3.0, 4.0, 5.0], mesh="5x4")
     assert found.status is go.ContinuationStatus.INTERRUPTED and not found.complete
     assert 1.0 < found.values[-1] < 5.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
@@ -159,6 +159,6 @@ def two_phases(duration: float = 4.0) -> go.Problem:
 
 
 def test_several_phases() -> None:
-    found = go.continue_in(two_phases, [4.0, 3.0, 2.0], step=0.5, mesh="3x4")
+    found = go.continuation(two_phases, [4.0, 3.0, 2.0], step=0.5, mesh="3x4")
     assert found.complete and not found.events
     np.testing.assert_allclose(found.objectives, 12 / found.values**3, rtol=1e-7)

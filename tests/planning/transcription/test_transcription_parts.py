@@ -316,7 +316,7 @@ def stated() -> tuple[go.Problem, tuple[go.Phase, go.Phase]]:
 
 
 def test_arcs_of_another_number_of_segments_are_refused() -> None:
-    problem = cart().with_arcs(arcs=[[0, 0]])
+    problem = cart().with_fixed_arcs(arcs=[[0, 0]])
     leg = problem.get_phase()
     check_segments(leg, collocation("LG", Mesh.uniform(2, 3)))
     check_segments(cart().get_phase(), collocation("LG", Mesh.uniform(3, 3)))

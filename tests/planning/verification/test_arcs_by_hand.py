@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.active_set import left_free
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -301,7 +301,7 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     s = flown(u=(1.0, 1.0), control_bounds=by_hand.interval([-1.0, -9.0], [1.0, 9.0]))
     s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
     condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
-    assert condition.result is Result.PASS and condition.sufficient
+    assert condition.result is ConditionResult.PASS and condition.sufficient
     assert (condition.value, condition.tolerance, condition.where) == (
         0.0,
         0.0,
@@ -330,7 +330,10 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
         least.append(np.linalg.eigvalsh(hessian)[0])
     condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
     assert condition.value == pytest.approx(-min(least), rel=1e-9) and condition.tolerance == -TOLERANCE
-    assert condition.result is (Result.PASS if min(least) > 0 else Result.FAIL) and condition.sufficient
+    assert (
+        condition.result is (ConditionResult.PASS if min(least) > 0 else ConditionResult.FAIL)
+        and condition.sufficient
+    )
     assert condition.where.startswith("phase leg, t = 0 s")
 
 

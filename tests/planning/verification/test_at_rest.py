@@ -91,9 +91,9 @@ def test_an_idle_control_without_curvature_stays_singular_and_a_maximum_fails(be
         return result
 
     verdict = go.verify(replace(go.solve(problem(1.0), mesh="2x3", tol=None), problem=problem(bend)))
-    expected = go.Result.FAIL if bend < 0 else go.Result.PASS  # b alone curves H
+    expected = go.ConditionResult.FAIL if bend < 0 else go.ConditionResult.PASS  # b alone curves H
     assert verdict["Legendre-Clebsch"].result is expected
-    assert (verdict["singular arcs"].result is go.Result.CANNOT_TELL) == (bend == 0)
+    assert (verdict["singular arcs"].result is go.ConditionResult.INCONCLUSIVE) == (bend == 0)
     if not bend:
         assert verdict["singular arcs"].value == pytest.approx(1.0)
     assert np.isfinite(verdict["Legendre-Clebsch"].value)
@@ -135,7 +135,7 @@ def sled(rest: float, friction: float) -> go.Solution:
 def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
     """The sign of a velocity that is rounding must not decide: at both ends friction acts as beside them."""
     verdict = go.verify(sled(rest, 0.2))
-    amiss = {c.name for c in (*verdict.failed, *verdict.untold)}
+    amiss = {c.name for c in (*verdict.failed, *verdict.inconclusive)}
     assert amiss == {"stored numbers"}, verdict.explain()  # limits, which a trajectory by hand does not keep
     assert {"dynamics", "Hamiltonian", "transversality"} <= {
         c.name for c in go.verify(sled(rest, 0.2002)).failed
@@ -166,7 +166,7 @@ def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise
         values = tuple(sign * v for v in rough)
         turned = replace(leg_solution, lam=replace(lam, values=values))
         condition = go.verify(replace(solution, phases={"leg": turned}))["second order"]
-        assert condition.result is go.Result.CANNOT_TELL, condition
+        assert condition.result is go.ConditionResult.INCONCLUSIVE, condition
         assert "flat" in condition.where
 
 

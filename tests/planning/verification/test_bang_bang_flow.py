@@ -77,7 +77,7 @@ def van_der_pol() -> Case:
     leg.bounds(u=(-1.0, 1.0), v=(-0.5, 0.5))
     problem.minimize(leg.integral(x**2 + leg.model.time * v) + leg.final_state("v"))
     mesh = go.Mesh.at_times([0.5, 1.1, 1.6, 2.5], 6)
-    return Case(any_point(problem.with_arcs(arcs=[[-1, 1, -1]]), mesh), np.array([1]))
+    return Case(any_point(problem.with_fixed_arcs(arcs=[[-1, 1, -1]]), mesh), np.array([1]))
 
 
 def double_integrator() -> Case:
@@ -92,12 +92,12 @@ def double_integrator() -> Case:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     mesh = go.Mesh.at_times([0.0, 10.0, 20.0], 5)
-    return Case(go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None), np.array([0, 1]))
+    return Case(go.solve(problem.with_fixed_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None), np.array([0, 1]))
 
 
 def six_degrees_of_freedom() -> Case:
     arcs, mesh = rendezvous.switch_arcs(1), rendezvous.switch_mesh(1)
-    return Case(any_point(rendezvous.build(1).with_arcs(arcs=arcs), mesh), np.array([1, 11]))
+    return Case(any_point(rendezvous.build(1).with_fixed_arcs(arcs=arcs), mesh), np.array([1, 11]))
 
 
 def any_point(problem: go.Problem, mesh: go.Mesh) -> go.Solution:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result, Verdict
+from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.accessory import AccessoryEquations
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import (
-    Pushers,
+    StateConstraintSides,
     _responses,
     _without_pushes,
     jumps_explained,
@@ -102,7 +102,7 @@ def test_what_grows_beyond_hope_is_not_flown_in_one_go(
     found = feasibility.propagation([s], 1e-5)
     assert flown == ([0, 1] if whole else [1])
     assert (found.result, found.sufficient) == (
-        Result.CANNOT_TELL,
+        ConditionResult.INCONCLUSIVE,
         True,
     ) and found.where == "far off, in parts"
 
@@ -133,7 +133,7 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.of(legs, s.functions)]
     condition = feasibility.boundary(solution, samples, ends_of(solution), np.zeros(0), 1e-9)
-    assert (condition.result is Result.PASS) is excused, condition
+    assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
         assert condition.value == pytest.approx((off - 1e-8) / 2.0, rel=1e-3)
         assert condition.where.startswith("phase leg, end of the trajectory")
@@ -144,7 +144,7 @@ def test_no_singular_arc_asks_for_nothing() -> None:
     s = arc(problem)
     arcs = singular_arcs(problem, s, *undetermined(s, 1e-5), 1e-5)
     condition = generalised_legendre_clebsch(arcs, 1e-5)
-    assert (condition.result, condition.value, condition.tolerance) == (Result.PASS, 0.0, 0.0)
+    assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
 
 
 # --- costates ---------------------------------------------------------------------------------------------
@@ -313,7 +313,7 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = Pushers.at(s, times, s.leg.x(times), s.leg.flown(times))
+    found = StateConstraintSides.at(s, times, s.leg.x(times), s.leg.flown(times))
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )
@@ -356,7 +356,7 @@ def test_costates_without_pushes_and_what_pushes_add() -> None:
     exact = np.stack([scipy.linalg.expm(-a.T * (t - 0.5)) for t in times], axis=2)
     np.testing.assert_allclose(fundamental, exact, atol=1e-8)
     np.testing.assert_allclose(costates, np.einsum("abt,b->at", exact, [2.5, 2.0]), atol=1e-8)
-    pushers = Pushers.at(s, times, s.x[:, here], s.u[:, here])
+    pushers = StateConstraintSides.at(s, times, s.x[:, here], s.u[:, here])
     responses = _responses(pushers, fundamental)
     assert responses.shape == (2, times.size, times.size - 1)  # x_0 is beyond its limit from 0.5 s on
     j = 4
@@ -717,7 +717,7 @@ def test_hamiltonian_off_to_either_side(sign: float) -> None:
     )
     # As many samples in each segment: the median is in between, and either half is off by 0.5.
     condition = hamiltonian([s], 1e-5)
-    assert condition.result is Result.FAIL
+    assert condition.result is ConditionResult.FAIL
     assert condition.value == pytest.approx(0.5 / s.hamiltonian_scale)
     lone = by_hand.samples(
         problem,

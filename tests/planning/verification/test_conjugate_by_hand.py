@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.accessory import on_free
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import conjugate_points
@@ -29,7 +29,7 @@ from gnc_opt.planning.verification.conjugate_points import (
 from gnc_opt.tolerances import AT_LIMIT, CONVEX
 
 Array = NDArray[np.float64]
-FAIL = Result.FAIL
+FAIL = ConditionResult.FAIL
 
 
 def planar(bend: float = 2.5, extra: Any = None) -> go.Problem:
@@ -264,15 +264,20 @@ def test_times_that_two_grids_agree_on(
 @pytest.mark.parametrize(
     ("times", "result", "value", "where"),
     [
-        ({"a": [(START, np.inf)], "b": [(START, np.inf)]}, Result.PASS, 0.0, "none along phase a, phase b"),
-        ({"a": [(START, np.inf), (END, np.inf)], "b": [(START, None)]}, Result.PASS, 0.0, "none along phase a"),
+        ({"a": [(START, np.inf)], "b": [(START, np.inf)]}, ConditionResult.PASS, 0.0, "none along phase a, phase b"),
+        (
+            {"a": [(START, np.inf), (END, np.inf)], "b": [(START, None)]},
+            ConditionResult.PASS,
+            0.0,
+            "none along phase a",
+        ),
         ({"a": [(START, None)], "b": [(START, 2.5)]}, FAIL, 0.25, "phase b, t = 2.5 s is conjugate to its start"),
         ({"a": [(END, 2.5)], "b": [(START, np.inf)]}, FAIL, 0.75, "phase a, t = 2.5 s is conjugate to its end"),
         ({"a": [(START, np.inf), (END, 1.5)], "b": []}, FAIL, 0.25, "phase a, t = 1.5 s is conjugate to its end"),
     ],
 )  # fmt: skip
 def test_what_is_told_of_conjugate_times(
-    monkeypatch: pytest.MonkeyPatch, times: dict[str, Any], result: Result, value: float, where: str
+    monkeypatch: pytest.MonkeyPatch, times: dict[str, Any], result: ConditionResult, value: float, where: str
 ) -> None:
     """Phases from 1 s to 3 s; the value is the share that lies beyond the time, as seen from that end."""
     samples: Any = [

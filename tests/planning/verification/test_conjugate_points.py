@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from testing.great_circle import great_circle, regulator
 
 import gnc_opt as go
-from gnc_opt.planning import Condition, Result
+from gnc_opt.planning import Condition, ConditionResult
 from gnc_opt.planning.verification.conjugate_points import conjugate_points
 from gnc_opt.planning.verification.engine import _agreed
 from gnc_opt.planning.verification.recomputed import from_problem
@@ -38,7 +38,7 @@ def test_regulator_is_conjugate_after_half_a_period(at_rest: go.Solution, share:
     (condition,) = judged(solution)
     verdict = go.verify(solution)
     assert verdict["conjugate points"] == condition
-    assert condition.result is (Result.PASS if share < 1 else Result.FAIL)
+    assert condition.result is (ConditionResult.PASS if share < 1 else ConditionResult.FAIL)
     assert condition.result is verdict["second order"].result
     if share > 1:
         assert first_time(condition) == pytest.approx(1 / np.sqrt(share), abs=1e-4)
@@ -48,13 +48,17 @@ def test_regulator_is_conjugate_after_half_a_period(at_rest: go.Solution, share:
 @pytest.mark.parametrize("arc", [0.98, 1.02, 1.5])
 def test_great_circle_is_conjugate_at_the_other_pole(arc: float) -> None:
     (condition,) = judged(go.solve(great_circle(arc * np.pi), mesh="4x6", tol=None))
-    assert condition.result is (Result.PASS if arc < 1 else Result.FAIL)
+    assert condition.result is (ConditionResult.PASS if arc < 1 else ConditionResult.FAIL)
     if arc > 1:
         assert first_time(condition) == pytest.approx(1 / arc, abs=1e-4)
 
 
-@pytest.mark.parametrize(("least", "most", "result"), [(0.5, 1.0, Result.PASS), (0.05, 0.3, Result.FAIL)])
-def test_the_deep_one_of_two_catenaries_is_no_least_film(least: float, most: float, result: Result) -> None:
+@pytest.mark.parametrize(
+    ("least", "most", "result"), [(0.5, 1.0, ConditionResult.PASS), (0.05, 0.3, ConditionResult.FAIL)]
+)
+def test_the_deep_one_of_two_catenaries_is_no_least_film(
+    least: float, most: float, result: ConditionResult
+) -> None:
     """Between rings of radius 1, 0.8 apart: r = c cosh((x - 0.4) / c), of which the deep one has a conjugate point.
 
     That is where a tangent of the catenary meets the one at its start on the axis of the film (Bliss, Calculus of
@@ -76,8 +80,8 @@ def test_the_deep_one_of_two_catenaries_is_no_least_film(least: float, most: flo
         problem, t, {"r": c * np.cosh((t - 0.4) / c)}, {"slope": np.sinh((t - 0.4) / c)}
     )
     assert verdict["conjugate points"].result is verdict["second order"].result is result
-    assert verdict.minimum == (result is Result.PASS)
-    if result is Result.FAIL:
+    assert verdict.minimum == (result is ConditionResult.PASS)
+    if result is ConditionResult.FAIL:
 
         def meets(x: float) -> float:
             return float(x - c / np.tanh(x / c))
@@ -105,7 +109,7 @@ def oscillators(duration: float) -> go.Problem:
 def test_conjugate_points_that_coincide_are_seen() -> None:
     short = go.solve(oscillators(4.0).with_parameters(k=0.1), mesh="4x5", tol=None)
     (condition,) = judged(replace(short, problem=oscillators(4.0)))
-    assert condition.result is Result.FAIL
+    assert condition.result is ConditionResult.FAIL
     assert first_time(condition) == pytest.approx(np.pi, abs=1e-3)
 
 
@@ -121,7 +125,7 @@ def test_a_free_end_is_focal_earlier(at_rest: go.Solution, free: str, spring: fl
     solution = replace(at_rest, problem=problem)
     (condition,) = judged(solution)
     zero = (0.5 * np.pi + np.arctan(spring / w)) / w
-    assert condition.result is (Result.FAIL if zero < 1 else Result.PASS)
+    assert condition.result is (ConditionResult.FAIL if zero < 1 else ConditionResult.PASS)
     assert condition.result is go.verify(solution)["second order"].result
     assert condition.where.endswith(free)
     assert first_time(condition) == pytest.approx(zero if free == "start" else 1 - zero, abs=1e-3)
@@ -156,7 +160,7 @@ def eastwards() -> go.Solution:
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_directions_that_controls_never_move_are_not_conjugate(eastwards: go.Solution, share: float) -> None:
     (condition,) = judged(replace(eastwards, problem=equator(share * np.pi)))
-    assert condition.result is (Result.PASS if share < 1 else Result.FAIL)
+    assert condition.result is (ConditionResult.PASS if share < 1 else ConditionResult.FAIL)
     if share > 1:
         assert first_time(condition) == pytest.approx(1 - 1 / share, abs=1e-3)
         assert condition.where.endswith("end")  # where the clock is free
@@ -180,12 +184,14 @@ def test_what_is_not_smooth_is_not_judged() -> None:
     assert judged(go.solve(problem, mesh="4x5", tol=None)) == []
 
 
-@pytest.mark.parametrize("curvature", list(Result))
-def test_a_conjugate_time_that_the_second_order_denies_is_not_told(curvature: Result) -> None:
-    past = Condition("conjugate points", Result.FAIL, 0.1, 0.0, "t = 2 s", "")
+@pytest.mark.parametrize("curvature", list(ConditionResult))
+def test_a_conjugate_time_that_the_second_order_denies_is_not_told(curvature: ConditionResult) -> None:
+    past = Condition("conjugate points", ConditionResult.FAIL, 0.1, 0.0, "t = 2 s", "")
     judged = _agreed(past, Condition("second order", curvature, 0.0, 0.0, "", ""))
-    assert judged.result is (Result.CANNOT_TELL if curvature is Result.PASS else Result.FAIL)
-    none = Condition("conjugate points", Result.PASS, 0.0, 0.0, "none", "")
+    assert judged.result is (
+        ConditionResult.INCONCLUSIVE if curvature is ConditionResult.PASS else ConditionResult.FAIL
+    )
+    none = Condition("conjugate points", ConditionResult.PASS, 0.0, 0.0, "none", "")
     assert _agreed(none, Condition("second order", curvature, 0.0, 0.0, "", "")) is none
 
 
@@ -203,5 +209,5 @@ def test_an_end_that_is_just_the_focal_point_cannot_be_told(fourth: float) -> No
     problem.minimize(leg.integral(u**2 / 2) - end**2 / 2 + fourth * end**4)
     t = np.linspace(0.0, 1.0, 21)
     verdict = go.verify_trajectory(problem, t, 0 * t, 0 * t)
-    assert {c.name for c in verdict.untold} == {"conjugate points", "second order"}
+    assert {c.name for c in verdict.inconclusive} == {"conjugate points", "second order"}
     assert verdict.ok and not verdict.minimum

@@ -89,12 +89,14 @@ def test_what_is_not_or_is_not_known_to_be(other: dict[str, Any]) -> None:
 
 
 def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_convex() -> None:
-    made = go.Condition("second order", go.Result.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True)
-    assert _of_convex(made).result is go.Result.CANNOT_TELL
+    made = go.Condition(
+        "second order", go.ConditionResult.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True
+    )
+    assert _of_convex(made).result is go.ConditionResult.INCONCLUSIVE
     assert "there; the problem is convex" in _of_convex(made).where
-    open_ = _of_convex(replace(made, result=go.Result.CANNOT_TELL))
-    assert open_.result is go.Result.CANNOT_TELL and "the problem is convex" in open_.where
-    passed, first = replace(made, result=go.Result.PASS), replace(made, sufficient=False)
+    open_ = _of_convex(replace(made, result=go.ConditionResult.INCONCLUSIVE))
+    assert open_.result is go.ConditionResult.INCONCLUSIVE and "the problem is convex" in open_.where
+    passed, first = replace(made, result=go.ConditionResult.PASS), replace(made, sufficient=False)
     assert _of_convex(passed) is passed
     assert _of_convex(first) is first
 

@@ -11,7 +11,7 @@ import pytest
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.accessory import fine_times
 from gnc_opt.planning.solution.propagation import state_magnitudes
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -29,7 +29,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import SecondOrder
 from gnc_opt.planning.verification.reduced_hessian import Curvature
 from gnc_opt.planning.verification.singular_arcs import SingularArc
 
-PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
+PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult.INCONCLUSIVE
 
 
 # --- singular arcs ----------------------------------------------------------------------------------------
@@ -54,7 +54,9 @@ GOH, UNKNOWN, FLAT = (
         ([GOOD, FLAT], UNTOLD, -1e-7, "flat: order 1"),
     ],
 )
-def test_which_singular_arc_counts(arcs: list[SingularArc], result: Result, value: float, where: str) -> None:
+def test_which_singular_arc_counts(
+    arcs: list[SingularArc], result: ConditionResult, value: float, where: str
+) -> None:
     """One that fails before one of which nothing is told, before the least; whatever their order."""
     for given in (arcs, arcs[::-1]):
         condition = singular.generalised_legendre_clebsch(given, 1e-5)
@@ -79,7 +81,7 @@ def found(least: float, error: float = 1e-8, attained: bool = True, **changes: A
         (-2e-8, False, UNTOLD),
     ],
 )
-def test_result_of_one_order(least: float, attained: bool, result: Result) -> None:
+def test_result_of_one_order(least: float, attained: bool, result: ConditionResult) -> None:
     assert found(least, attained=attained).result is result
 
 
@@ -107,7 +109,7 @@ def of_orders(monkeypatch: pytest.MonkeyPatch, *orders: SecondOrder) -> list[go.
     ],
 )
 def test_gradient_within_its_tolerance_and_error(
-    monkeypatch: pytest.MonkeyPatch, offence: float, error: float, result: Result
+    monkeypatch: pytest.MonkeyPatch, offence: float, error: float, result: ConditionResult
 ) -> None:
     """The worst of all orders counts."""
     other, off = found(1.0), found(1.0, offence=offence, offence_error=error, where="there")
@@ -145,7 +147,7 @@ def test_gradient_within_its_tolerance_and_error(
 def test_curvature_of_the_worst_order(
     monkeypatch: pytest.MonkeyPatch,
     orders: list[SecondOrder],
-    result: Result,
+    result: ConditionResult,
     value: float,
     tolerance: float,
     where: str,
@@ -208,7 +210,7 @@ def test_curvature_on_the_mesh(
     bound: Curvature | None,
     admitted: tuple[float, ...],
     jumps: str,
-    result: Result,
+    result: ConditionResult,
     value: float,
     words: str,
 ) -> None:
@@ -396,5 +398,5 @@ def test_what_keeps_a_verdict_open() -> None:
     verdict = go.Verdict("name", tuple(conditions))
     assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "CANNOT_TELL False"]
     assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
-    assert [c.name for c in verdict.untold] == ["CANNOT_TELL True", "CANNOT_TELL False"]
+    assert [c.name for c in verdict.inconclusive] == ["CANNOT_TELL True", "CANNOT_TELL False"]
     assert go.Verdict("name", tuple(conditions[::3])).open == (conditions[3],)

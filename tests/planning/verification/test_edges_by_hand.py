@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
 from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
@@ -455,11 +455,11 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
     condition = controls.singular_arcs([s], 1e-5, [controls.undetermined(s, 1e-5)[0]])
-    assert condition.result is Result.CANNOT_TELL and condition.sufficient
+    assert condition.result is ConditionResult.INCONCLUSIVE and condition.sufficient
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
     none = controls.singular_arcs([], 1e-5, [])
-    assert none.result is Result.PASS and none.where == "nowhere" and none.sufficient
+    assert none.result is ConditionResult.PASS and none.where == "nowhere" and none.sufficient
 
 
 def test_a_missing_costate_among_zeros_is_none() -> None:
@@ -555,9 +555,9 @@ def test_variations_are_judged_only_with_all_numbers(
     assert bool(asked) is judged
     if not judged:
         second = verdict["second order"]
-        assert second.result is Result.CANNOT_TELL and second.sufficient
+        assert second.result is ConditionResult.INCONCLUSIVE and second.sufficient
         assert second.where == ("there" if told else "everywhere")
-    assert verdict.not_judged == ("" if told else "no costates")
+    assert verdict.not_checked == ("" if told else "no costates")
 
 
 # --- more corners -----------------------------------------------------------------------------------------

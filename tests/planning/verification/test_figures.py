@@ -175,7 +175,7 @@ def test_a_control_within_a_hundredth_of_its_range_of_a_bound_is_not_between(
     pinned = go.solve(problem.with_bounds(u=(place * unit, place * unit)), mesh="2x3", tol=None)
     box = Interval(np.array([-abs(unit)]), np.array([abs(unit)]))
     condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["Legendre-Clebsch"]
-    assert condition.result is (go.Result.FAIL if inside else go.Result.PASS)
+    assert condition.result is (go.ConditionResult.FAIL if inside else go.ConditionResult.PASS)
 
 
 def test_smallest_share_that_counts_as_a_bound() -> None:

@@ -50,7 +50,7 @@ def cart(mass: float) -> go.Problem:
 
 def test_solution_for_another_mass_fails_even_with_the_right_fingerprint(tmp_path: Any) -> None:
     mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
-    heavy = go.solve(cart(1.1).with_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None)
+    heavy = go.solve(cart(1.1).with_fixed_arcs(arcs=[[-1, 1]]), mesh=mesh, tol=None)
     assert go.verify(heavy).minimum
     print_of_light = {**heavy.provenance, "fingerprint": cart(1.0).fingerprint()}
     file = replace(heavy, provenance=print_of_light).save(tmp_path / "cart.npz")
@@ -229,7 +229,7 @@ def test_nan_in_any_number_of_the_phase_is_never_ok(
         assert not verdict.ok and not verdict.minimum, field
         assert not str(verdict).endswith("verdict: ok"), field
         for c in verdict.conditions:
-            assert c.result is not go.Result.PASS or np.isfinite(c.value), (field, c)
+            assert c.result is not go.ConditionResult.PASS or np.isfinite(c.value), (field, c)
 
 
 def test_nan_in_any_number_of_the_solution_is_never_ok() -> None:
@@ -250,9 +250,9 @@ def test_a_missing_number_fails_at_its_place(piece: Any) -> None:
     """One node of segment 3 of 4: t in [0.5, 0.75] s."""
     verdict = go.verify(added(energy(), piece, A if piece == "u" else V, np.nan, 2, 1))
     for name in SEES[piece]:
-        assert verdict[name].result is go.Result.FAIL, name
+        assert verdict[name].result is go.ConditionResult.FAIL, name
     for condition in verdict.conditions[7:]:  # of the minimum principle
-        assert condition.result is not go.Result.PASS, condition
+        assert condition.result is not go.ConditionResult.PASS, condition
     place = "phase leg, segment 3 (0.5 to 0.75 s), "
     assert verdict["stored numbers"].where == f"{place}{piece} is not finite"
     if piece == "u":
@@ -270,8 +270,8 @@ def test_a_missing_number_fails_at_its_place(piece: Any) -> None:
 def test_without_costates_nothing_is_ok(wrong: Callable[[], go.Solution]) -> None:
     verdict = go.verify(wrong())
     assert not verdict.failed and not verdict.ok and not verdict.minimum
-    assert verdict["adjoint equation"].result is go.Result.CANNOT_TELL
-    assert verdict["dynamics"].result is go.Result.PASS
+    assert verdict["adjoint equation"].result is go.ConditionResult.INCONCLUSIVE
+    assert verdict["dynamics"].result is go.ConditionResult.PASS
     assert verdict.explain().splitlines()[0].endswith(": not judged: no costates.")
     assert str(verdict).splitlines()[-1] == "verdict: not judged: no costates"
 
@@ -295,7 +295,7 @@ def test_a_missing_costate_of_several_controls_fails() -> None:
 
 def test_zero_costates_of_an_integral_cost_fail() -> None:
     verdict = go.verify(scaled(energy(), "lam", 0.0))
-    assert verdict["stationarity"].result is go.Result.FAIL
+    assert verdict["stationarity"].result is go.ConditionResult.FAIL
     assert not verdict.ok and str(verdict).endswith("verdict: NOT ok")
 
 

@@ -10,10 +10,10 @@ import gnc_opt as go
 from gnc_opt.planning.optimality.active_set import left_free
 from gnc_opt.planning.solution.samples import PhaseSamples
 
-PASS, UNTOLD = go.Result.PASS, go.Result.CANNOT_TELL
+PASS, UNTOLD = go.ConditionResult.PASS, go.ConditionResult.INCONCLUSIVE
 
 
-def curvature(solution: go.Solution) -> set[go.Result]:
+def curvature(solution: go.Solution) -> set[go.ConditionResult]:
     verdict = go.verify(solution)
     return {verdict[name].result for name in ("Legendre-Clebsch", "singular arcs")}
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.switching_problem import Conditions
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -202,7 +202,7 @@ def test_two_limits_without_multipliers_may_forbid_both_ways(
         monkeypatch, np.zeros(3), np.diag([-1.0, 2.0, 3.0]), conditions(rows, lower=lower, upper=upper)
     )
     assert found.attained is attained
-    assert found.result is (Result.FAIL if attained else Result.CANNOT_TELL)
+    assert found.result is (ConditionResult.FAIL if attained else ConditionResult.INCONCLUSIVE)
 
 
 @pytest.mark.parametrize(("push", "freedom"), [(2e-5, 2), (1e-6, 3)])
@@ -288,8 +288,10 @@ def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> No
     assert obstacle([none]) == "phase leg has no length"
 
 
-@pytest.mark.parametrize(("rate", "told"), [(3e2, Result.PASS), (1e4, Result.CANNOT_TELL)])
-def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(rate: float, told: Result) -> None:
+@pytest.mark.parametrize(("rate", "told"), [(3e2, ConditionResult.PASS), (1e4, ConditionResult.INCONCLUSIVE)])
+def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(
+    rate: float, told: ConditionResult
+) -> None:
     """A filter beside a bang-bang move: explicit steps must be shorter than a few of its time constants."""
     cart = go.Model("cart with a filter")
     q, v, w, a = cart.state("q"), cart.state("v"), cart.state("w"), cart.control("a")
@@ -302,7 +304,7 @@ def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(rate: f
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     verdict = go.verify(go.solve(problem))
-    assert verdict["dynamics"].result is Result.PASS
+    assert verdict["dynamics"].result is ConditionResult.PASS
     assert {verdict[name].result for name in ("induced gradient", "second order")} == {told}
-    if told is Result.CANNOT_TELL:
+    if told is ConditionResult.INCONCLUSIVE:
         assert "too fast" in verdict["second order"].where

@@ -47,7 +47,7 @@ def test_of_two_controls_many_track_as_well() -> None:
     assert verdict.ok and not verdict.minimum
     assert (
         "the cost is the least that there can be, and the minimum may be one of many"
-        in verdict.untold[0].where
+        in verdict.inconclusive[0].where
     )
 
 

@@ -86,22 +86,25 @@ UNITS = {"m, s": (1.0, 1.0), "km, min": (1e-3, 1 / 60), "mm, ms": (1e3, 1e3)}
 def test_flight_through_a_small_sphere_fails_in_every_form_and_unit(form: str, units: str) -> None:
     """1 m inside of 10 m: depth 1 m, of the lesser of 5 km and a hundred times the chord of 20 m, that is 2 km."""
     through, grazing, outside = (flown_by(*FORMS[form], miss, *UNITS[units]) for miss in (0.0, 9.0, 10.001))
-    assert through.result is grazing.result is go.Result.FAIL
+    assert through.result is grazing.result is go.ConditionResult.FAIL
     assert through.value >= 9.0 / 2000.0
     assert grazing.value == pytest.approx(1.0 / 2000.0, rel=1e-5)
-    assert (outside.result, outside.value) == (go.Result.PASS, 0.0)
+    assert (outside.result, outside.value) == (go.ConditionResult.PASS, 0.0)
 
 
 @pytest.mark.parametrize("miss", [0.0, 9.0])
 def test_flight_far_from_the_origin_fails_too(miss: float) -> None:
     """Coordinates of 7000 km, as in orbit: the depth of 1 m is 1e-7 of them, the sphere's width decides."""
-    assert flown_by(lambda square: square, RADIUS**2, miss, 1.0, 1.0, origin=7e6).result is go.Result.FAIL
+    assert (
+        flown_by(lambda square: square, RADIUS**2, miss, 1.0, 1.0, origin=7e6).result
+        is go.ConditionResult.FAIL
+    )
 
 
 def test_value_that_is_no_number_fails() -> None:
     """The logarithm has none within 1 km of the point."""
     condition = flown_by(lambda square: ca.log(square - 1e6), -1e3, 9.0, 1.0, 1.0)
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.value == np.inf
 
 
@@ -109,7 +112,7 @@ def test_default_solution_through_the_centre_fails() -> None:
     """The solver's own answer: no node lies within the sphere."""
     problem = fly_by(0.0, 1.0, 1.0, lambda square: square)
     condition = go.verify(go.solve(problem, tol=None))["path constraints"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.where.startswith("phase leg, t = 500 s, keep_out = ")
     assert condition.where.endswith(" (at least 100)")
 
@@ -130,7 +133,7 @@ def test_figure_does_not_depend_on_units_or_on_how_the_limit_is_written(
         return gain * ((square / RADIUS**2) ** power + shift)
 
     condition = flown_by(form, gain * (1.0 + shift), miss, length, time)
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.value == pytest.approx((RADIUS - miss) / 2000.0, rel=1e-4)
 
 
@@ -156,7 +159,7 @@ def test_narrow_dip_between_two_samples_is_found(gap: float) -> None:
     sampled = solution.samples()["leg"]
     assert np.min(np.abs(sampled.x[0] - 0.31)) > 1.001e-3, "a sample sees the dip: choose another point"
     condition = go.verify(solution)["path constraints"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.value == pytest.approx(gap / max(200 * gap, 1e-3), rel=1e-2)
     beside = with_leg(passing(1.1), path_bounds=Interval(np.array([0.0999**2]), np.array([np.inf])))
     assert go.verify(beside)["path constraints"].value == 0.0
@@ -201,12 +204,12 @@ def test_what_no_state_can_restore_counts_in_shares_of_its_values() -> None:
     problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
     late = with_leg(go.solve(problem, tol=None), path_bounds=Interval(np.array([-np.inf]), np.array([0.9])))
     condition = go.verify(late)["path constraints"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
 
 
 def test_rounding_beyond_a_limit_passes() -> None:
     """A limit on the speed 1e-7 of its size below the top."""
     tight = with_leg(energy(), path_bounds=Interval(np.array([-np.inf]), np.array([1.5 * (1 - 1e-7)])))
     condition = go.verify(tight)["path constraints"]
-    assert condition.result is go.Result.PASS
+    assert condition.result is go.ConditionResult.PASS
     assert condition.value == pytest.approx(1e-7, rel=1e-2)

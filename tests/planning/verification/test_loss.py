@@ -50,10 +50,10 @@ def test_the_loss_is_what_the_flight_falls_short(sign: float, off: float) -> Non
     verdict = go.verify(by_hand.solution(problem, leg))
     condition = verdict["minimum principle"]
     assert condition.loss == pytest.approx(1.5 * off, abs=1e-9) and condition.unit == "m"
-    assert condition.result is (go.Result.FAIL if off else go.Result.PASS)
+    assert condition.result is (go.ConditionResult.FAIL if off else go.ConditionResult.PASS)
     assert all(c.loss is None for c in verdict.conditions if c.name != "minimum principle")
     if off:
-        assert condition.offence_text.endswith("; costs 0.38 m")
+        assert condition.location_text.endswith("; costs 0.38 m")
         for text in (verdict.explain(), str(verdict), verdict_text(verdict, 200), verdict._repr_html_()):
             assert "costs 0.38 m" in text
 

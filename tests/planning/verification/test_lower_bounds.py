@@ -10,7 +10,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import Verdict
-from gnc_opt.planning.study.lower_bound import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
+from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
 from gnc_opt.planning.study.relaxation import relaxations
 from gnc_opt.report import summary_dict
 
@@ -32,7 +32,7 @@ def two_carts(first: float, second: float, drag: float = 0.2) -> go.Problem:
 
 @pytest.fixture(scope="module")
 def together() -> go.Solution:
-    return go.bound_below(go.solve(two_carts(4.0, 1.0)))
+    return go.lower_bound(go.solve(two_carts(4.0, 1.0)))
 
 
 def test_the_slower_of_two_decoupled_carts_bounds_both_and_is_attained(together: go.Solution) -> None:
@@ -72,7 +72,7 @@ def test_files_keep_no_bound(together: go.Solution, tmp_path) -> None:
 
 def test_a_part_that_others_wait_for_leaves_a_gap() -> None:
     """The cart with drag is slower: no theorem speaks for it, but the other one's 2 s hold for both."""
-    bounded = go.bound_below(go.solve(two_carts(1.0, 4.0)))
+    bounded = go.lower_bound(go.solve(two_carts(1.0, 4.0)))
     assert bounded.bound is not None
     assert bounded.bound.certified and bounded.bound.value == pytest.approx(2.0, abs=1e-8)
     assert bounded.objective > 4.0
@@ -100,7 +100,7 @@ def follower() -> go.Problem:
 
 
 def test_a_part_that_no_theorem_certifies_is_said_to_be_a_local_minimum() -> None:
-    bounded = go.bound_below(go.solve(follower()))
+    bounded = go.lower_bound(go.solve(follower()))
     assert bounded.bound is not None
     assert bounded.bound.states == ("angle", "rate")
     assert not bounded.bound.certified and bounded.bound.theorem == ""
@@ -113,8 +113,8 @@ def test_a_relaxation_that_costs_more_than_the_flight_is_no_bound(monkeypatch: p
     """The flight is one of its trajectories: its minimum was a local one."""
     solution = go.solve(follower(), tol=None)
     dear = replace(go.solve(follower()), objective=solution.objective * 1.1)
-    monkeypatch.setattr(sys.modules["gnc_opt.planning.study.lower_bound"], "solve", lambda *_, **__: dear)
-    assert go.bound_below(solution).bound is None
+    monkeypatch.setattr(sys.modules["gnc_opt.planning.study.lower_bounds"], "solve", lambda *_, **__: dear)
+    assert go.lower_bound(solution).bound is None
 
 
 def test_what_hangs_together_has_no_bound() -> None:
@@ -127,7 +127,7 @@ def test_what_hangs_together_has_no_bound() -> None:
     leg.initial(angle=1.0, rate=0.0)
     leg.final(angle=0.0)
     problem.minimize(leg.integral(torque**2) + leg.final_state("rate") ** 2)
-    bounded = go.bound_below(go.solve(problem))
+    bounded = go.lower_bound(go.solve(problem))
     assert bounded.bound is None and bounded.gap is None
     assert "bound" not in {line.split()[0] for line in str(bounded).splitlines()}
 
@@ -190,7 +190,7 @@ def test_a_payoff_is_bounded_from_above() -> None:
     leg.initial(y=0.0, z=0.0)
     leg.bounds(u=(-1.0, 1.0), z=(None, 0.2))
     problem.maximize(leg.final_state("y"))
-    bounded = go.bound_below(go.solve(problem))
+    bounded = go.lower_bound(go.solve(problem))
     assert bounded.bound is not None and bounded.bound.states == ("y",)
     assert bounded.bound.value == pytest.approx(1.0, abs=1e-7)
     assert bounded.objective < 0.99
@@ -276,13 +276,13 @@ def test_a_cost_that_needs_all_states_leaves_no_relaxation() -> None:
     assert relaxations(weighed) == []
 
 
-@pytest.mark.parametrize(("given", "said"), [(3, "bound_below"), ("x", "bound_below")])
+@pytest.mark.parametrize(("given", "said"), [(3, "lower_bound"), ("x", "lower_bound")])
 def test_bad_input_is_refused(given, said) -> None:
     with pytest.raises(go.GncOptError, match=said):
-        go.bound_below(given)
+        go.lower_bound(given)
 
 
 @pytest.mark.parametrize("tol", [0.0, -1.0, math.nan, "fine"])
 def test_a_tolerance_is_positive(together: go.Solution, tol) -> None:
     with pytest.raises(go.GncOptError, match="tolerance of bound_below"):
-        go.bound_below(together, tol=tol)
+        go.lower_bound(together, tol=tol)

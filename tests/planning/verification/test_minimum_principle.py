@@ -56,7 +56,7 @@ def test_what_other_controls_gain(n: int, integrand: Any, paths: Any, gain: floa
     """Beside what half the range is worth by H's slope, or curvature: wherever controls gain alone or together."""
     condition = go.verify(idle(n, integrand, *paths))["minimum principle"]
     assert condition.value == pytest.approx(gain / (worth + gain), rel=1e-5, abs=1e-12)
-    assert condition.result is (go.Result.FAIL if gain else go.Result.PASS)
+    assert condition.result is (go.ConditionResult.FAIL if gain else go.ConditionResult.PASS)
 
 
 def test_controls_that_a_limit_forbids_are_no_choice_where_its_gradient_vanishes() -> None:
@@ -73,9 +73,9 @@ def test_controls_that_a_limit_forbids_are_no_choice_where_its_gradient_vanishes
     problem.minimize(0.5 * leg.integral(a**2) + 0.3 * leg.final_state("q"))
     right = go.solve(problem.with_guess(a=-1.2), mesh="2x4", tol=None)
     assert right.objective == pytest.approx(0.2, abs=1e-7)
-    assert go.verify(right)["minimum principle"].result is go.Result.PASS
+    assert go.verify(right)["minimum principle"].result is go.ConditionResult.PASS
     other = go.solve(problem.with_guess(a=1.2), mesh="2x4", tol=None)  # 0.8: the far side of the ring
-    assert go.verify(other)["minimum principle"].result is go.Result.FAIL
+    assert go.verify(other)["minimum principle"].result is go.ConditionResult.FAIL
 
 
 def test_which_controls_are_separable() -> None:
@@ -106,15 +106,15 @@ def test_wells_wider_than_the_resolution_are_found(center: float, width: float) 
     """A well of which 2e-4 of the range is below the flown H, beside one that is as narrow but too shallow."""
     condition = go.verify(idle(1, _well(center, width, 1.0)))["minimum principle"]
     gain, worth = 1 - center**2, 1.0
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.value == pytest.approx(gain / (worth + gain), rel=1e-2)
     shallow = go.verify(idle(1, _well(center, width, 0.9 * center**2)))["minimum principle"]
-    assert shallow.result is go.Result.PASS
+    assert shallow.result is go.ConditionResult.PASS
 
 
 def test_a_well_below_the_resolution_is_missed_and_the_meaning_says_so() -> None:
     condition = go.verify(idle(1, _well(0.3713, 1e-8, 1.0)))["minimum principle"]
-    assert condition.result is go.Result.PASS
+    assert condition.result is go.ConditionResult.PASS
     assert "is not excluded" in condition.meaning
     convex = go.verify(idle(1, lambda u: 1 + u[0] ** 2))["minimum principle"]
     assert "is not excluded" not in convex.meaning
@@ -131,8 +131,8 @@ def test_stiffly_coupled_actuators_do_not_hide_another_valley(stiffness: float) 
 
         return integrand
 
-    assert go.verify(idle(2, coupled(-0.3)))["minimum principle"].result is go.Result.FAIL
-    assert go.verify(idle(2, coupled(0.3)))["minimum principle"].result is go.Result.PASS
+    assert go.verify(idle(2, coupled(-0.3)))["minimum principle"].result is go.ConditionResult.FAIL
+    assert go.verify(idle(2, coupled(0.3)))["minimum principle"].result is go.ConditionResult.PASS
 
 
 @pytest.mark.parametrize("stiffness", [1.0, 1e2, 1e4, 1e6])
@@ -141,7 +141,7 @@ def test_stiffly_coupled_actuators_do_not_hide_a_slope(stiffness: float) -> None
     solution = idle(2, lambda u: 1 + stiffness * (u[0] + u[1]) ** 2 + (u[0] - u[1] - 0.3) ** 2)
     condition = go.verify(solution)["minimum principle"]
     assert condition.value == pytest.approx(0.09 / 4.09, rel=1e-4)
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
 
 
 @pytest.mark.parametrize(("bend", "gain"), [(2.0, 1.0), (0.5, 0.0)])
@@ -149,11 +149,11 @@ def test_controls_on_a_curve_are_searched_along_it(bend: float, gain: float) -> 
     """On w = u^2 no lattice meets the curve; along it H is u^2 - bend u^4."""
     on_curve = ((lambda u: u[1] - u[0] ** 2, 0.0), (lambda u: u[0] ** 2 - u[1], 0.0))
     condition = go.verify(idle(2, lambda u: 1 + u[1] - bend * u[1] ** 2, *on_curve))["minimum principle"]
-    assert condition.result is (go.Result.FAIL if gain else go.Result.PASS)
+    assert condition.result is (go.ConditionResult.FAIL if gain else go.ConditionResult.PASS)
     assert (condition.value > 0.1) is bool(gain)
 
 
 def test_wells_beside_an_affine_control_that_moves_nothing_are_saddles_of_plain_size() -> None:
     """-2 u^2 in half of the range: what is varied by its integral is no steeper than that, and gains what H does."""
     condition = go.verify(idle(2, GAINS[1][2]))["second order"]
-    assert condition.result is go.Result.FAIL and condition.value < 100.0
+    assert condition.result is go.ConditionResult.FAIL and condition.value < 100.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 
 
 def squared(offset: float, cost: Callable[[Any], Any], clock: bool = False) -> go.Solution:
@@ -32,7 +32,7 @@ def squared(offset: float, cost: Callable[[Any], Any], clock: bool = False) -> g
 def test_squares_that_must_vanish_are_degenerate(cost: Callable[[Any], Any], clock: bool) -> None:
     """Also beside something that moves."""
     verdict = go.verify(squared(0.0, cost, clock))
-    assert verdict["normality"].result is Result.FAIL
+    assert verdict["normality"].result is ConditionResult.FAIL
     assert not verdict.ok and not verdict.minimum
 
 
@@ -40,7 +40,7 @@ def test_squares_that_must_vanish_are_degenerate(cost: Callable[[Any], Any], clo
 def test_squares_that_may_vary_are_not(offset: float) -> None:
     """u = sqrt(offset) holds x; its linearisation 2 u du reaches as far as u itself."""
     condition = go.verify(squared(offset, lambda u: (u - 2) ** 2))["normality"]
-    assert condition.result is Result.PASS
+    assert condition.result is ConditionResult.PASS
     assert 0 < condition.value < 10 / np.sqrt(offset)
 
 
@@ -85,7 +85,7 @@ def test_constraints_that_say_the_same_twice_are_no_harm(unit: bool) -> None:
     """Both final components are one condition too many, as four of a quaternion are: dependent, but not degenerate."""
     solution = turned(unit)
     assert solution.objective == pytest.approx(0.5, abs=1e-8)
-    assert go.verify(solution)["normality"].result is Result.PASS
+    assert go.verify(solution)["normality"].result is ConditionResult.PASS
 
 
 def test_a_point_target_of_a_distance_is_degenerate() -> None:
@@ -104,7 +104,9 @@ def test_a_point_target_of_a_distance_is_degenerate() -> None:
             leg.final(x=0.0)
         problem.minimize(leg.integral(u**2))
         solution = go.solve(problem, mesh="2x3", tol=None)
-        assert go.verify(solution)["normality"].result is (Result.FAIL if degenerate else Result.PASS)
+        assert go.verify(solution)["normality"].result is (
+            ConditionResult.FAIL if degenerate else ConditionResult.PASS
+        )
 
 
 def down_and_up(end: Callable[[go.Problem, Any], Any]) -> go.Verdict:
@@ -133,9 +135,11 @@ def test_end_conditions_of_a_bang_bang_control() -> None:
 
     again = down_and_up(twice)
     assert all(any(c.name == "induced gradient" for c in v.conditions) for v in (plain, squared, again))
-    assert (plain["normality"].result, plain["normality"].where) == (Result.PASS, "nowhere")
-    assert squared["normality"].result is Result.FAIL and squared["normality"].where == "constraint sq"
-    assert again["normality"].result is Result.PASS
+    assert (plain["normality"].result, plain["normality"].where) == (ConditionResult.PASS, "nowhere")
+    assert (
+        squared["normality"].result is ConditionResult.FAIL and squared["normality"].where == "constraint sq"
+    )
+    assert again["normality"].result is ConditionResult.PASS
     assert "2 conditions on 1 unknowns: multipliers are not unique" in again["normality"].where
 
 
@@ -155,5 +159,5 @@ def test_abnormal_multipliers_beside_normal_ones_are_named(most: float) -> None:
     verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
     told = verdict["normality"]
     assert verdict.ok and verdict.minimum is (most > 0)
-    assert told.result is (Result.CANNOT_TELL if most == 0.0 else Result.PASS)
+    assert told.result is (ConditionResult.INCONCLUSIVE if most == 0.0 else ConditionResult.PASS)
     assert ("abnormal multipliers beside" in told.where) is (most == 0.0)

@@ -88,7 +88,7 @@ def test_place(
 ) -> None:
     assert go.verify(two_axes()).ok
     condition = go.verify(wrong())[name]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.where.startswith(start) and label in condition.where
     if span is not None:
         time = float(condition.where.split("t = ")[1].split(" s")[0])

@@ -14,7 +14,7 @@ from testing import constructed_solutions as by_hand
 import gnc_opt as go
 from gnc_opt.planning.optimality import costate_jumps as pushes
 from gnc_opt.planning.optimality.costate_jumps import (
-    Pushers,
+    StateConstraintSides,
     _integrate_anew,
     _reached_or_left,
     _responses,
@@ -97,7 +97,7 @@ def test_no_active_limit_responds_to_nothing() -> None:
     s = flown(upper=99.0)
     here = np.flatnonzero(s.segments == 1)
     _, fundamental = _without_pushes(s, 1, here)
-    pushers = Pushers.at(s, s.times[here], s.x[:, here], s.u[:, here])
+    pushers = StateConstraintSides.at(s, s.times[here], s.x[:, here], s.u[:, here])
     assert _responses(pushers, fundamental).shape == (2, here.size, 0)
     assert _integrate_anew(s, 1, 1e-6) is None
 
@@ -121,7 +121,7 @@ def test_gradients_and_sides_of_paths() -> None:
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
-    pushers = Pushers.at(s, times, x, u)
+    pushers = StateConstraintSides.at(s, times, x, u)
     np.testing.assert_allclose(pushers.directions[:, 2], found[:, 1])
     np.testing.assert_allclose(pushers.directions[:, 5], -found[:, 1])
     # 2 - 6 + 2 = -2 is at the lower limit, 4 - 3 + 2 = 3 is not.

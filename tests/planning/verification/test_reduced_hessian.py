@@ -10,10 +10,10 @@ import pytest
 from testing.great_circle import great_circle, regulator
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.verification.reduced_hessian import lanczos
 
-PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
+PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult.INCONCLUSIVE
 
 
 def second_order(solution: go.Solution) -> go.Condition:
@@ -22,7 +22,9 @@ def second_order(solution: go.Solution) -> go.Condition:
 
 @pytest.mark.parametrize("phases", [1, 2])
 @pytest.mark.parametrize(("arc", "result"), [(0.5, PASS), (0.98, PASS), (1.02, FAIL), (1.5, FAIL)], ids=str)
-def test_great_circle_is_shortest_up_to_half_the_sphere(arc: float, result: Result, phases: int) -> None:
+def test_great_circle_is_shortest_up_to_half_the_sphere(
+    arc: float, result: ConditionResult, phases: int
+) -> None:
     solution = go.solve(great_circle(arc * np.pi, phases), mesh="4x6", tol=None)
     assert {c.name for c in go.verify(solution).failed} <= {"second order", "conjugate points"}
     assert solution.objective == pytest.approx(0.5 * (arc * np.pi) ** 2)
@@ -39,7 +41,7 @@ def at_rest() -> go.Solution:
 
 @pytest.mark.parametrize(("share", "result"), [(0.97, PASS), (1.0, UNTOLD), (1.03, FAIL), (4.5, FAIL)])
 def test_regulator_before_and_past_its_conjugate_point(
-    at_rest: go.Solution, share: float, result: Result
+    at_rest: go.Solution, share: float, result: ConditionResult
 ) -> None:
     """At the conjugate point itself sin(pi t) costs nothing, and no test of the second order can tell."""
     condition = second_order(replace(at_rest, problem=regulator(share * np.pi**2)))
@@ -70,7 +72,7 @@ def slow_disc(shallow: float) -> go.Problem:
 
 
 @pytest.mark.parametrize(("shallow", "result"), [(0.1, PASS), (0.8, FAIL)])
-def test_straight_through_a_slow_disc(shallow: float, result: Result) -> None:
+def test_straight_through_a_slow_disc(shallow: float, result: ConditionResult) -> None:
     """Round a deep one is faster: 2.72 s instead of 4.17 s."""
     straight = go.solve(slow_disc(shallow).with_bounds(y=(-1e-9, 1e-9)), mesh="10x5", tol=None)
     condition = second_order(replace(straight, problem=slow_disc(shallow)))
@@ -111,7 +113,7 @@ def designed(cost: object, *, lower: float | None = None) -> go.Solution:
         (lambda k, m: k + m - k**2 - m**2, 0.0, PASS),
     ],
 )
-def test_free_parameters_take_part(cost: object, lower: float | None, result: Result) -> None:
+def test_free_parameters_take_part(cost: object, lower: float | None, result: ConditionResult) -> None:
     condition = second_order(designed(cost, lower=lower))
     assert condition.result is result, condition
 
@@ -140,7 +142,9 @@ def test_curvature_does_not_depend_on_units_of_the_cost() -> None:
 
 
 @pytest.mark.parametrize("end, result", [(2.0, PASS), (-2.0, FAIL)])
-def test_curvature_in_a_control_that_rests_does_not_depend_on_its_unit(end: float, result: Result) -> None:
+def test_curvature_in_a_control_that_rests_does_not_depend_on_its_unit(
+    end: float, result: ConditionResult
+) -> None:
     """Out of a circle of radius 2 from 1/2 beside its middle: straight ahead is best, by the far side worst.
 
     The other control is zero all along, and H curves in it by 2e-8 of what one unit of it could tell.
@@ -212,7 +216,7 @@ def mirror(bend: float, unit: float = 1.0, cost: float = 1.0) -> go.Verdict:
 @pytest.mark.parametrize(("unit", "cost"), [(1.0, 1.0), (1e3, 1e-6), (1e-3, 1e6)])
 @pytest.mark.parametrize(("bend", "result"), [(-0.3, PASS), (0.2, PASS), (0.3, FAIL), (1.0, FAIL)])
 def test_a_mirror_is_left_where_it_was_reached_first_unless_it_bends_too_much(
-    bend: float, result: Result, unit: float, cost: float
+    bend: float, result: ConditionResult, unit: float, cost: float
 ) -> None:
     verdict = mirror(bend, unit, cost)
     assert verdict.minimum is (result is PASS), verdict.explain()

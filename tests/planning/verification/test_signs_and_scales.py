@@ -176,9 +176,9 @@ def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(
     solution = go.solve(ridge(1.0, -0.5, side, unit, wide), mesh="2x4", tol=None)
     assert np.allclose(np.hstack(solution.phase().u.values), 0.5, atol=1e-6)
     verdict = go.verify(solution)
-    assert verdict["Legendre-Clebsch"].result is go.Result.PASS, verdict.explain()
+    assert verdict["Legendre-Clebsch"].result is go.ConditionResult.PASS, verdict.explain()
     hill = go.verify(replace(solution, problem=ridge(-1.0, 0.5, side, unit, wide)))
-    assert hill["Legendre-Clebsch"].result is go.Result.FAIL
+    assert hill["Legendre-Clebsch"].result is go.ConditionResult.FAIL
     # (u - w)^2 / 2 has the curvature 4 along (1, -1), which in shares of a and b is (b, -a); these are the ranges over
     # the root of what half of each is worth, by the slope 10.5 of H.
     a, b = 4.0 / np.sqrt(10.5 * 2.0), 2 * wide / np.sqrt(10.5 * wide)
@@ -206,6 +206,6 @@ def unstable(unit: float, rate: float = 12.0) -> go.Solution:
 @pytest.mark.parametrize("unit", [0.1, 1.0, 10.0])
 def test_growth_of_errors_does_not_depend_on_units(unit: float) -> None:
     """exp(12) / 2 = 8e4 is not enough to excuse a miss, exp(16) / 2 = 4e6 is; in any units of speed."""
-    for rate, result in ((12.0, go.Result.FAIL), (16.0, go.Result.CANNOT_TELL)):
+    for rate, result in ((12.0, go.ConditionResult.FAIL), (16.0, go.ConditionResult.INCONCLUSIVE)):
         wrong = added(unstable(unit, rate), "u", 0, 0.1)
         assert go.verify(wrong)["propagation"].result is result

@@ -45,8 +45,12 @@ def chain(order: int, sign: float) -> go.Problem:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-@pytest.mark.parametrize(("sign", "result"), [(1.0, go.Result.PASS), (-1.0, go.Result.FAIL)])
-def test_order_and_sign_of_a_chain_of_integrators(order: int, sign: float, result: go.Result) -> None:
+@pytest.mark.parametrize(
+    ("sign", "result"), [(1.0, go.ConditionResult.PASS), (-1.0, go.ConditionResult.FAIL)]
+)
+def test_order_and_sign_of_a_chain_of_integrators(
+    order: int, sign: float, result: go.ConditionResult
+) -> None:
     """(-1)^k d/du d^2k/dt^2k H_u is the sign of the cost."""
     condition = judged(chain(order, sign))
     assert condition.result is result
@@ -56,7 +60,10 @@ def test_order_and_sign_of_a_chain_of_integrators(order: int, sign: float, resul
 
 def test_an_order_beyond_those_looked_for_is_not_told() -> None:
     condition = judged(chain(4, -1.0))
-    assert condition.result is go.Result.CANNOT_TELL and "no derivative up to order 6" in condition.where
+    assert (
+        condition.result is go.ConditionResult.INCONCLUSIVE
+        and "no derivative up to order 6" in condition.where
+    )
 
 
 @pytest.mark.parametrize(("order", "told"), [(1, False), (2, True), (3, False)])
@@ -86,20 +93,24 @@ def plane(gyration: float, weights: tuple[float, float] = (1.0, 1.0)) -> go.Prob
 
 
 def test_two_singular_controls_form_a_matrix() -> None:
-    assert judged(plane(0.0)).result is go.Result.PASS
-    assert judged(plane(0.0, (1.0, -1.0))).result is go.Result.FAIL
+    assert judged(plane(0.0)).result is go.ConditionResult.PASS
+    assert judged(plane(0.0, (1.0, -1.0))).result is go.ConditionResult.FAIL
     # One control is of the first order and the other of none: neither PASS nor FAIL.
-    assert judged(plane(0.0, (1.0, 0.0))).result is go.Result.CANNOT_TELL
+    assert judged(plane(0.0, (1.0, 0.0))).result is go.ConditionResult.INCONCLUSIVE
 
 
 def test_gohs_condition() -> None:
     """Circling to and fro gains gyration times the area at once, though each control alone is without reproach."""
     condition = judged(plane(0.5))
-    assert condition.result is go.Result.FAIL and "Goh" in condition.where
+    assert condition.result is go.ConditionResult.FAIL and "Goh" in condition.where
 
 
-@pytest.mark.parametrize(("stiffness", "result"), [(0.5, go.Result.PASS), (-0.5, go.Result.FAIL)])
-def test_beside_a_control_that_the_hamiltonian_determines(stiffness: float, result: go.Result) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "result"), [(0.5, go.ConditionResult.PASS), (-0.5, go.ConditionResult.FAIL)]
+)
+def test_beside_a_control_that_the_hamiltonian_determines(
+    stiffness: float, result: go.ConditionResult
+) -> None:
     """r and w move along the arc, x rests; K is the cost's coefficient of x^2 times 2."""
     problem = singular_problem(stiffness)
     states = {"x": np.zeros_like(TIMES), "r": TIMES}
@@ -121,7 +132,7 @@ def test_no_singular_arc() -> None:
     leg.final(x=1.0)
     problem.minimize(leg.integral(0.5 * u**2))
     condition = go.verify(go.solve(problem, mesh="1x4", tol=None))[NAME]
-    assert (condition.result, condition.where) == (go.Result.PASS, "no singular arc")
+    assert (condition.result, condition.where) == (go.ConditionResult.PASS, "no singular arc")
 
 
 def aly_chan() -> go.Problem:
@@ -157,12 +168,12 @@ def test_rounding_of_costates_that_vanish_is_no_offence(gradient: float, right: 
     """What cancels in the rate of the costate of y moves it by up to pi: that is what it is measured against."""
     verdict = go.verify(along_the_arc(gradient))
     told = {c.name: c.result for c in verdict.conditions}
-    passed = [told[name] is go.Result.PASS for name in ("stationarity", "minimum principle")]
+    passed = [told[name] is go.ConditionResult.PASS for name in ("stationarity", "minimum principle")]
     assert all(passed) if right else not any(passed), verdict.explain()
     if right:
-        assert told["singular arcs"] is told[NAME] is go.Result.PASS
+        assert told["singular arcs"] is told[NAME] is go.ConditionResult.PASS
         # y = A cos t after a jump costs nothing for any A: the end is the focal point.
-        assert told["second order"] is go.Result.CANNOT_TELL
+        assert told["second order"] is go.ConditionResult.INCONCLUSIVE
 
 
 @pytest.mark.parametrize("factor", [1e-8, 1.0, 1e8])
@@ -198,10 +209,14 @@ def coupled(coupling: float, start: float = 1.0) -> go.Problem:
 
 @pytest.mark.parametrize(
     ("coupling", "result"),
-    [(5e-4, go.Result.CANNOT_TELL), (1e-3, go.Result.CANNOT_TELL), (0.1, go.Result.FAIL)],
+    [
+        (5e-4, go.ConditionResult.INCONCLUSIVE),
+        (1e-3, go.ConditionResult.INCONCLUSIVE),
+        (0.1, go.ConditionResult.FAIL),
+    ],
 )
 def test_a_coupling_with_a_control_that_is_determined_curves_downwards(
-    coupling: float, result: go.Result
+    coupling: float, result: go.ConditionResult
 ) -> None:
     """By (2 e)^2 over the range of u, where H amounts to 1 / 2 + e. Pulses of u, with v = -e u, gain e^2 / 2."""
     condition = judged(coupled(coupling, start=0.0))
@@ -212,7 +227,7 @@ def test_a_coupling_with_a_control_that_is_determined_curves_downwards(
 def test_a_coupled_arc_is_ok_within_the_tolerance_and_no_minimum() -> None:
     verdict = go.verify(go.solve(coupled(5e-4)))
     assert verdict.ok and not verdict.minimum
-    assert verdict["second order"].result is go.Result.CANNOT_TELL
+    assert verdict["second order"].result is go.ConditionResult.INCONCLUSIVE
 
 
 def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() -> None:

@@ -60,7 +60,7 @@ def piecewise() -> go.Solution:
 def test_a_jump_that_a_flight_crosses_is_named_and_nothing_beyond_it_is_said(through: go.Solution) -> None:
     verdict = go.verify(through)
     told = verdict["smoothness"]
-    assert told.result is go.Result.CANNOT_TELL and not verdict.ok and not verdict.failed
+    assert told.result is go.ConditionResult.INCONCLUSIVE and not verdict.ok and not verdict.failed
     assert "a comparison makes dx/dt or an integrand jump" in told.where
     crossing = float(told.where.split("t = ")[1].split(" s")[0])
     assert through.state("q")(crossing) == pytest.approx(0.5, abs=1e-5)
@@ -93,7 +93,7 @@ def test_samples_of_the_right_flight_are_not_called_wrong(piecewise: go.Solution
     problem = stepped(lambda q, v, a, t: a - WIND * ca.if_else(q > 0.5, 1.0, 0.0))
     verdict = go.verify_trajectory(problem, t, values, {"a": push})
     assert not {"Hamiltonian", "adjoint equation", "stationarity"} & {c.name for c in verdict.failed}
-    assert verdict["smoothness"].result is go.Result.CANNOT_TELL
+    assert verdict["smoothness"].result is go.ConditionResult.INCONCLUSIVE
 
 
 def test_a_wrong_end_fails_all_the_same(through: go.Solution) -> None:
@@ -115,7 +115,7 @@ def test_a_wrong_end_fails_all_the_same(through: go.Solution) -> None:
 )
 def test_what_is_not_crossed_or_does_not_jump_is_judged(rate) -> None:
     verdict = go.verify(go.solve(stepped(rate), throw=False))
-    assert verdict["smoothness"].result is go.Result.PASS
+    assert verdict["smoothness"].result is go.ConditionResult.PASS
     assert verdict.ok
 
 
@@ -139,13 +139,13 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
         np.where(t <= 1.0, -2.0 * (1.0 - t), np.where(t >= 3.0, 2.0 * (t - 3.0), 0.0)),
     )
     verdict = go.verify_trajectory(problem, t, {"y": values}, {"u": push})
-    assert verdict["smoothness"].result is go.Result.CANNOT_TELL
+    assert verdict["smoothness"].result is go.ConditionResult.INCONCLUSIVE
     assert "rests on the kink of fabs, 5" in verdict["smoothness"].where
     assert not verdict.failed and not verdict.minimum
 
 
 @pytest.mark.parametrize(
-    ("top", "outside", "result"), [(0.5, "linear", "CANNOT_TELL"), (2.0, "linear", "PASS")]
+    ("top", "outside", "result"), [(0.5, "linear", "INCONCLUSIVE"), (2.0, "linear", "PASS")]
 )
 def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
     model = go.Model("hop")
@@ -160,7 +160,7 @@ def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
     problem.minimize(leg.integral(u**2 + price(y)))
     verdict = go.verify(go.solve(problem))
     told = verdict["tables"]
-    assert told.result is go.Result[result]
+    assert told.result is go.ConditionResult[result]
     assert verdict.ok and verdict.minimum is (result == "PASS")
     assert told.value == pytest.approx(max(0.0, 1.0 - top) / top, abs=1e-9)
     assert ("'price' flown outside" in told.where) is (result != "PASS")

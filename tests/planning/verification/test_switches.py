@@ -11,7 +11,7 @@ import pytest
 from testing import constructed_solutions as by_hand
 
 import gnc_opt as go
-from gnc_opt.planning import ArcKind, Result
+from gnc_opt.planning import ArcKind, ConditionResult
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _joined
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang, obstacle, strict_switches
@@ -91,7 +91,7 @@ def test_least_slope_on_either_side_of_a_switch(
     before, between, after = slopes
     s = flight((line(before, 0.8), arch(between), line(-after, 1.4)), FALLS)
     condition = strict_switches([s])
-    assert condition.result is Result.PASS and condition.sufficient
+    assert condition.result is ConditionResult.PASS and condition.sufficient
     assert condition.value == pytest.approx(-least * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.tolerance == -GRAZES
     assert condition.where == f"phase leg, t = {time:g} s, u"
@@ -101,7 +101,7 @@ def test_slope_of_the_wrong_sign() -> None:
     """All are; that of w over its range of 5 is the steepest."""
     s = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), (line(7.0, 1.4),) * 3)
     condition = strict_switches([s])
-    assert condition.result is Result.FAIL
+    assert condition.result is ConditionResult.FAIL
     assert condition.value == pytest.approx(7.0 * 5.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
     assert condition.where == "phase leg, t = 1.4 s, w"
 
@@ -111,19 +111,23 @@ def test_the_worst_of_several_phases_counts() -> None:
     good = flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), FALLS)
     bad = flight((line(-5.0, 0.8), arch(-10.0), line(2.0, 1.4)), FALLS)
     for pair in ([good, bad], [bad, good]):
-        assert strict_switches(pair).result is Result.FAIL
-    assert strict_switches([good, good]).result is Result.PASS
+        assert strict_switches(pair).result is ConditionResult.FAIL
+    assert strict_switches([good, good]).result is ConditionResult.PASS
 
 
 def test_a_slope_of_zero_is_not_told() -> None:
     """A cubic zero has the right sign on both sides, and no slope."""
     flat = flight((lambda t: 5 * (t - 0.8) ** 3, arch(10.0), line(-5.0, 1.4)), FALLS)
     condition = strict_switches([flat])
-    assert condition.result is Result.CANNOT_TELL and condition.where == "phase leg, t = 0.8 s, u"
+    assert condition.result is ConditionResult.INCONCLUSIVE and condition.where == "phase leg, t = 0.8 s, u"
 
 
-@pytest.mark.parametrize(("slope", "result"), [(1.4e-5, Result.CANNOT_TELL), (5e-5, Result.FAIL)])
-def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_told(slope: float, result: Result) -> None:
+@pytest.mark.parametrize(
+    ("slope", "result"), [(1.4e-5, ConditionResult.INCONCLUSIVE), (5e-5, ConditionResult.FAIL)]
+)
+def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_told(
+    slope: float, result: ConditionResult
+) -> None:
     """The first one makes 2e-6 of H per phase and 8e-7 of H up to the switch: zero within the errors of costates."""
     s = flight((line(-slope, 0.8), arch(-slope), line(-5.0, 1.4)), FALLS)
     condition = strict_switches([s])
@@ -139,13 +143,18 @@ def touching(t: Any) -> Any:
 def test_zero_that_is_touched_between_switches() -> None:
     s = flight((line(5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)
     condition = strict_switches([s])
-    assert (condition.result, condition.value, condition.tolerance) == (Result.CANNOT_TELL, 0.0, 0.0)
+    assert (condition.result, condition.value, condition.tolerance) == (
+        ConditionResult.INCONCLUSIVE,
+        0.0,
+        0.0,
+    )
     assert (
         condition.where == "phase leg, t = 1.1 s, u: touches zero between switches" and condition.sufficient
     )
     # A slope of the wrong sign weighs more.
     assert (
-        strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result is Result.FAIL
+        strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result
+        is ConditionResult.FAIL
     )
 
 
@@ -153,7 +162,7 @@ def test_zero_that_is_touched_between_switches() -> None:
 def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -> None:
     units = {"second": second, "cost": cost}
     touch, slopes = (line(5.0, 0.8), touching, line(-5.0, 1.4)), (line(5.0, 0.8), arch(10.0), line(-2.0, 1.4))
-    assert strict_switches([flight(touch, FALLS, **units)]).result is Result.CANNOT_TELL
+    assert strict_switches([flight(touch, FALLS, **units)]).result is ConditionResult.INCONCLUSIVE
     assert strict_switches([flight(slopes, FALLS, **units)]).value == pytest.approx(
         strict_switches([flight(slopes, FALLS)]).value, rel=1e-6
     )
@@ -179,26 +188,26 @@ def test_zero_that_is_touched_where_another_control_switches() -> None:
     once = ((1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
     touch = (line(5.0, 0.8), lambda t: 5 * (t - 0.8) * (1.4 - t) ** 2, lambda t: 5 * (t - 1.4) ** 2)
     condition = strict_switches([flight(touch, FALLS, once)])
-    assert condition.result is Result.CANNOT_TELL
+    assert condition.result is ConditionResult.INCONCLUSIVE
     assert condition.where == "phase leg, t = 1.4 s, u: touches zero between switches"
 
 
 def test_touched_without_any_switch() -> None:
     still = ((-1.0,) * 3, (-2.0,) * 3)
     away, touch = (lambda t: 1.0 + 0 * t,) * 3, (lambda t: (t - 1.1) ** 2,) * 3
-    assert strict_switches([flight(touch, away, still)]).result is Result.CANNOT_TELL
+    assert strict_switches([flight(touch, away, still)]).result is ConditionResult.INCONCLUSIVE
     condition = strict_switches([flight(away, away, still)])
-    assert (condition.result, condition.value, condition.tolerance) == (Result.PASS, 0.0, 0.0)
+    assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
     assert condition.where == "no switch" and condition.sufficient
 
 
 def test_what_touches_zero_matters_only_for_a_control_with_a_range_and_on_it() -> None:
     """v has no range and a switching function of zero; u is between its bounds in a segment."""
     crossing = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
-    assert strict_switches([flight(crossing, FALLS, upper=0.0, level=0.0)]).result is Result.PASS
+    assert strict_switches([flight(crossing, FALLS, upper=0.0, level=0.0)]).result is ConditionResult.PASS
     between = ((1.0, 0.5, 1.0), (-2.0, -2.0, 3.0))
     away = (lambda t: t, lambda t: (t - 1.1) ** 2, lambda t: t)
-    assert strict_switches([flight(away, FALLS, between)]).result is Result.PASS
+    assert strict_switches([flight(away, FALLS, between)]).result is ConditionResult.PASS
 
 
 def test_switches_and_those_that_may_come_in_from_the_ends() -> None:

@@ -34,7 +34,7 @@ def flight(least: float) -> go.Solution:
     leg.time(initial=0.0, final=3.0)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.2])
     leg.final(r=[1.0, 0.5], v=[0.0, 0.0])
-    leg.bounds_norm(a=(least, 2.0))
+    leg.norm_bounds(a=(least, 2.0))
     problem.minimize(leg.integral(norm))
     return go.solve(problem, mesh="12x3", tol=None)
 
@@ -81,7 +81,7 @@ def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str)
     leg.time(initial=0.0, final=3.0)
     leg.initial(v=[0.0, 0.0])
     leg.final(v=[1.0, 0.5])
-    leg.bounds_norm(a=(0.0, 2.0))
+    leg.norm_bounds(a=(0.0, 2.0))
     if curve == "path":
         leg.path("forwards", a[0] - 0.1 * norm, lower=0.0)
     problem.minimize(leg.integral(norm**2 if curve == "cost" else norm))
@@ -92,10 +92,10 @@ def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str)
 def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> None:
     solution = go.refine(flight(0.0), tol=1e-7)
     verdict = go.verify(solution)
-    assert verdict["minimum principle"].result is go.Result.PASS
+    assert verdict["minimum principle"].result is go.ConditionResult.PASS
     assert "searched" not in verdict["minimum principle"].meaning
     for name in ("Legendre-Clebsch", "singular arcs", "generalised Legendre-Clebsch"):
-        assert verdict[name].result is go.Result.PASS, name
+        assert verdict[name].result is go.ConditionResult.PASS, name
     s = samples(solution)
     coasts = s.u[MAGNITUDE] == 0
     assert 0 < np.mean(coasts) < 1
@@ -104,7 +104,7 @@ def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> Non
     turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
     values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
     wrong = replace(solution, phases={"leg": replace(leg, u=replace(leg.u, values=values))})
-    assert go.verify(wrong)["minimum principle"].result is go.Result.FAIL
+    assert go.verify(wrong)["minimum principle"].result is go.ConditionResult.FAIL
 
 
 def test_a_direction_alone_is_judged_to_second_order() -> None:
@@ -121,12 +121,12 @@ def test_a_direction_alone_is_judged_to_second_order() -> None:
     leg.time(initial=0.0, final=(0.1, 10.0))
     leg.initial(r=[0.0, 0.0])
     leg.final(r=[0.0, 1.0])
-    leg.bounds_norm(u=(1.0, 1.0))
+    leg.norm_bounds(u=(1.0, 1.0))
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="3x4")
     assert solution.objective == pytest.approx(1 / 0.8, abs=1e-9)
     assert solution.control("u")(0.5) == pytest.approx([-0.6, 0.8], abs=1e-7)
-    assert go.verify(solution)["second order"].result is go.Result.PASS
+    assert go.verify(solution)["second order"].result is go.ConditionResult.PASS
 
 
 @pytest.mark.parametrize("angle", [0.0, 2.0])
@@ -158,7 +158,7 @@ def test_a_coast_leaves_no_doubt_of_a_minimum(v0: tuple[float, float]) -> None:
     leg.time(initial=0.0, final=2.5)
     leg.initial(r=0.0, v=list(v0))
     leg.final(r=[0.6, 0.8], v=0.0)
-    leg.bounds_norm(a=(0.0, 1.0))
+    leg.norm_bounds(a=(0.0, 1.0))
     problem.minimize(leg.integral(norm))
     solution = go.solve(problem)
     if v0 == (0.0, 0.0):  # s (5/2 - s) = 1

@@ -10,7 +10,7 @@ import pytest
 from testing.wrong_solutions import added, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning import Result
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
@@ -48,7 +48,7 @@ def minimum_time() -> go.Problem:
 def switching(times: list[float], arcs: list[int]) -> go.Solution:
     """The minimum-time problem with a given control structure, switch times optimised."""
     mesh = go.Mesh.at_times(times, 5, movable=True)
-    return go.solve(minimum_time().with_arcs(arcs=[arcs]), mesh=mesh, tol=None)
+    return go.solve(minimum_time().with_fixed_arcs(arcs=[arcs]), mesh=mesh, tol=None)
 
 
 def scaled(polynomial: PiecewisePolynomial, factor: float) -> PiecewisePolynomial:
@@ -112,7 +112,9 @@ def test_wrong_switch_structure_fails() -> None:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     mesh = go.Mesh((0.0, 0.2, 0.8, 1.0), (5, 5, 5))  # the switches may not move
-    coast = go.solve(problem.with_arcs(arcs=[[-1, 0, 1]]).with_bounds(v=(-0.5, 0.5)), mesh=mesh, tol=None)
+    coast = go.solve(
+        problem.with_fixed_arcs(arcs=[[-1, 0, 1]]).with_bounds(v=(-0.5, 0.5)), mesh=mesh, tol=None
+    )
     wrong = replace(with_leg(coast, state_bounds=bounds_of(problem)), problem=problem)
     assert coast.objective > 2.1
     assert "minimum principle" in failed(wrong)
@@ -125,7 +127,7 @@ def bounds_of(problem: go.Problem) -> Interval:
 def test_misplaced_switch_fails() -> None:
     """Setting off in the wrong direction for a given share of the way is feasible, but a sign is wrong."""
     mesh = go.Mesh((0.0, 0.1, 0.6, 1.0), (5, 5, 5), movable=(2,))
-    wrong = go.solve(minimum_time().with_arcs(arcs=[[1, -1, 1]]), mesh=mesh, tol=None)
+    wrong = go.solve(minimum_time().with_fixed_arcs(arcs=[[1, -1, 1]]), mesh=mesh, tol=None)
     assert wrong.objective > 2.01
     assert {"control signs", "minimum principle"} <= failed(wrong)
     assert not {"dynamics", "propagation", "bounds", "boundary conditions"} & failed(wrong)
@@ -192,8 +194,8 @@ def test_singular_control_of_first_order_is_told() -> None:
 
 def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:
     verdict = go.verify(with_leg(energy, lam=scaled(energy.phase().lam, np.nan)))
-    assert verdict["adjoint equation"].result is Result.CANNOT_TELL
-    assert verdict["dynamics"].result is Result.PASS
+    assert verdict["adjoint equation"].result is ConditionResult.INCONCLUSIVE
+    assert verdict["dynamics"].result is ConditionResult.PASS
     assert not verdict.minimum
 
 
@@ -235,12 +237,14 @@ def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
     verdict = go.verify(solution)
     assert verdict.minimum and "in parts" in verdict["propagation"].where
     late = go.verify(added(solution, "u", 0, 0.1, segment=20))["propagation"]
-    assert late.result is Result.CANNOT_TELL and late.value > 1e-3  # 0.1 for 0.05 s, beside a state of 1
+    assert (
+        late.result is ConditionResult.INCONCLUSIVE and late.value > 1e-3
+    )  # 0.1 for 0.05 s, beside a state of 1
 
 
 def test_every_condition_reports_number_place_and_meaning(bang_bang: go.Solution) -> None:
     for condition in go.verify(bang_bang).conditions:
-        assert np.isfinite(condition.value) or condition.result is Result.CANNOT_TELL
+        assert np.isfinite(condition.value) or condition.result is ConditionResult.INCONCLUSIVE
         assert condition.where and len(condition.meaning) > 40
     table = str(go.verify(bang_bang))
     assert "Hamiltonian" in table and table.endswith("verdict: ok")
@@ -279,10 +283,10 @@ def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
     second = solution.phases["second"]
     still = {"first": solution.phases["first"], "second": replace(second, lam=scaled(second.lam, 0.0))}
     verdict = go.verify(replace(solution, phases=still), tol=1e-4)
-    assert verdict["adjoint equation"].result is Result.PASS
-    assert verdict["transversality"].result is Result.PASS
+    assert verdict["adjoint equation"].result is ConditionResult.PASS
+    assert verdict["transversality"].result is ConditionResult.PASS
     none = {name: replace(leg, lam=scaled(leg.lam, 0.0)) for name, leg in still.items()}
-    assert go.verify(replace(solution, phases=none))["transversality"].result is Result.CANNOT_TELL
+    assert go.verify(replace(solution, phases=none))["transversality"].result is ConditionResult.INCONCLUSIVE
 
 
 def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_at(
@@ -292,7 +296,7 @@ def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_a
     leg = right.phases["leg"]
     wrong = with_leg(right, lam=scaled(leg.lam, 1.1))
     monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3)
-    assert go.verify(replace(right))["second order"].result is Result.PASS
+    assert go.verify(replace(right))["second order"].result is ConditionResult.PASS
     assert "not looked at" not in go.verify(replace(wrong))["second order"].where
     monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3 - 1)
     assert go.verify(replace(right)).minimum

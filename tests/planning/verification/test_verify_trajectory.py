@@ -274,7 +274,7 @@ def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None
     assert verdict.minimum, verdict.explain()
     slow = 1.001  # takes its time
     late = go.verify_trajectory(problem, slow * t, [unit * way, unit * speed / slow], force / slow**2)
-    assert not late.ok and late["propagation"].result is go.Result.PASS
+    assert not late.ok and late["propagation"].result is go.ConditionResult.PASS
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
@@ -385,7 +385,7 @@ def test_vector_control_by_its_own_name() -> None:
     leg.time(0.0, (0.1, 10.0))
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[3.0, 4.0], v=[0.0, 0.0])
-    leg.bounds_norm(F=(0.0, 1.0))
+    leg.norm_bounds(F=(0.0, 1.0))
     problem.minimize(leg.final_time)
     half = np.sqrt(5.0)
     t = np.concatenate([np.linspace(0.0, half, 41), np.linspace(half, 2.0 * half, 41)])

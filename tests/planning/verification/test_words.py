@@ -5,22 +5,24 @@ import itertools
 import pytest
 
 import gnc_opt as go
-from gnc_opt import Condition, Result, Verdict
+from gnc_opt import Condition, ConditionResult, Verdict
 
-PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
+PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult.INCONCLUSIVE
 
 
-def verdict(necessary: Result, sufficient: Result | None, not_judged: str = "") -> Verdict:
+def verdict(necessary: ConditionResult, sufficient: ConditionResult | None, not_checked: str = "") -> Verdict:
     conditions = [Condition("adjoint equation", necessary, 1e-7, 1e-5, "phase leg", "It must hold.")]
     if sufficient is not None:
         conditions.append(
             Condition("second order", sufficient, 1e-7, 1e-5, "phase leg", "It must hold.", True)
         )
-    return Verdict("double integrator", tuple(conditions), not_judged)
+    return Verdict("double integrator", tuple(conditions), not_checked)
 
 
-@pytest.mark.parametrize(("necessary", "sufficient"), list(itertools.product(Result, [*Result, None])))
-def test_ok_and_minimum(necessary: Result, sufficient: Result | None) -> None:
+@pytest.mark.parametrize(
+    ("necessary", "sufficient"), list(itertools.product(ConditionResult, [*ConditionResult, None]))
+)
+def test_ok_and_minimum(necessary: ConditionResult, sufficient: ConditionResult | None) -> None:
     judged = verdict(necessary, sufficient)
     assert judged.ok == (necessary is PASS and sufficient is not FAIL)
     assert judged.minimum == (necessary is PASS and sufficient is PASS)
@@ -44,7 +46,7 @@ def test_headlines_say_which_of_the_three_it_is() -> None:
 @pytest.mark.parametrize(
     ("necessary", "sufficient"), [(PASS, PASS), (PASS, UNTOLD), (UNTOLD, PASS), (PASS, FAIL)]
 )
-def test_nothing_is_called_a_proof(necessary: Result, sufficient: Result) -> None:
+def test_nothing_is_called_a_proof(necessary: ConditionResult, sufficient: ConditionResult) -> None:
     """Conditions are tested at samples, to a tolerance."""
     judged = verdict(necessary, sufficient)
     said = f"{judged.headline} {judged} {judged.explain()} {judged._repr_html_()} {' '.join(dir(judged))}".lower()

@@ -165,8 +165,8 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     assert wrong.condition in found
     assert found <= {wrong.condition} | wrong.others
     for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
-        assert c.result is not go.Result.PASS or c.value <= c.tolerance
-        assert c.result is not go.Result.FAIL or not c.value < c.tolerance
+        assert c.result is not go.ConditionResult.PASS or c.value <= c.tolerance
+        assert c.result is not go.ConditionResult.FAIL or not c.value < c.tolerance
 
 
 def test_errors_too_small_for_a_segment_add_up_in_the_propagation() -> None:
@@ -205,7 +205,7 @@ def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explaine
         changed = with_leg(right, **{"path_bounds" if path else "state_bounds": wrong})
         rest = jumps_explained(samples_of(changed))[0]
         assert rest[0] == pytest.approx([200 / 9, 200 / 9], rel=1e-4)
-        assert go.verify(changed)["adjoint equation"].result is go.Result.FAIL
+        assert go.verify(changed)["adjoint equation"].result is go.ConditionResult.FAIL
 
 
 EDGES = (0.299, 0.3002, 0.6998, 0.701)
@@ -268,7 +268,7 @@ def test_limit_reached_within_a_segment_excuses_nothing_else() -> None:
         added(right, "lam", V, 6 * SMALL, 1, 2),  # a bend of it that no push causes
         with_leg(right, state_bounds=shifted(leg.state_bounds, 0.01)),  # a limit that is not reached
     ):
-        assert go.verify(wrong)["adjoint equation"].result is go.Result.FAIL
+        assert go.verify(wrong)["adjoint equation"].result is go.ConditionResult.FAIL
 
 
 def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
@@ -283,9 +283,9 @@ def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
 def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
     verdict = go.verify(nowhere_to_go(start))
     assert verdict.ok and not verdict.minimum, verdict.explain()
-    assert verdict["Hamiltonian"].result is go.Result.CANNOT_TELL
+    assert verdict["Hamiltonian"].result is go.ConditionResult.INCONCLUSIVE
     assert "no length" in verdict["Hamiltonian"].meaning
-    assert verdict["boundary conditions"].result is go.Result.PASS
+    assert verdict["boundary conditions"].result is go.ConditionResult.PASS
 
 
 def samples_of(solution: go.Solution) -> PhaseSamples:
@@ -301,11 +301,11 @@ def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
 
 def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
     """u^2 over the square of its range must be worth a share of what the control can do that is above the tolerance."""
-    for curvature, result in ((1e-3, go.Result.PASS), (1e-13, go.Result.CANNOT_TELL)):
+    for curvature, result in ((1e-3, go.ConditionResult.PASS), (1e-13, go.ConditionResult.INCONCLUSIVE)):
         verdict = go.verify(hilltop(-curvature))
         assert verdict["singular arcs"].result is result
-        assert verdict["Legendre-Clebsch"].result is go.Result.PASS
-        assert ("singular" in verdict["Legendre-Clebsch"].where) is (result is not go.Result.PASS)
+        assert verdict["Legendre-Clebsch"].result is go.ConditionResult.PASS
+        assert ("singular" in verdict["Legendre-Clebsch"].where) is (result is not go.ConditionResult.PASS)
 
 
 # --- places -----------------------------------------------------------------------------------------------
@@ -326,7 +326,7 @@ def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
 )  # fmt: skip
 def test_place_of_the_worst_offence(condition: str, wrong: Callable[[], go.Solution], where: str) -> None:
     found = go.verify(wrong())[condition]
-    assert (found.result, found.where) == (go.Result.FAIL, where)
+    assert (found.result, found.where) == (go.ConditionResult.FAIL, where)
 
 
 def free_end(solution: go.Solution, row: int) -> Interval:
@@ -339,7 +339,7 @@ def free_end(solution: go.Solution, row: int) -> Interval:
 def test_hamiltonian_is_off_where_the_costates_are() -> None:
     """H = a^2 / 2 + lam_v a + ... changes by 1 % of lam . f in one of four segments only."""
     condition = go.verify(scaled(energy(), "lam", 1.01, 1))["Hamiltonian"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert 0.25 <= float(condition.where.split("t = ")[1].split(" s")[0]) <= 0.5
 
 
@@ -490,14 +490,14 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     samples = list(solution.samples().values())
     singular = [undetermined(samples[0], 1e-4)[0]]
     condition = singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
-    assert condition.result is go.Result.CANNOT_TELL
+    assert condition.result is go.ConditionResult.INCONCLUSIVE
     assert condition.value == pytest.approx(0.75, abs=0.03)
     assert ", u, " in condition.where
     told = np.ones((2, samples[0].times.size), dtype=bool)
-    assert singular_arcs(samples, 1e-4, singular, [told]).result is go.Result.PASS
+    assert singular_arcs(samples, 1e-4, singular, [told]).result is go.ConditionResult.PASS
     told[1, samples[0].times > 1.0] = False
     assert singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
-    assert go.verify(solution, tol=1e-4)["singular arcs"].result is go.Result.PASS
+    assert go.verify(solution, tol=1e-4)["singular arcs"].result is go.ConditionResult.PASS
 
 
 # --- two controls at once -------------------------------------------------------------------------------
@@ -517,7 +517,7 @@ def test_controls_that_gain_only_together_are_tried_together() -> None:
     pinned = go.solve(problem.with_bounds(u=(0.0, 0.0), w=(0.0, 0.0)), mesh="2x3", tol=None)
     box = Interval(-np.ones(2), np.ones(2))
     condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
-    assert condition.result is go.Result.FAIL
+    assert condition.result is go.ConditionResult.FAIL
     assert condition.value == pytest.approx(0.5, rel=1e-6)  # 1 beside a worth of 1
 
 
@@ -526,7 +526,7 @@ def test_controls_that_gain_only_together_are_tried_together() -> None:
 
 def test_propagation_flies_what_respects_the_bounds() -> None:
     """Cell by cell: v += a h, q += v h + a h^2 / 2. The polynomial, which overshoots, meets its own end better."""
-    problem = bang_bang().need_problem("copy").with_arcs(arcs=None)
+    problem = bang_bang().need_problem("copy").with_fixed_arcs(arcs=None)
     solution = go.solve(problem, mesh="7x3", tol=None)
     leg = solution.phase()
     jumps = leg.flown.jumps

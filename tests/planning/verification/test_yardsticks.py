@@ -106,7 +106,7 @@ def test_end_in_inertial_axes_is_missed_in_shares_of_what_thrust_moves() -> None
     assert go.verify(right).ok, go.verify(right).explain()
     off = with_leg(right, final_bounds=shifted(right.phase().final_bounds, np.array([0.0, 60.0, 0.0, 0.0])))  # type: ignore[arg-type]
     condition = go.verify(off)["boundary conditions"]
-    assert condition.result is go.Result.FAIL and condition.value > 5e-4
+    assert condition.result is go.ConditionResult.FAIL and condition.value > 5e-4
     assert "off by 60" in condition.where
 
 

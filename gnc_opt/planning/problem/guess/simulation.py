@@ -38,7 +38,7 @@ def with_flown_guess(problem: Problem) -> Problem | None:
         held = start_phase(leg, FRACTIONS).controls.mean(axis=1)
         law = {control: held[layout.slice(control)] for control in layout.names}
         try:
-            flight = simulate_guess(problem, law, phase=name).phases[name].numbers.guess
+            flight = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
         except ProblemError:
             return None
         states = {state: flight.values[state] for state in leg.model.states.names}
@@ -57,7 +57,7 @@ that switches without end stops that one, too. Some seconds together; 500 revolu
 _SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
 
 
-def simulate_guess(
+def guess_from_simulation(
     problem: Problem,
     controls: Mapping[str, Any],
     *,
@@ -102,7 +102,7 @@ def simulate_guess(
 
     Examples
     --------
-    >>> guessed = go.simulate_guess(problem, {"a": lambda t: -1.0 if t < 1 else 1.0}, duration=2.0)
+    >>> guessed = go.guess_from_simulation(problem, {"a": lambda t: -1.0 if t < 1 else 1.0}, duration=2.0)
     >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
     2.000000
     """

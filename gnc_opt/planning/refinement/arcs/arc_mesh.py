@@ -294,7 +294,7 @@ class Plan:
         kinds = choose(free & self._released(), ArcKind.RELEASED, kinds)
         kinds = choose(free & self._eased(), ArcKind.EASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
-        return problem.with_arcs(
+        return problem.with_fixed_arcs(
             phase,
             arcs=kinds[:n_controls],
             paths=paths if paths.size else None,

@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
 from gnc_opt.planning.refinement.switching.costates import settle_costates
 from gnc_opt.planning.refinement.switching.newton import settle
-from gnc_opt.planning.solution.history import History, Pass, RefinementStatus
+from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.engine import verify
@@ -150,7 +150,7 @@ class _Try:
 
     solution: Solution
     plans: dict[str, Plan]
-    record: Pass
+    record: RefinementIteration
 
 
 def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
@@ -195,7 +195,7 @@ class _Loop:
     tol: float
     limits: PassLimits
     options: SolverOptions
-    show: Callable[[Pass], None]
+    show: Callable[[RefinementIteration], None]
     tries: list[_Try]
 
     def run(
@@ -216,7 +216,7 @@ class _Loop:
                 return self._limited(RefinementStatus.POINT_LIMIT)
             spent = sum(record.work for record in self.records)
             if spent > self._allowed:
-                return self._limited(RefinementStatus.WORK_LIMIT)
+                return self._limited(RefinementStatus.BUDGET_LIMIT)
             within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
             found = flown or _solve(self.problem, plans, solution, self.options, within)
             flown = None
@@ -246,7 +246,7 @@ class _Loop:
             again, asked = changes & asked, changes | asked
             if again or _restless(self.records):
                 return RefinementStatus.STALLED
-        return self._limited(RefinementStatus.PASS_LIMIT)
+        return self._limited(RefinementStatus.ITERATION_LIMIT)
 
     @property
     def aim(self) -> float:
@@ -254,7 +254,7 @@ class _Loop:
         return min(self.tol, SWITCHING_TIME_TOLERANCE)
 
     @property
-    def records(self) -> list[Pass]:
+    def records(self) -> list[RefinementIteration]:
         """Of all tries."""
         return [t.record for t in self.tries]
 
@@ -299,12 +299,12 @@ def _instead(
     return None
 
 
-def _resolved(records: list[Pass], tol: float) -> bool:
+def _resolved(records: list[RefinementIteration], tol: float) -> bool:
     """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
     return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
-def _restless(records: list[Pass]) -> bool:
+def _restless(records: list[RefinementIteration]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
 
     Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
@@ -325,7 +325,7 @@ def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Chang
     }
 
 
-def _adjusting(record: Pass) -> bool:
+def _adjusting(record: RefinementIteration) -> bool:
     """Whether a solution asked for nothing but other kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
@@ -353,7 +353,7 @@ def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
     return replace(plan, structure=found)
 
 
-def _record(solution: Solution, begin: float, action: str) -> Pass:
+def _record(solution: Solution, begin: float, action: str) -> RefinementIteration:
     return pass_record(solution, estimate_errors(solution), begin, action)
 
 

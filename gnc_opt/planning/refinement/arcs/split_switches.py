@@ -92,7 +92,7 @@ def _freed(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     problem = plan.hold(problem, name)
     cuts, mesh, held = _Cuts.of(plan), plan.mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
-    twin = problem.with_arcs(
+    twin = problem.with_fixed_arcs(
         name,
         arcs=cuts.kinds(held.controls),
         paths=cuts.kinds(held.paths) if held.paths else None,

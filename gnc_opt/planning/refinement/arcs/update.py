@@ -28,8 +28,8 @@ from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.singular_arcs import chatters
+from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
 from gnc_opt.tolerances import GONE
-from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"

@@ -21,7 +21,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import gauss_rule, interpolation_matrix
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.tolerances import VANISHED
+from gnc_opt.tolerances import BRANCH_ENDED
 
 BOUNDARY_VALUE_MIN_DEGREE = 8
 BOUNDARY_VALUE_DEGREE_STEP = 6
@@ -206,7 +206,7 @@ def _newton(
 
 def _sizes(transcription: Transcription, x: Array, magnitudes: Mapping[str, Sizes]) -> Array:
     """Typical magnitudes of all variables."""
-    sizes = np.maximum(np.abs(x), VANISHED)
+    sizes = np.maximum(np.abs(x), BRANCH_ENDED)
     for name, part in transcription.parts.items():
         here, collocation = magnitudes[name], part.collocation
         sizes[collocation.point_states] = here.y[:, None]

@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.refinement.costate_error import costate_rates, costate_worth, unconstrained
-from gnc_opt.planning.refinement.error import PhaseError, SampledPieces, Yardstick
+from gnc_opt.planning.refinement.error import ErrorScales, PhaseError, SampledPieces
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.samples import sampled_places
 from gnc_opt.planning.transcription.quadrature import collocation_rule, interpolation_matrix
@@ -246,7 +246,7 @@ def _adjoint(error: PhaseError, places: _Places, known: _Known) -> Array:
     return np.where(counts, np.abs(gaps) * costate_worth(samples)[:, None], 0.0)
 
 
-def _trial_pieces(yardstick: Yardstick, places: _Places, known: _Known) -> SampledPieces:
+def _trial_pieces(yardstick: ErrorScales, places: _Places, known: _Known) -> SampledPieces:
     """Return what collocation would make of the known trajectory on each trial segment."""
     leg, functions, count = yardstick.leg, yardstick.functions, places.points.size
     at = places.points, known.x[:, :count], known.u[:, :count]

@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.mesh.remesh import (
     Remesh,
     known_segments,
 )
-from gnc_opt.planning.solution.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -90,7 +90,7 @@ class _State:
 
     solution: Solution
     errors: dict[str, PhaseError]
-    record: Pass
+    record: RefinementIteration
 
     @property
     def finite_error(self) -> float:
@@ -174,7 +174,7 @@ class _Refinement:
         self._tol, self._limits = tol, limits
         self._options = options or SolverOptions(tolerance=min(SOLVED, LAXER * tol))
         self._asked = options is not None
-        self._records: list[Pass] = []
+        self._records: list[RefinementIteration] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._trimmed_once, self._repairs = False, 0
@@ -185,7 +185,7 @@ class _Refinement:
         self._state = self._judge(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
-    def run(self, show: Callable[[Pass], None]) -> RefinementStatus:
+    def run(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
         """Refine until one of the endings."""
         show(self._records[-1])
         for _ in range(self._limits.passes):
@@ -196,16 +196,16 @@ class _Refinement:
                 return plan
             allowed = self._limits.allowed(self._records)
             if self._spent > allowed:
-                return self._ending(RefinementStatus.WORK_LIMIT)
+                return self._ending(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
             status = self._solve(meshes, actions)
             show(self._records[-1])
             if status is Status.ITERATION_LIMIT and self._spent >= allowed:
-                return self._ending(RefinementStatus.WORK_LIMIT)
+                return self._ending(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
                 return self.ending_without(status)
-        return self._ending(RefinementStatus.PASS_LIMIT)
+        return self._ending(RefinementStatus.ITERATION_LIMIT)
 
     @property
     def _spent(self) -> float:
@@ -329,7 +329,7 @@ class _Refinement:
         """Return how it ends if no pass follows: there may be an accurate solution already."""
         return RefinementStatus.CONVERGED if self._converged(self._best.record) else otherwise
 
-    def _converged(self, record: Pass) -> bool:
+    def _converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
 
     def _stalled(self, meshes: dict[str, Mesh]) -> bool:

@@ -49,7 +49,7 @@ CONTROL_CURVATURE_MIN_SHARE = 1e-8
 
 
 @one_thread()
-def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
+def solve_indirect(solution: Solution, *, tol: float = 1e-10) -> Solution:
     """Solve the first-order conditions of a smooth problem as a boundary-value problem, to high accuracy.
 
     States, costates and controls become one differential-algebraic system (H from the model, the control from
@@ -82,7 +82,7 @@ def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
     >>> leg.initial(q=0.0, v=0.0)
     >>> leg.final(q=1.0, v=0.0)
     >>> hop.minimize(leg.integral(cart.symbol("a") ** 2))
-    >>> print(round(go.polish(go.solve(hop)).objective, 9))
+    >>> print(round(go.solve_indirect(go.solve(hop)).objective, 9))
     12.0
     """
     expect(solution, Solution, "what polish() got", "write polish(solve(problem))")

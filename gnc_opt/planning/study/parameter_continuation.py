@@ -45,7 +45,7 @@ class ContinuationStatus(Enum):
     """How a continuation ended."""
 
     COMPLETE = "complete"
-    VANISHED = "vanished"
+    BRANCH_ENDED = "vanished"
     INTERRUPTED = "interrupted"
 
 
@@ -67,7 +67,7 @@ class Continuation:
 
     Examples
     --------
-    >>> family = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
+    >>> family = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
     >>> print(family.status.value, family.values[-1], f"{family.final.objective:.6f}")  # 2 / sqrt(a)
     complete 0.25 4.000000
     """
@@ -123,7 +123,7 @@ class Continuation:
 
 
 @one_thread()
-def continue_in(
+def continuation(
     problem_of: Family,
     values: Sequence[float],
     *,
@@ -173,7 +173,7 @@ def continue_in(
 
     Examples
     --------
-    >>> path = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 4.0])
+    >>> path = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 4.0])
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
     complete 1.0000
     """
@@ -247,7 +247,7 @@ class _Walk:
                     events.append(
                         f"no solution beyond {values[-1]:.10g}: at {value:.10g} the solve ends as {found.status.value}"
                     )
-                    status = ContinuationStatus.VANISHED
+                    status = ContinuationStatus.BRANCH_ENDED
                     break
                 if not smooth:
                     events.append(
@@ -305,7 +305,7 @@ def _with_structure(problem: Problem, last: Solution) -> Problem:
             arcs, paths, states = (
                 np.array(kinds) if kinds else None for kinds in (held.controls, held.paths, held.states)
             )
-            problem = problem.with_arcs(
+            problem = problem.with_fixed_arcs(
                 name, arcs=arcs, paths=paths, states=states, smooth=held.smooth, junctions=held.junctions
             )
     return problem

@@ -45,7 +45,7 @@ _RELAXATION_GUESS_TIMES = 201
 
 
 @one_thread()
-def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
+def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 
     If the problem is convex, or linear and time-optimal with an equilibrium as target, the first-order
@@ -76,7 +76,7 @@ def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
 
     Examples
     --------
-    >>> bounded = go.bound_below(solution)
+    >>> bounded = go.lower_bound(solution)
     >>> print(bounded.bound.certified, f"{abs(bounded.gap):.0e}")
     True 0e+00
     """

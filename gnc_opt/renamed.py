@@ -1,0 +1,66 @@
+"""Former public names and their present ones: for the message of an old name and the page "Renamed"."""
+
+from __future__ import annotations
+
+from gnc_opt.errors import GncOptError
+
+RENAMED = {
+    "gnc_opt.Experiment": "gnc_opt.Scenario",
+    "gnc_opt.Explanation": "gnc_opt.DesignReport",
+    "gnc_opt.Result": "gnc_opt.ConditionResult",
+    "gnc_opt.analysis.Agreement": "gnc_opt.analysis.CovarianceCheck",
+    "gnc_opt.analysis.Experiment": "gnc_opt.analysis.Scenario",
+    "gnc_opt.analysis.Share": "gnc_opt.analysis.IntervalEstimate",
+    "gnc_opt.bound_below": "gnc_opt.lower_bound",
+    "gnc_opt.continue_in": "gnc_opt.continuation",
+    "gnc_opt.control.CodeOptions": "gnc_opt.control.CCodeOptions",
+    "gnc_opt.control.Deviation": "gnc_opt.control.ErrorDynamics",
+    "gnc_opt.control.Estimator": "gnc_opt.estimation.Estimator",
+    "gnc_opt.control.Explanation": "gnc_opt.control.DesignReport",
+    "gnc_opt.control.Fact": "gnc_opt.control.ReportEntry",
+    "gnc_opt.control.FilterOptions": "gnc_opt.estimation.FilterOptions",
+    "gnc_opt.control.FlightCode": "gnc_opt.control.CCode",
+    "gnc_opt.control.GuidanceOptions": "gnc_opt.guidance.GuidanceOptions",
+    "gnc_opt.control.Measurement": "gnc_opt.estimation.Measurement",
+    "gnc_opt.control.MockupUnit": "gnc_opt.control.Fmu",
+    "gnc_opt.control.UnscentedOptions": "gnc_opt.estimation.UnscentedOptions",
+    "gnc_opt.control.bridge_dropouts": "gnc_opt.control.with_dropout_handling",
+    "gnc_opt.control.design_ekf": "gnc_opt.estimation.design_ekf",
+    "gnc_opt.control.design_neighbouring_extremal": "gnc_opt.guidance.design_neighbouring_extremal",
+    "gnc_opt.control.design_neighbouring_optimal": "gnc_opt.guidance.design_neighbouring_optimal",
+    "gnc_opt.control.design_ukf": "gnc_opt.estimation.design_ukf",
+    "gnc_opt.control.first_memory": "gnc_opt.control.initial_state_function",
+    "gnc_opt.control.output_feedback": "gnc_opt.estimation.output_feedback",
+    "gnc_opt.polish": "gnc_opt.solve_indirect",
+    "gnc_opt.simulate_guess": "gnc_opt.guess_from_simulation",
+    "gnc_opt.simulation.Ball": "gnc_opt.simulation.UniformInBall",
+    "gnc_opt.simulation.Consistency": "gnc_opt.analysis.Consistency",
+    "gnc_opt.simulation.Constant": "gnc_opt.simulation.ConstantDisturbance",
+    "gnc_opt.simulation.Ending": "gnc_opt.simulation.FinalValues",
+    "gnc_opt.simulation.Expression": "gnc_opt.simulation.ExpressionDisturbance",
+    "gnc_opt.simulation.Flight": "gnc_opt.simulation.CompiledLoop",
+    "gnc_opt.simulation.Hold": "gnc_opt.simulation.ZeroOrderHold",
+    "gnc_opt.simulation.InnovationTest": "gnc_opt.analysis.InnovationTest",
+    "gnc_opt.simulation.Occurrence": "gnc_opt.simulation.EventOccurrence",
+    "gnc_opt.simulation.Outage": "gnc_opt.simulation.SensorOutage",
+    "gnc_opt.simulation.PlantFlight": "gnc_opt.simulation.ExternalPlantRun",
+    "gnc_opt.simulation.RandomHold": "gnc_opt.simulation.PiecewiseConstantNoise",
+    "gnc_opt.simulation.Replanner": "gnc_opt.guidance.Replanner",
+    "gnc_opt.simulation.Sinusoid": "gnc_opt.simulation.SinusoidalDisturbance",
+    "gnc_opt.simulation.Sphere": "gnc_opt.simulation.RandomDirection",
+    "gnc_opt.simulation.Turn": "gnc_opt.simulation.RandomRotation",
+    "gnc_opt.simulation.consistency": "gnc_opt.analysis.consistency",
+    "gnc_opt.simulation.fly_plant": "gnc_opt.simulation.simulate_external_plant",
+}
+"""From the full former name to the full present one."""
+
+
+class RenamedError(GncOptError, ImportError):
+    """A former name was used. It is an `ImportError`, since Python replaces the text of an `AttributeError`."""
+
+
+def check_renamed(module: str, name: str) -> None:
+    """Raise `RenamedError` if a module had a public name that is another one now."""
+    now = RENAMED.get(f"{module}.{name}")
+    if now is not None:
+        raise RenamedError(f"{module}.{name} is now {now}: see the page 'Renamed' of the documentation.")
