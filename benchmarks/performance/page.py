@@ -153,7 +153,7 @@ def _ending(row: Any) -> str:
     if row["objective"] is None:
         return str(row["status"]).replace("_", " ")
     words = [] if row["verdict_ok"] else [f"fails {', '.join(row['failed'])}"] if row["failed"] else []
-    words += [f"cannot tell {', '.join(row['untold'])}"] if row["untold"] else []
+    words += [f"cannot tell {', '.join(row['inconclusive'])}"] if row["inconclusive"] else []
     return "; ".join(words) or "ok"
 
 

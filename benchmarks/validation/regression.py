@@ -224,7 +224,7 @@ def solve_all(documents: Sequence[Mapping[str, Any]], folder: Path, console: Con
 def read_baseline(path: Path) -> dict[str, Record]:
     """Return the records of a baseline by name."""
     kept = json.loads(path.read_text(encoding="utf-8"))["problems"]
-    lists = ("failed", "untold")
+    lists = ("failed", "inconclusive")
     return {entry["name"]: Record(**entry | {key: tuple(entry[key]) for key in lists}) for entry in kept}
 
 

@@ -144,7 +144,7 @@ def worst_case(
     generator = np.random.default_rng(experiment.seed)
     search = scipy.optimize.differential_evolution(
         cost, [(0.0, 1.0)] * experiment.size, maxiter=generations, popsize=people, seed=generator,
-        vectorized=True, updating="deferred", solve_indirect=False, init="sobol",
+        vectorized=True, updating="deferred", polish=False, init="sobol",
     )  # fmt: skip
     best = _polished(cost, search.x)
     P = experiment.columns(normal_numbers(best[:, None]))

@@ -74,7 +74,7 @@ def with_dropout_handling(
     [-0.918]
     [0.]
     """
-    expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
+    expect(controller, Controller, "what with_dropout_handling() got", "give what a design function returned")
     if controller.estimated is not None:
         raise ArgumentError(
             f"'{controller.name}' is fed by an estimator, which bridges by itself: bridge the controller inside."

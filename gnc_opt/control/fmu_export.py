@@ -92,7 +92,7 @@ def export_fmu(
 
     Returns
     -------
-    MockupUnit
+    Fmu
 
     Raises
     ------

@@ -393,7 +393,7 @@ def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: b
     return dt
 
 
-OVERPOWERED = "overpowered"
+SWITCHING_GAIN_EXCEEDED = "switching_gain_exceeded"
 """The alarm."""
 
 LAYER_EXIT_MIN_STEPS = 10
@@ -409,7 +409,7 @@ def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memor
     if edge <= 0:
         return []
     n = s.shape[0]
-    away, flag = ca.SX.sym("away", n), ca.SX.sym(OVERPOWERED)
+    away, flag = ca.SX.sym("away", n), ca.SX.sym(SWITCHING_GAIN_EXCEEDED)
     distance = ca.SX.sym("distance", n)
     begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
     # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
@@ -419,7 +419,7 @@ def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memor
     return [
         Memory("away", away, -ca.SX.ones(n), after),
         Memory("distance", distance, ca.fabs(first), size),
-        Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
+        Memory(SWITCHING_GAIN_EXCEEDED, flag, ca.SX(0), raised, alarm=True),
     ]
 
 

@@ -81,7 +81,7 @@ def simulate_external_plant(
 
     Returns
     -------
-    PlantFlight
+    ExternalPlantRun
 
     Raises
     ------
@@ -102,14 +102,19 @@ def simulate_external_plant(
     >>> print(np.round(flight.measured[:, -1], 3), flight.alarms)
     [-0.002  0.001] ()
     """
-    expect(controller, Controller, "what fly_plant() flies with", "give what a design function returned")
+    expect(
+        controller,
+        Controller,
+        "what simulate_external_plant() flies with",
+        "give what a design function returned",
+    )
     if not isinstance(plant, Plant):
         raise ArgumentError(
             f"a plant of type '{type(plant).__name__}' cannot be flown: "
             "give it the methods measure(t) and step(t, u, dt)."
         )
     dt = controller.step_length(dt)
-    count = round(read_positive(tf - t0, "the duration of fly_plant()") / dt)
+    count = round(read_positive(tf - t0, "the duration of simulate_external_plant()") / dt)
     if count < 1 or abs(count * dt - (tf - t0)) > STEP_SLACK * dt:
         raise ArgumentError(f"{t0:g} to {tf:g} s are no whole number of control steps of {dt:g} s.")
     times: Array = t0 + dt * np.arange(count + 1.0)

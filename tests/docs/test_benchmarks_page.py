@@ -126,7 +126,7 @@ def test_what_became_of_a_problem_is_told_in_words() -> None:
         "refinements": 3,
         "verdict_ok": False,
         "failed": ["stationarity"],
-        "untold": [],
+        "inconclusive": [],
         "status": "optimal",
         "passed": True,
     }

@@ -33,6 +33,7 @@ NOT_OURS = {
     "docs/start/installation.md": {"cc", "data", "dev", "docs", "report", "test", "to_control"},
     "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
     "docs/control/campaigns.md": {"plant.mass", "initial.q", "motor.tau", "SeedSequence([seed, i])"},
+    "docs/control/sliding_mode.md": {"switching_gain_exceeded"},
     "docs/control/fmu.md": {"fmi2DoStep(t, h)"},
     "docs/control/linear.md": {
         "StateSpace",
@@ -64,6 +65,8 @@ def names_in(page: Page) -> frozenset[str]:
 
 @page_by_page
 def test_inline_code_names_what_exists(page: Page) -> None:
+    if page.name == "docs/reference/renamed.md":
+        pytest.skip("names that no longer exist: see tests/api/test_renamed.py")
     known = names_in(page)
     spans = (Span(text, known) for text in page.spans if text not in NOT_OURS.get(page.name, ()))
     mistakes = [f"`{span.text}`: {span.mistake}" for span in spans if span.mistake]

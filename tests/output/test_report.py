@@ -125,7 +125,7 @@ def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) ->
     # The peak sits at a segment boundary, which is sampled from both sides; 2 % is for the 20001 times above.
     assert over == pytest.approx(truth, rel=0.02)
     assert f"control polynomials leave their bounds between nodes (a by {over:.3g} m/s^2)" in text
-    assert "fly flown_control or refine" in text
+    assert "fly saturated_control or refine" in text
     assert f"broken by {smeared.quality.max_bound_violation:.2g} of their range" in text
 
 

@@ -52,11 +52,11 @@ PASS, FAIL = go.ConditionResult.PASS, go.ConditionResult.FAIL
         (True, True, 0.1, verdict(PASS, FAIL), ""),
         (True, True, 0.1, verdict(PASS), "passed wrongly"),
         (True, True, 0.1, verdict(PASS, sufficient=False), "passed wrongly"),
-        (True, False, 0.1, verdict(PASS, sufficient=False), "untold"),
+        (True, False, 0.1, verdict(PASS, sufficient=False), "inconclusive"),
         (True, False, 0.1, verdict(PASS), "passed wrongly"),
         (True, True, 1e-5, verdict(PASS), ""),
         (False, True, 0.0, verdict(PASS), ""),
-        (False, True, 0.0, verdict(PASS, sufficient=False), "untold"),
+        (False, True, 0.0, verdict(PASS, sufficient=False), "inconclusive"),
         (False, True, 0.0, verdict(FAIL), "false alarm"),
     ],
 )
@@ -126,7 +126,7 @@ def outcome(kind: str, told: Any, wrong: bool = True) -> Outcome:
 
 def test_classes_are_counted_and_shown(tmp_path: Path) -> None:
     told = [outcome("a", t) for t in ("failed", "failed", "passed", "not found", "crash")]
-    told += [outcome("right: b", t, wrong=False) for t in ("passed", "failed", "untold")]
+    told += [outcome("right: b", t, wrong=False) for t in ("passed", "failed", "inconclusive")]
     rows = command.count(told)
     assert [rows["a"][c] for c in ("planted", "failed", "passed wrongly", "crash", "not found")] == [
         4,
@@ -135,7 +135,7 @@ def test_classes_are_counted_and_shown(tmp_path: Path) -> None:
         1,
         1,
     ]
-    assert [rows["right: b"][c] for c in ("planted", "failed", "false alarm", "untold")] == [3, 0, 1, 1]
+    assert [rows["right: b"][c] for c in ("planted", "failed", "false alarm", "inconclusive")] == [3, 0, 1, 1]
     assert rows["all wrong ones"] == rows["a"] and rows["all right ones"] == rows["right: b"]
     page, numbers = tmp_path / "page.md", tmp_path / "numbers.json"
     place = "<!-- table of benchmarks.validation.verdict -->\nstale\n<!-- end of the table -->"

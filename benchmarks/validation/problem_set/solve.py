@@ -212,7 +212,10 @@ def _solved(document: Mapping[str, Any], solution: go.Solution, solutions: Path)
     begin = time.process_time()
     verdict = go.verify(solution)
     found["verify_seconds"] = time.process_time() - begin
-    for key, result in (("failed", go.ConditionResult.FAIL), ("untold", go.ConditionResult.INCONCLUSIVE)):
+    for key, result in (
+        ("failed", go.ConditionResult.FAIL),
+        ("inconclusive", go.ConditionResult.INCONCLUSIVE),
+    ):
         found[key] = tuple(c.name for c in verdict.conditions if c.result is result)
     found["verdict_ok"] = verdict.ok
     errors = {

@@ -11,8 +11,8 @@ saddles of switch times, narrow wells of H, singular maxima), answers that look 
 default calls yield past a limit, and files whose numbers were changed. Right answers are those of closed forms, of
 `problems`, and of FILE.json, a set in the format of `benchmarks.validation.problem_set.reader`.
 
-The table counts, by class: planted; failed; passed wrongly; false alarms; untold (neither failed nor known to be a
-minimum). What is amiss is listed by name. The exit code is 1 if a wrong answer passes or a right one fails. Ctrl-C
+The table counts, by class: planted; failed; passed wrongly; false alarms; inconclusive (neither failed nor known to be
+a minimum). What is amiss is listed by name. The exit code is 1 if a wrong answer passes or a right one fails. Ctrl-C
 ends the run and keeps what is done, in the JSON file too; ``--resume`` leaves out what that file already has.
 ``--page`` puts the table into a page (`docs/verdict.md`) and keeps its numbers beside the benchmark.
 """
@@ -38,7 +38,7 @@ COLUMNS = (
     "failed",
     "passed wrongly",
     "false alarm",
-    "untold",
+    "inconclusive",
     "crash",
     "not planted",
     "not found",
@@ -100,8 +100,8 @@ def write_page(rows: Rows, page: Path, numbers: Path = NUMBERS) -> None:
 _WIDTH = 140
 """Columns where the output is no terminal."""
 
-UNTOLD = 3
-"""Most cases that may be untold."""
+INCONCLUSIVE_LIMIT = 3
+"""Most cases that may be inconclusive."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -153,7 +153,7 @@ def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
             told = "; ".join(o.conditions) or "every condition passes"
             console.print(f"{o.word}: {o.kind}: {o.name}{off}: {told}", markup=False, soft_wrap=True)
     console.print(
-        f"{sum(o.seconds for o in outcomes):.0f} s of processor time; untold: at most {UNTOLD} wanted"
+        f"{sum(o.seconds for o in outcomes):.0f} s of processor time; inconclusive: at most {INCONCLUSIVE_LIMIT} wanted"
     )
 
 

@@ -25,7 +25,7 @@ from benchmarks.validation.verdict.statements import FAMILY, Frame, Statement, b
 from benchmarks.validation.verdict.thresholds import members
 from benchmarks.validation.verdict.wrong_answers import LEAST, Planted, changes, forged, off_by
 
-Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
+Told = Literal["failed", "passed", "inconclusive", "not planted", "not found", "crash"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Case:
     wrong : bool
     first_order : bool
         Of a wrong one: whether necessary conditions of the first order tell. Where only sufficient ones do, a
-        verdict that claims no more than the former is untold, not a wrong pass.
+        verdict that claims no more than the former is inconclusive, not a wrong pass.
     judge : callable
         () -> (Verdict, by how much the answer is wrong).
     """
@@ -60,8 +60,8 @@ class Outcome:
     kind, name, why : str
     wrong : bool
     told : str
-        "failed", "passed", "untold"; "not planted" if the answer is off by too little to count, "not found" if the
-        solver did not find the right answer, "crash" if judging ended in an error.
+        "failed", "passed", "inconclusive"; "not planted" if the answer is off by too little to count, "not found" if
+        the solver did not find the right answer, "crash" if judging ended in an error.
     off : float or None
     conditions : tuple of str
         Those that fail ("FAIL name value at place") or cannot be told ("? name at place").
@@ -80,8 +80,8 @@ class Outcome:
 
     @property
     def word(self) -> str:
-        """What is amiss: "passed wrongly", "false alarm", "untold", "crash"; or nothing."""
-        if self.told in ("untold", "crash"):
+        """What is amiss: "passed wrongly", "false alarm", "inconclusive", "crash"; or nothing."""
+        if self.told in ("inconclusive", "crash"):
             return self.told
         if self.wrong:
             return "passed wrongly" if self.told == "passed" else ""
@@ -174,9 +174,9 @@ def _told(case: Case, verdict: go.Verdict) -> Told:
         return "failed"
     if case.wrong:
         if not verdict.ok:
-            return "failed" if verdict.not_checked else "untold"  # it claims nothing
-        return "passed" if verdict.minimum or case.first_order else "untold"
-    return "passed" if verdict.minimum else "untold"
+            return "failed" if verdict.not_checked else "inconclusive"  # it claims nothing
+        return "passed" if verdict.minimum or case.first_order else "inconclusive"
+    return "passed" if verdict.minimum else "inconclusive"
 
 
 def _conditions(verdict: go.Verdict) -> tuple[str, ...]:

@@ -54,11 +54,11 @@ def failure_message(solution: Solution) -> str:
 
 
 def guess_to_give(problem: Problem) -> str:
-    """Return which kind of guess can help, and the states of untold size; empty where a trajectory is given."""
+    """Return which kind of guess can help, and the states of unknown size; empty where a trajectory is given."""
     if knows_trajectory(problem):
         return ""
     hint = (
-        " Guesses that help are trajectories: one that go.simulate_guess() flies, waypoints over time in "
+        " Guesses that help are trajectories: one that go.guess_from_simulation() flies, waypoints over time in "
         "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )

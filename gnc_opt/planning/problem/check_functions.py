@@ -130,7 +130,7 @@ def _first_kinks(
 
 _CHECK_NORMS_FRACTIONS = np.linspace(0.2, 0.8, 4)
 _REMEDY = (
-    "if that is the norm of a vector, declare it with Model.vector_control() and limit it with bounds_norm()"
+    "if that is the norm of a vector, declare it with Model.vector_control() and limit it with norm_bounds()"
 )
 
 

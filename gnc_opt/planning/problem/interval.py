@@ -70,7 +70,7 @@ def one_sided(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, 
         what = f"the bounds of '{name}' in {where}"
         if not isinstance(composed, SplitControl):
             raise ProblemError(
-                f"{what} are those of a vector: give bounds_norm({name}=...), or path() for its components."
+                f"{what} are those of a vector: give norm_bounds({name}=...), or path() for its components."
             )
         box = read_interval(value, composed.variable.size, what)
         if np.any(box.lower > 0) or np.any(box.upper < 0):

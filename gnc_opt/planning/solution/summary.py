@@ -257,7 +257,7 @@ def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
         yield _line(
             "overshoot",
             f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
-            "fly flown_control or refine",
+            "fly saturated_control or refine",
         )
 
 

@@ -14,7 +14,7 @@ the costate of the extremal and :math:`d = x' - x`,
 for u minimises H and what limits of the states push, :math:`d\mu`, points out of a convex set. So u' minimises H as
 well, and while x' rests, :math:`\min_u \lambda^T (A x_f + b(u)) = 0`, although it tends to -1 at T, where H = 0.
 
-bound_below: distance of a solution from the global optimum, bounded by a relaxation.
+lower_bound: distance of a solution from the global optimum, bounded by a relaxation.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     >>> print(bounded.bound.certified, f"{abs(bounded.gap):.0e}")
     True 0e+00
     """
-    expect(solution, Solution, "what bound_below() got", "give a solution as solve() returns it")
-    read_positive(tol, "the tolerance of bound_below()")
+    expect(solution, Solution, "what lower_bound() got", "give a solution as solve() returns it")
+    read_positive(tol, "the tolerance of lower_bound()")
     problem = solution.need_problem("bound")
     verdict = replace(verify(solution), bound=None, gap=None)
     theorem = theorem_of(solution, verdict)

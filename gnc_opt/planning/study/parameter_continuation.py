@@ -1,4 +1,4 @@
-"""continue_in: a solution followed along a parameter, from a problem that is easy to the one that is wanted."""
+"""continuation: a solution followed along a parameter, from a problem that is easy to the one that is wanted."""
 
 from __future__ import annotations
 
@@ -177,28 +177,28 @@ def continuation(
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
     complete 1.0000
     """
-    way = read_numbers(values, "the values of continue_in()").reshape(-1)
+    way = read_numbers(values, "the values of continuation()").reshape(-1)
     turns = np.diff(way)
     if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
-        raise ArgumentError(f"the values of continue_in() are {way}: give two or more that rise, or fall.")
+        raise ArgumentError(f"the values of continuation() are {way}: give two or more that rise, or fall.")
     if not callable(problem_of):
         raise ArgumentError(
-            "continue_in() got no function: write continue_in(lambda k: problem.with_..., values)."
+            "continuation() got no function: write continuation(lambda k: problem.with_..., values)."
         )
     whole = abs(way[-1] - way[0])
     least = (
         SMALLEST * whole
         if smallest is None
-        else read_positive(smallest, "the smallest step of continue_in()")
+        else read_positive(smallest, "the smallest step of continuation()")
     )
-    length = whole if step is None else read_positive(step, "the step of continue_in()")
+    length = whole if step is None else read_positive(step, "the step of continuation()")
     if first is not None:
-        expect(first, Solution, "the first solution of continue_in()", "give what solve() returned")
+        expect(first, Solution, "the first solution of continuation()", "give what solve() returned")
     problem = _read(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
-            f"the first problem of continue_in(), at {way[0]:g}, has no solution ({start.status.value}): start where "
+            f"the first problem of continuation(), at {way[0]:g}, has no solution ({start.status.value}): start where "
             "it is easy.",
             start,
         )
@@ -207,7 +207,7 @@ def continuation(
 
 def _read(problem_of: Family, value: float) -> Problem:
     problem = expect(
-        problem_of(value), Problem, "what the function of continue_in() returned", "return the problem"
+        problem_of(value), Problem, "what the function of continuation() returned", "return the problem"
     )
     problem.check()
     return problem  # type: ignore[no-any-return]

@@ -199,7 +199,7 @@ def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) ->
         worst,
         tolerance,
         "State and control polynomials must stay within bounds between the nodes (overshoot as a share of their size). "
-        "Polynomials through a switch overshoot: fly only flown_control(), and put segment boundaries on the switches.",
+        "Polynomials through a switch overshoot: apply saturated_control(), with segment boundaries on the switches.",
     )
 
 

@@ -186,7 +186,7 @@ SEEN = [Measurement("q", 0.1)]
         ),
         (lambda: feedforward([0.0, 0.0]), "feedforward() got"),
         (lambda: bryson(cart(), q=1.0), "bryson() got"),
-        (lambda: with_dropout_handling("law"), "bridge_dropouts() got"),
+        (lambda: with_dropout_handling("law"), "with_dropout_handling() got"),
         (lambda: output_feedback("law", design_ekf(cart(), [0, 0], SEEN, **FILTER)), "output_feedback() got"),
         (lambda: output_feedback(LAW, "filter"), "output_feedback() got"),
         (lambda: design_ekf("cart", [0, 0], SEEN, **FILTER), "model of an estimator"),

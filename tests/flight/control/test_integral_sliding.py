@@ -225,7 +225,7 @@ def test_what_limits_cut_does_not_wind_the_surface_up():
         )
         for given in (limits, None)
     )
-    assert np.max(np.abs(aware.memory("s"))) < 0.01 and not aware.memory("overpowered").any()
+    assert np.max(np.abs(aware.memory("s"))) < 0.01 and not aware.memory("switching_gain_exceeded").any()
     assert np.max(np.abs(unaware.memory("s"))) > 1.0
     assert abs(aware.x[0, -1]) < abs(unaware.x[0, -1])
 
@@ -237,8 +237,8 @@ def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(bou
     controller = design(boundary=boundary)
     step = {"disturbance": lambda t: level * (t > 2.0)[None, :]}
     run = step_through(controller, cart(), START, dt=DT, tf=6.0, **step)
-    flags = run.memory("overpowered")[0]
-    assert "overpowered" in controller.alarms and flags[-1] == alarm
+    flags = run.memory("switching_gain_exceeded")[0]
+    assert "switching_gain_exceeded" in controller.alarms and flags[-1] == alarm
     assert not flags[run.times < 2.0].any()
     if alarm:
         assert 10 * DT < run.times[np.argmax(flags)] - 2.0 < 60 * DT
@@ -251,7 +251,7 @@ def test_s_that_was_thrown_out_of_its_layer_and_comes_back_is_no_alarm():
     run = step_through(controller, cart(), START, dt=DT, tf=6.0, **kick)
     s = np.abs(run.memory("s")[0])
     assert np.sum(s > 0.02) > 40 and s[-1] < 0.01  # edge: layer and two steps of the gain
-    assert not run.memory("overpowered").any()
+    assert not run.memory("switching_gain_exceeded").any()
 
 
 def test_formation_keeping_agrees_with_the_published_run():

@@ -527,10 +527,12 @@ def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(bou
         tf=25.0,
         disturbance=lambda t: level * (t > 20.0)[None, :],  # a step while sliding
     )
-    flags = run.memory("overpowered")[0]
+    flags = run.memory("switching_gain_exceeded")[0]
     assert flags[-1] == alarm
     assert not flags[run.times < 20.0].any()  # reaching is no alarm, however long it takes
-    assert ("overpowered" in controller.alarms) and (np.abs(run.memory("s")[0, -1]) > 0.15) == bool(alarm)
+    assert ("switching_gain_exceeded" in controller.alarms) and (
+        np.abs(run.memory("s")[0, -1]) > 0.15
+    ) == bool(alarm)
 
 
 @pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05)], ids=str)
@@ -549,7 +551,7 @@ def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary
         tf=25.0,
         disturbance=lambda t: level + 0 * t[None, :],
     )
-    flags = run.memory("overpowered")[0]
+    flags = run.memory("switching_gain_exceeded")[0]
     assert flags[-1] == alarm
     if alarm:
         assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two

@@ -96,8 +96,8 @@ def test_allocations_are_equal_where_what_they_are_made_of_is():
         ({"quantities": ["tilt"]}, "one of the quantities of a closed loop is a str"),
         ({"quantities": [Quantity("a", 1.0), Quantity("a", 2.0)]}, "two quantities of the closed loop are called 'a'"),
         ({"replanner": "again"}, "the replanner of a closed loop is a str"),
-        ({"plausible": {"v": 1.0}}, "no state 'v'"),
-        ({"plausible": 0.0}, "give positive ones"),
+        ({"divergence_limits": {"v": 1.0}}, "no state 'v'"),
+        ({"divergence_limits": 0.0}, "give positive ones"),
     ],
     ids=lambda case: str(case)[:30],
 )  # fmt: skip

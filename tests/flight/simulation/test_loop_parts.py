@@ -106,7 +106,7 @@ def test_numbers_of_a_loop_are_given_by_keyword():
         n: default for n, (kind, default) in found.items() if kind is inspect.Parameter.KEYWORD_ONLY
     }
     assert by_keyword == {
-        "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "plausible": 1e15, "events": (),
+        "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "divergence_limits": 1e15, "events": (),
         "replanner": None, "quantities": (),
     }  # fmt: skip
     assert [found[n][1] for n in ("actuators", "sensors", "disturbances")] == [(), (), ()]

@@ -80,7 +80,7 @@ def test_what_cannot_be_flown_is_refused():
         go.ArgumentError, match=r"0 to 1\.05 s are no whole number of control steps of 0\.1 s"
     ):
         simulate_external_plant(law, Integrated([1.0, 0.0]), tf=1.05)
-    with pytest.raises(go.ArgumentError, match="the duration of fly_plant"):
+    with pytest.raises(go.ArgumentError, match="the duration of simulate_external_plant"):
         simulate_external_plant(law, Integrated([1.0, 0.0]), tf=-1.0)
-    with pytest.raises(go.ArgumentError, match="what fly_plant\\(\\) flies with"):
+    with pytest.raises(go.ArgumentError, match="what simulate_external_plant\\(\\) flies with"):
         simulate_external_plant(pendulum(), Integrated([1.0, 0.0]), tf=1.0)

@@ -211,7 +211,7 @@ CALLS: dict[str, Callable[[Any], object]] = {
     "solution state": lambda j: solution().state(j),
     "solution costate": lambda j: solution().costate(j),
     "solution control": lambda j: solution().control(j),
-    "solution flown_control": lambda j: solution().saturated_control(j),
+    "solution saturated_control": lambda j: solution().saturated_control(j),
     "solution parameter": lambda j: solution().parameter(j),
     "solution multiplier": lambda j: solution().multiplier(j),
     "solution integral": lambda j: solution().phase().integral(j),

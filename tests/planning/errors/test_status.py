@@ -209,7 +209,7 @@ def test_an_interrupted_iterate_serves_as_a_guess() -> None:
 
 
 def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Problem:
-    """A satellite that has no time for its orbit, its velocity untold."""
+    """A satellite that has no time for its orbit, its velocity inconclusive."""
     model = go.Model("satellite")
     r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
     model.ode({r: v, v: a})
@@ -228,7 +228,7 @@ def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Pr
 def test_the_guess_that_helps_is_named() -> None:
     """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
     with pytest.raises(
-        go.SolveError, match=r"go\.simulate_guess\(\) flies, waypoints .* polar .* Begin with 'v': no"
+        go.SolveError, match=r"go\.guess_from_simulation\(\) flies, waypoints .* polar .* Begin with 'v': no"
     ):
         go.solve(circle(), mesh="4x3", tol=None)
     with pytest.raises(go.SolveError, match=r"guess_from_simulation") as told:

@@ -199,7 +199,7 @@ def test_split_control_is_reported_as_declared() -> None:
     ("mistake", "message"),
     [
         (lambda model, leg: model.vector_control("b", 1), "size of vector control 'b'"),
-        (lambda model, leg: leg.bounds(a=(0.0, 1.0)), r"give bounds_norm\(a=...\)"),
+        (lambda model, leg: leg.bounds(a=(0.0, 1.0)), r"give norm_bounds\(a=...\)"),
         (lambda model, leg: leg.norm_bounds(a=(-2.0, -1.0)), "at most -1: give a limit >= 0"),
         (lambda model, leg: leg.norm_bounds(b=1.0), "'b'"),
         (lambda model, leg: leg.norm_bounds(a_magnitude=1.0), "declare 'a_magnitude' with vector_control"),

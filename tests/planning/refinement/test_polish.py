@@ -185,9 +185,9 @@ def test_refusals_name_the_culprit() -> None:
         solve_indirect(bang)
     with pytest.raises(go.GncOptError, match="without its problem"):
         solve_indirect(replace(bang, problem=None))
-    with pytest.raises(go.ArgumentError, match=r"polish\(\) got"):
+    with pytest.raises(go.ArgumentError, match=r"solve_indirect\(\) got"):
         solve_indirect(problem)
-    with pytest.raises(go.GncOptError, match="the tolerance of polish"):
+    with pytest.raises(go.GncOptError, match="the tolerance of solve_indirect"):
         solve_indirect(bang, tol=0.0)
 
 

@@ -116,14 +116,14 @@ def test_a_structure_is_carried_along() -> None:
         ((stiff, [1.0, np.nan]), "give two or more"),
         ((stiff, ["a", 1]), "not a number"),
         ((stiff(), [1.0, 2.0]), "got no function"),
-        ((lambda k: k, [1.0, 2.0]), "what the function of continue_in"),
-        ((rest_to_rest, [1.0, 2.0]), "the first problem of continue_in.*, at 1, has no solution"),
+        ((lambda k: k, [1.0, 2.0]), "what the function of continuation"),
+        ((rest_to_rest, [1.0, 2.0]), "the first problem of continuation.*, at 1, has no solution"),
     ],
 )
 def test_mistakes_get_a_sentence(arguments: Any, message: str) -> None:
     with pytest.raises(go.GncOptError, match=message):
         go.continuation(*arguments)
-    with pytest.raises(go.GncOptError, match="step of continue_in"):
+    with pytest.raises(go.GncOptError, match="step of continuation"):
         go.continuation(stiff, [1.0, 2.0], step=0.0)
 
 

@@ -396,7 +396,7 @@ def test_what_keeps_a_verdict_open() -> None:
         for result in (UNTOLD, FAIL, PASS)
     ]
     verdict = go.Verdict("name", tuple(conditions))
-    assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "CANNOT_TELL False"]
+    assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "INCONCLUSIVE False"]
     assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
-    assert [c.name for c in verdict.inconclusive] == ["CANNOT_TELL True", "CANNOT_TELL False"]
+    assert [c.name for c in verdict.inconclusive] == ["INCONCLUSIVE True", "INCONCLUSIVE False"]
     assert go.Verdict("name", tuple(conditions[::3])).open == (conditions[3],)

@@ -284,5 +284,5 @@ def test_bad_input_is_refused(given, said) -> None:
 
 @pytest.mark.parametrize("tol", [0.0, -1.0, math.nan, "fine"])
 def test_a_tolerance_is_positive(together: go.Solution, tol) -> None:
-    with pytest.raises(go.GncOptError, match="tolerance of bound_below"):
+    with pytest.raises(go.GncOptError, match="tolerance of lower_bound"):
         go.lower_bound(together, tol=tol)

@@ -106,13 +106,15 @@ def guess_from_simulation(
     >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
     2.000000
     """
-    expect(problem, Problem, "what simulate_guess() got", "write simulate_guess(problem, {...})")
-    expect(controls, Mapping, "the law of simulate_guess()", 'write {"u": expression}')
-    read_integer(n, "n of simulate_guess()", 2)
+    expect(
+        problem, Problem, "what guess_from_simulation() got", "write guess_from_simulation(problem, {...})"
+    )
+    expect(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
+    read_integer(n, "n of guess_from_simulation()", 2)
     leg = problem.get_phase(phase)
     t0, tf = guess_times(leg)
     if duration is not None:
-        tf = t0 + read_positive(duration, "the duration of simulate_guess()")
+        tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
     law = _law(problem, leg, controls)
     q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
     p, start = leg.model.parameter_values, _initial(leg, initial)
@@ -129,14 +131,14 @@ def guess_from_simulation(
         flight = _flight(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
-            f"the flight that simulate_guess() makes of {leg.where} cannot go on ({error}): change the law"
+            f"the flight that guess_from_simulation() makes of {leg.where} cannot go on ({error}): change the law"
             f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
         ) from None
     end = float(flight.times[-1])
     if stop is not None and end >= tf:
         raise ProblemError(
-            f"what simulate_guess() flies {leg.where} until is {stop(end, flight.states[:, -1]):.4g} at its end, "
-            f"t = {end:.4g} s, and was never zero: give a longer duration, or another law."
+            f"the end condition of guess_from_simulation(), {leg.where}, is {stop(end, flight.states[:, -1]):.4g} at "
+            f"the end, t = {end:.4g} s, and was never zero: give a longer duration, or another law."
         )
     times = np.linspace(t0, end, n)
     assert flight.dense is not None, "asked for"
@@ -167,7 +169,7 @@ def _flight(
 
 def _initial(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
     start = end_values(leg)[0].copy()
-    for name, value in read_mapping(given, "initial of simulate_guess()", 'write {"q": 1.0}').items():
+    for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
         start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
     return start
@@ -181,7 +183,7 @@ def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[
     expressions: dict[str, Any] = {}
     for name, value in controls.items():
         if name not in sizes:
-            raise unknown_name("control", name, f"the law of simulate_guess() for {leg.where}", sizes)
+            raise unknown_name("control", name, f"the law of guess_from_simulation() for {leg.where}", sizes)
         what = f"the law of '{name}' for {leg.where}"
         if callable(value) and not isinstance(value, ca.SX):
             timed[name] = value
@@ -190,7 +192,7 @@ def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[
             value = ca.SX(as_vector(value, sizes[name], what))
         expressions[name] = as_expression(value, what, sizes[name], ProblemError)
     stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
-    function = _function(problem, leg, stacked, "the law of simulate_guess()")
+    function = _function(problem, leg, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
 
     def law(t: float, x: Array) -> Array:
@@ -206,7 +208,7 @@ def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[
 
 
 def _stop(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
-    what = "what simulate_guess() flies until"
+    what = "what guess_from_simulation() flies until"
     function = _function(problem, leg, as_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 

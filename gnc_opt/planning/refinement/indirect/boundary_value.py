@@ -199,7 +199,7 @@ def _newton(
             break
         x, last = trial, length
     raise GncOptError(
-        f"cannot polish the solution of '{name}': Newton's method on its first-order conditions does not converge "
+        f"no indirect solution of '{name}': Newton's method on its first-order conditions does not converge "
         "from it; give a more accurate one, e.g. refine(solution, tol=1e-6)."
     )
 

@@ -67,7 +67,7 @@ class HeldLimits:
 def active_limits(solution: Solution) -> HeldLimits:
     """Return which limits the solution sits on."""
     problem = solution.problem
-    assert problem is not None, "polish refuses solutions without a problem"
+    assert problem is not None, "solve_indirect refuses solutions without a problem"
     phases = {}
     for name, leg in solution.phases.items():
         sizes = np.max(np.abs(np.hstack(leg.x.values)), axis=1)
@@ -112,7 +112,7 @@ def hamiltonian_problem(solution: Solution, limits: HeldLimits) -> Problem:
         initial and final times), all only where there are such. Its cost is zero.
     """
     original = solution.problem
-    assert original is not None, "polish refuses solutions without a problem"
+    assert original is not None, "solve_indirect refuses solutions without a problem"
     problem = Problem(f"Hamiltonian boundary-value problem of {original.name}")
     q = _parameter(problem, "q", solution.parameter_values)
     nu = _parameter(problem, "nu", solution.constraint_multipliers)

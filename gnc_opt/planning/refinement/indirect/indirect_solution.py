@@ -85,8 +85,8 @@ def solve_indirect(solution: Solution, *, tol: float = 1e-10) -> Solution:
     >>> print(round(go.solve_indirect(go.solve(hop)).objective, 9))
     12.0
     """
-    expect(solution, Solution, "what polish() got", "write polish(solve(problem))")
-    read_positive(tol, "the tolerance of polish()")
+    expect(solution, Solution, "what solve_indirect() got", "write solve_indirect(solve(problem))")
+    read_positive(tol, "the tolerance of solve_indirect()")
     _refuse(solution)
     begin = time.perf_counter()
     limits = active_limits(solution)
@@ -115,7 +115,7 @@ def solve_indirect(solution: Solution, *, tol: float = 1e-10) -> Solution:
 
 
 def _problem(solution: Solution) -> Problem:
-    assert solution.problem is not None, "polish has refused solutions without a problem"
+    assert solution.problem is not None, "solve_indirect has refused solutions without a problem"
     return solution.problem
 
 
@@ -141,10 +141,10 @@ def _unwrapped(solution: Solution) -> Solution:
 
 
 def _refuse(solution: Solution) -> None:
-    solution.need_problem("polish")
+    solution.need_problem("solve_indirect")
     if not solution.status.solved:
         raise GncOptError(
-            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: polish one that is solved."
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: give one that is solved."
         )
     for leg in solution.phases.values():
         _refuse_limits(solution, leg)
@@ -171,7 +171,7 @@ def _refuse_limits(solution: Solution, leg: PhaseSolution) -> None:
         if margin.size and np.min(margin) < CLEAR:
             i, j = np.unravel_index(int(np.argmin(margin)), margin.shape)
             raise GncOptError(
-                f"cannot polish the solution of '{solution.problem_name}': {what} '{labels[i]}' is at its limit at "
+                f"no indirect solution of '{solution.problem_name}': {what} '{labels[i]}' is at its limit at "
                 f"t = {times[j]:.6g} s, phase {leg.name}, where the first-order conditions are not smooth; {remedy}."
             )
 
@@ -201,7 +201,7 @@ def _refuse_flat(solution: Solution, leg: PhaseSolution) -> None:
     if values[worst, 0] <= CONTROL_CURVATURE_MIN_SHARE:
         label = leg.controls.labels[int(np.argmax(np.abs(vectors[worst, :, 0])))]
         raise GncOptError(
-            f"cannot polish the solution of '{solution.problem_name}': the Hamiltonian has no positive curvature in "
+            f"no indirect solution of '{solution.problem_name}': the Hamiltonian has no positive curvature in "
             f"control '{label}' at t = {times[worst]:.6g} s, phase {leg.name}, so that dH/du = 0 does not determine "
             "it; a bang-bang or singular control is settled by refine(solution, structure='auto')."
         )
@@ -216,7 +216,7 @@ def _unresolved(
     k = int(np.argmax(tails[phase]))
     breaks = found.y[phase].breaks
     return GncOptError(
-        f"cannot polish the solution of '{solution.problem_name}' to {tol:g}: phase {phase} between t = "
+        f"no indirect solution of '{solution.problem_name}' to {tol:g}: phase {phase} between t = "
         f"{breaks[k]:.6g} s and {breaks[k + 1]:.6g} s stays at {tails[phase][k]:.1e}, as if its functions were not "
         "smooth there; ask for less, or cut the phase at the kink."
     )
