@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import known_quality, left_tables, mesh_text
+from gnc_opt.planning.solution.summary import known_quality, left_tables
 from gnc_opt.planning.solution.verdict import Condition, Verdict
 from gnc_opt.planning.study.multistart import Multistart
 
@@ -125,12 +125,13 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
             "status": solution.status.value,
             "solved": solution.status.solved,
             "objective": solution.objective,
+            "objective_unit": "" if solution.problem is None else solution.problem.cost_unit,
             "maximised": solution.maximised,
             "iterations": spent.iterations,
             "build_s": spent.build_s,
             "solve_s": spent.solve_s,
             "scheme": next(iter(solution.phases.values())).scheme,
-            "mesh": mesh_text(solution),
+            "mesh": _mesh(solution),
             "max_defect": quality and quality.max_defect,
             "max_defect_where": quality and quality.defect_location,
             "max_bound_violation": quality and quality.max_bound_violation,
@@ -183,6 +184,13 @@ def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = N
 def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
     """Return `summary_dict` as indented JSON text with a trailing newline."""
     return json.dumps(summary_dict(solution, verdict), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _mesh(solution: Solution) -> str:
+    """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
+    if len(solution.phases) == 1:
+        return str(solution.phase().mesh)
+    return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
 
 
 def _bound(solution: Solution) -> dict[str, Any] | None:

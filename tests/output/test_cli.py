@@ -82,7 +82,7 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
 def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("solve", cart, "--tol", "none") == 0
     out, err = capsys.readouterr()
-    assert re.match(r"cart: solved \(optimal\), objective 2(\.00000\d*)? \(minimised\)", out)
+    assert re.match(r"cart: solved \(optimal\), objective 2(\.00000\d*)? s ± \S+ \(minimised\)", out)
     assert "10x3 LG" in out  # MESH of the file
     assert "verdict on 'cart': ok" in out
     assert re.search(r"transversality +PASS", out)

@@ -97,23 +97,39 @@ def failed() -> go.Solution:
 def test_summary_has_seven_lines(good: go.Solution) -> None:
     lines = summary(good).splitlines()
     assert len(lines) == 7
-    assert lines[0] == f"cart: solved (optimal), objective {good.objective:.10g} (minimised)"
-    assert [line.split()[0] for line in lines[1:]] == [
+    error = f"{good.accuracy.objective_error:.1g}"
+    assert lines[0] == f"cart: solved (optimal), objective {good.objective:.10g} s ± {error} (minimised)"
+    assert [line[2:14].strip() for line in lines[1:]] == [
+        "optimality",
         "accuracy",
         "time",
         "mesh",
+        "time spent",
         "defect",
-        "bounds",
-        "propagation",
     ]
-    assert lines[1].endswith(str(good.accuracy))
-    assert f"leg 0 to {good.objective:.10g} s" in lines[2]
-    assert f"10x3 LG, {good.statistics.iterations} iterations, build " in lines[3]
-    assert f"solve {good.statistics.solve_s:.3f} s" in lines[3]
-    assert good.quality.defect_location in lines[4] and f"{good.quality.max_defect:.2g}" in lines[4]
-    assert "kept at and between nodes" in lines[5]
-    assert good.quality.propagation_location in lines[6]
+    assert lines[1].endswith("not checked: call verify()")
+    assert f"final state within {good.accuracy.miss:.1g} m" in lines[2] and "limits satisfied" in lines[2]
+    assert f"leg 0 to {good.objective:.10g} s" in lines[3]
+    assert lines[4].endswith("10 segments, degree 3, Legendre-Gauss")
+    assert lines[5].endswith(good.statistics.text)
+    assert good.quality.defect_location in lines[6] and f"{good.quality.max_defect:.2g}" in lines[6]
     assert str(good) == summary(good)
+
+
+def test_unit_of_the_objective_is_that_of_its_terms_or_as_stated() -> None:
+    problem = cart()
+    assert problem.cost_unit == "s"  # a duration
+    leg = problem.phases["leg"]
+    work = cart()
+    work.cost = None
+    work.minimize(work.phases["leg"].integral(work.phases["leg"].model.symbol("a") ** 2), unit="m^2/s^3")
+    assert work.cost_unit == "m^2/s^3" and work.with_initial(q=2.0).cost_unit == "m^2/s^3"
+    for cost, unit in [(leg.final_state("v"), "m/s"), (2.0 * leg.final_state("v"), ""), (leg.integral(1.0), "")]:
+        problem.cost = cost
+        assert problem.cost_unit == unit
+    with pytest.raises(GncOptError, match='the unit of the cost of problem .*: write unit="kg"'):
+        problem.cost = None
+        problem.minimize(leg.final_time, unit=1)  # type: ignore[arg-type]
 
 
 def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) -> None:
@@ -124,28 +140,28 @@ def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) ->
     assert truth > 0.1
     # The peak sits at a segment boundary, which is sampled from both sides; 2 % is for the 20001 times above.
     assert over == pytest.approx(truth, rel=0.02)
-    assert f"control polynomials leave their bounds between nodes (a by {over:.3g} m/s^2)" in text
-    assert "fly saturated_control or refine" in text
-    assert f"broken by {smeared.quality.max_bound_violation:.2g} of their range" in text
+    assert f"control polynomials exceed their bounds between nodes (a by {over:.3g} m/s^2)" in text
+    assert "use saturated_control or refine" in text
+    assert f"exceeded by {smeared.quality.max_bound_violation:.2g} of their range" in text
 
 
 def test_summary_of_a_failed_solve_names_remedy_and_constraints(failed: go.Solution) -> None:
     text = summary(failed)
     assert text.startswith("cart: NOT SOLVED (infeasible)")
     assert failed.status.remedy in text
-    assert text.count("\n  broken ") == 3
+    assert text.count("\n  violated ") == 3
     assert failed.violations[0].name in text
 
 
 def test_summary_states_the_payoff_as_stated() -> None:
     text = summary(go.solve(cart(maximise=True), mesh="10x3", tol=None))
-    assert re.match(r"cart: solved \(optimal\), objective -2(\.0+\d*)? \(maximised\)", text)
+    assert re.match(r"cart: solved \(optimal\), objective -2(\.0+\d*)? s ± \S+ \(maximised\)", text)
 
 
 def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
-    twin = dataclasses.replace(good)
+    twin = dataclasses.replace(good, problem=None)
     vars(twin)["quality"] = dataclasses.replace(good.quality, propagation_error=float("inf"))
-    assert "ends early when the flown control is integrated" in summary(twin)
+    assert "integration of the applied control stops" in summary(twin)
     assert summary_dict(twin)["propagation_error"] is None
 
 

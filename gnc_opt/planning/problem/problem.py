@@ -421,13 +421,20 @@ class Problem(Statement):
         """
         return divided(self, self.get_phase(phase), times, fractions)
 
-    def minimize(self, cost: Any) -> None:
-        """State the cost to minimise: an expression in end points, integrals and parameters."""
-        self._set_cost(cost, 1.0)
+    def minimize(self, cost: Any, *, unit: str = "") -> None:
+        """State the cost to minimise: an expression in end points, integrals and parameters.
 
-    def maximize(self, payoff: Any) -> None:
-        """State the payoff to maximise; costates belong to the minimised functional -payoff."""
-        self._set_cost(payoff, -1.0)
+        Parameters
+        ----------
+        cost : casadi.SX
+        unit : str
+            For printing. Times, end states and parameters have their own unit, which need not be stated.
+        """
+        self._set_cost(cost, 1.0, unit)
+
+    def maximize(self, payoff: Any, *, unit: str = "") -> None:
+        """State the payoff to maximise, and its unit as in `minimize`; costates belong to the minimised -payoff."""
+        self._set_cost(payoff, -1.0, unit)
 
     # --- variations: new numbers, same structure ----------------------------------------------------
 
@@ -580,13 +587,14 @@ class Problem(Statement):
         twin.parameter_guess = dict(self.parameter_guess)
         return twin
 
-    def _set_cost(self, cost: Any, sense: float) -> None:
+    def _set_cost(self, cost: Any, sense: float, unit: str) -> None:
         self.refuse_if_frozen()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         self._refuse_foreign_ends(expression, f"the cost of problem '{self.name}'")
-        self.cost, self.sense = expression, sense
+        expect(unit, str, f"the unit of the cost of problem '{self.name}'", 'write unit="kg"')
+        self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
         self.changed()
 
 

@@ -32,6 +32,8 @@ class Statement(Strict):
     cost : casadi.SX or None
     sense : float
         1 to minimise the cost, -1 to maximise it.
+    stated_cost_unit : str
+        Empty if none was stated.
     parameter_bounds, parameter_guess : dict
         Of the free parameters, by name.
     builds : dict
@@ -48,6 +50,7 @@ class Statement(Strict):
         "parameter_guess",
         "phases",
         "sense",
+        "stated_cost_unit",
     )
 
     def __init__(self, name: str) -> None:
@@ -56,6 +59,7 @@ class Statement(Strict):
         self.constraints: dict[str, Constraint] = {}
         self.cost: Any = None
         self.sense = 1.0
+        self.stated_cost_unit = ""
         self._parameters: dict[str, Symbol] = {}
         self.parameter_bounds: dict[str, Interval] = {}
         self.parameter_guess: dict[str, Array] = {}
@@ -67,6 +71,28 @@ class Statement(Strict):
         return Layout(
             "parameter", tuple(s.variable for s in self._parameters.values()), f"problem '{self.name}'"
         )
+
+    @property
+    def cost_unit(self) -> str:
+        """The stated unit of the cost, or the one that its terms determine, else "".
+
+        A sum or difference of times, end states or parameters of one unit has that unit: a duration is in s, a final
+        mass in the unit of the state. Integrals and products give "": a factor may have any unit.
+        """
+        if self.stated_cost_unit or self.cost is None:
+            return self.stated_cost_unit
+        symbols, units = [self.parameter_symbols()], list(self.parameters.units)
+        for leg in self.phases.values():
+            symbols += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+            units += [*leg.model.states.units, *leg.model.states.units, "s", "s"]
+            symbols.append(leg.integral_symbols())
+            units += [""] * leg.integral_symbols().shape[0]
+        slopes = ca.jacobian(self.cost, ca.vertcat(*symbols))
+        if not slopes.is_constant():
+            return ""
+        weights = np.abs(ca.DM(slopes).full()[0])
+        counted = {unit for unit, weight in zip(units, weights, strict=True) if weight}
+        return counted.pop() if len(counted) == 1 and np.all((weights == 0) | (weights == 1)) else ""
 
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
         """Let a symbol be a free parameter from now on."""

@@ -57,16 +57,19 @@ class Accuracy:
     miss: float
     miss_where: str
 
-    def __str__(self) -> str:
+    @property
+    def text(self) -> str:
+        """Accuracy of ends and limits: "final state within 2e-12 m/s; limits satisfied"."""
         ends = (
-            f"ends within {self.miss:.1g}{_unit_of(self.miss_where)}"
+            f"final state within {self.miss:.1g}{_unit_of(self.miss_where)}"
             if np.isfinite(self.miss)
-            else "does not arrive"
+            else "the applied control does not reach the end"
         )
         limits = f"limits exceeded by {self.violation:.1g}{_unit_of(self.violation_where)}"
-        return (
-            f"objective ± {self.objective_error:.1g}; {ends}; {limits if self.violation else 'limits kept'}"
-        )
+        return f"{ends}; {limits if self.violation else 'limits satisfied'}"
+
+    def __str__(self) -> str:
+        return f"objective ± {self.objective_error:.1g}; {self.text}"
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:

@@ -44,7 +44,7 @@ class Statistics:
     def text(self) -> str:
         """In words, ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
         if self.iterations == 0 and self.solve_s == 0.0:
-            return "by Newton's method on switch times, no program solved on it"
+            return "Newton's method on the switching times"
         build = "build re-used" if self.compiled_before else f"build {self.build_s:.3f} s"
         return (
             f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"

@@ -17,19 +17,22 @@ from gnc_opt.planning.solution.history import History, RefinementStatus, Statist
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
+from gnc_opt.planning.transcription.mesh import Mesh
 
 LABEL_WIDTH = 13
-WORST = 3
-"""How many broken constraints, or overshooting controls, are named."""
+SUMMARY_MAX_NAMES = 3
+"""Violated constraints, open conditions and overshooting controls that are named."""
 
 ROUNDING_VIOLATION = 1e-9
 """Relative bound violations below this are rounding."""
 
-_UNKEPT = {
-    RefinementStatus.CONVERGED: "ok when it was refined",
-    RefinementStatus.CONDITIONS_FAIL: "NOT ok when it was refined",
+_LOADED_CHECK = {
+    RefinementStatus.CONVERGED: "passed at the end of the refinement",
+    RefinementStatus.CONDITIONS_FAIL: "FAILED at the end of the refinement",
 }
-"""What is known of the verdict of a refinement without the verdict itself, after loading."""
+"""Result of the optimality check of a loaded solution, from the status of its refinement."""
+
+_FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "Legendre-Gauss-Lobatto"}
 
 
 class SummarisedSolution(Protocol):
@@ -70,14 +73,12 @@ class SummarisedSolution(Protocol):
 
 
 def summary(solution: SummarisedSolution) -> str:
-    """Return at most seven lines on a solution that is ok, more on others.
+    """Return seven lines on a converged solution whose optimality check passes, more on others.
 
-    Status and objective; accuracy in the units of the problem; times; mesh and cost of the solve; worst
-    defect between nodes; worst bound violation between nodes; propagation error of the applied control,
-    each with its place. A refined solution shows its verdict and the requested and reached error; a verdict
-    that is ok replaces defect and bounds. Further lines give a known lower bound of the cost, the
-    reformulated norms, controls whose polynomial overshoots, tables whose range is left, the remedy after a
-    failed solve, and a warning if the figures date from when the solution was saved.
+    Objective with unit and estimated error; optimality check; accuracy at the ends and of the limits; times;
+    refinement; mesh; time spent. Further lines name open conditions of the check, the remedy after a failed solve, the
+    error between nodes of an unrefined solution, a known lower bound of the cost, reformulated norms, controls whose
+    polynomial overshoots, and tables that were left.
 
     Parameters
     ----------
@@ -97,21 +98,20 @@ def summary(solution: SummarisedSolution) -> str:
     quality = known_quality(solution)
     lines = [
         _headline(solution),
-        *_accuracy(solution),
         *_failure(solution),
+        *_optimality(solution),
+        *_accuracy(solution, quality),
+        _times(solution),
         *_refinement(solution),
         *_bound(solution),
-        *_restated(solution),
-        _times(solution),
-        _cost(solution),
+        *_reformulated_norms(solution),
+        _line("mesh", mesh_text(solution)),
+        _line("time spent", _time_spent(solution)),
     ]
-    lines += list(_quality_lines(quality, brief=solution.converged))
+    if not solution.converged:
+        lines += list(_between_nodes(quality))
     lines += list(_overshoot(solution))
     lines += [_line("table", str(found)) for found in left_tables(solution)]
-    if quality is not None and solution.problem is None:
-        lines.append(
-            _line("note", "defect, bounds and propagation were measured when the solution was saved")
-        )
     return "\n".join(lines)
 
 
@@ -141,10 +141,40 @@ def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
 
 
 def mesh_text(solution: SummarisedSolution) -> str:
-    """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
-    if len(solution.phases) == 1:
-        return str(solution.phase().mesh)
-    return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
+    """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the name of each of several phases before it."""
+    named = [
+        f"{name} {_mesh_words(leg.mesh)}" if len(solution.phases) > 1 else _mesh_words(leg.mesh)
+        for name, leg in solution.phases.items()
+    ]
+    scheme = next(iter(solution.phases.values())).scheme
+    return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
+
+
+def objective_text(solution: SummarisedSolution) -> str:
+    """Return ``"2.5 s ± 3e-09"``: the objective, its unit, and its estimated error if it is solved."""
+    unit = "" if solution.problem is None else solution.problem.cost_unit
+    value = f"{solution.objective:.10g} {unit}".rstrip()
+    if solution.status.solved and solution.problem is not None:
+        value += f" ± {solution.accuracy.objective_error:.1g}"
+    return value
+
+
+def optimality_text(solution: SummarisedSolution) -> str:
+    """Return the result of the optimality check in words."""
+    if solution.verdict is not None:
+        return solution.verdict.headline
+    history = solution.history
+    return _LOADED_CHECK.get(history.status if history else None, "not checked: call verify()")
+
+
+def _mesh_words(mesh: Mesh) -> str:
+    low, high = min(mesh.degrees), max(mesh.degrees)
+    words = f"{_count(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {_count(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def _headline(solution: SummarisedSolution) -> str:
@@ -157,43 +187,51 @@ def _headline(solution: SummarisedSolution) -> str:
     else:
         reached = history.converged or history.status is RefinementStatus.UNCHECKED
         status = f"{'refined' if reached else 'NOT CONVERGED'} ({_words(history.status.value)})"
-    return f"{solution.problem_name}: {status}, objective {solution.objective:.10g} ({sense})"
-
-
-def _accuracy(solution: SummarisedSolution) -> Iterator[str]:
-    """Return the accuracy of a solved problem; nothing without the problem, from which it is computed."""
-    if solution.status.solved and solution.problem is not None:
-        yield _line("accuracy", str(solution.accuracy))
+    return f"{solution.problem_name}: {status}, objective {objective_text(solution)} ({sense})"
 
 
 def _failure(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
     yield _line("what to do", solution.status.remedy)
-    for violation in solution.violations[:WORST]:
-        yield _line("broken", f"{violation.name}, off by {violation.amount:.2g} of its scale")
+    for violation in solution.violations[:SUMMARY_MAX_NAMES]:
+        yield _line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
+
+
+def _optimality(solution: SummarisedSolution) -> Iterator[str]:
+    """Yield the result of the optimality check, its open conditions, and the bounds that it needs."""
+    if not solution.status.solved:
+        return
+    yield _line("optimality", optimality_text(solution))
+    if solution.verdict is None:
+        return
+    for c in solution.verdict.open[:SUMMARY_MAX_NAMES]:
+        yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}")
+    if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
+        yield _line("what to do", missing)
+
+
+def _accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
+    """Yield the accuracy of a solved problem; without the problem, its figures when it was saved."""
+    if solution.problem is not None:
+        if solution.status.solved:
+            yield _line("accuracy", solution.accuracy.text)
+    elif quality is None:
+        yield _line("accuracy", "unknown: load the solution with its problem")
+    else:
+        yield _line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
 
 
 def _refinement(solution: SummarisedSolution) -> Iterator[str]:
-    """Return the requested and reached error of a refinement and the open conditions of its verdict."""
+    """Yield the requested and reached error of a refinement."""
     history = solution.history
     if history is None:
         return
-    verdict = solution.verdict
-    if verdict is None:
-        yield _line("verdict", _UNKEPT.get(history.status, "not judged: verify() does"))
-    else:
-        yield _line("verdict", verdict.headline)
-        for c in verdict.open[:WORST]:
-            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}")
-        if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
-            yield _line("what to do", missing)
     final = history.final
     yield _line(
         "refinement",
-        f"error {final.error:.1e} between the nodes (wanted {history.tolerance:.1e}), "
-        f"{len(history.passes)} pass{'es' * (len(history.passes) != 1)}, {history.seconds:.2f} s"
-        + ("" if history.converged else f": {final.where}"),
+        f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
+        f"{_count(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
     )
 
 
@@ -203,7 +241,7 @@ def _bound(solution: SummarisedSolution) -> Iterator[str]:
         yield _line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
-def _restated(solution: SummarisedSolution) -> Iterator[str]:
+def _reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
             yield _line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
@@ -219,31 +257,27 @@ def _times(solution: SummarisedSolution) -> str:
     )
 
 
-def _cost(solution: SummarisedSolution) -> str:
-    scheme = next(iter(solution.phases.values())).scheme
-    return _line("mesh", f"{mesh_text(solution)} {scheme}, {solution.statistics.text}")
+def _time_spent(solution: SummarisedSolution) -> str:
+    """Return the wall time of all refinement iterations, and the work of the last solve."""
+    spent = solution.statistics
+    seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
+    return f"{seconds:.2f} s; last solve: {spent.text}"
 
 
-def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
+def _between_nodes(quality: Quality | None) -> Iterator[str]:
+    """Yield defect and violations between the nodes."""
     if quality is None:
-        yield _line("quality", "unknown: load the solution with its problem to measure it")
         return
-    if not brief:
-        yield _line(
-            "defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_location}"
-        )
-    if quality.max_bound_violation <= ROUNDING_VIOLATION:
-        if not brief:
-            yield _line("bounds", "kept at and between nodes")
-    else:
-        yield _line(
-            "bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
-        )
+    yield _line("defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}")
+    if quality.max_bound_violation > ROUNDING_VIOLATION:
+        violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
+        yield _line("bounds", violation)
+
+
+def _propagation_text(quality: Quality) -> str:
     if np.isfinite(quality.propagation_error):
-        miss = f"{quality.propagation_error:.2g} relative, flown control integrated: {quality.propagation_location}"
-    else:
-        miss = f"ends early when the flown control is integrated: {quality.propagation_location}"
-    yield _line("propagation", miss)
+        return f"final state within {quality.propagation_error:.1g} relative: {quality.propagation_location}"
+    return f"integration of the applied control stops: {quality.propagation_location}"
 
 
 def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
@@ -253,11 +287,11 @@ def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
             continue
         units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
-        more = f" and {len(named) - WORST} more" if len(named) > WORST else ""
+        more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
         yield _line(
             "overshoot",
-            f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
-            "fly saturated_control or refine",
+            f"control polynomials exceed their bounds between nodes ({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): "
+            "use saturated_control or refine",
         )
 
 

@@ -61,7 +61,7 @@ def test_a_refined_answer_is_accurate_to_rounding() -> None:
     accuracy = go.solve(minimum_time()).accuracy
     assert accuracy.objective == pytest.approx(2.0, abs=1e-9)
     assert accuracy.objective_error < 1e-9 and accuracy.miss < 1e-10 and accuracy.violation == 0.0
-    assert str(accuracy).endswith("limits kept")
+    assert str(accuracy).endswith("limits satisfied")
 
 
 @pytest.mark.parametrize("mesh", ["5x3", "9x3"])
