@@ -6,11 +6,13 @@ Objects that refuse misspelt attributes instead of swallowing them.
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import keyword
 import numbers
-from collections.abc import Mapping
-from types import MemberDescriptorType
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable, Mapping
+from types import FunctionType, MemberDescriptorType
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import casadi as ca
 import numpy as np
@@ -18,15 +20,46 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, shown
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a function whose `TypeError` for an unknown keyword then names the nearest valid one."""
+
+    @functools.wraps(function)
+    def call(*arguments: P.args, **keywords: P.kwargs) -> T:
+        try:
+            return function(*arguments, **keywords)
+        except TypeError as error:
+            inside = error.__traceback__ and error.__traceback__.tb_next
+            if inside or "unexpected keyword argument" not in str(error):
+                raise
+            known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
+            unknown = next(name for name in keywords if name not in known)
+            raise TypeError(f"{error}: {did_you_mean(unknown, known)}") from None
+
+    return call
+
 
 class Strict:
     """Base of the classes that user scripts access; they list their attributes in ``__slots__``.
 
     Reading or assigning any other attribute raises `UnknownAttributeError`, which suggests the nearest valid
-    name. A subclass without ``__slots__`` may assign any attribute.
+    name; so does an unknown keyword of a method. ``dir()`` lists public names. A subclass without ``__slots__`` may
+    assign any attribute.
     """
 
     __slots__ = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name, value in list(vars(cls).items()):
+            if isinstance(value, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, suggesting_keywords(value))
+
+    def __dir__(self) -> list[str]:
+        return [name for name in object.__dir__(self) if not name.startswith("_")]
 
     def __setattr__(self, name: str, value: Any) -> None:
         known = getattr(type(self), name, None)

@@ -27,6 +27,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.run import Run
+from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING
 
 Band = tuple[float, float]
@@ -69,7 +70,7 @@ class InnovationTest(Strict):
 
 
 @dataclass(frozen=True)
-class Consistency(Strict):
+class Consistency(Strict, Printed):
     """Errors and innovations of an estimator against its covariances.
 
     Attributes

@@ -35,6 +35,7 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import dispersed
+from gnc_opt.text import Printed
 from gnc_opt.workers import Shared, WorkerPool
 
 NOISE = "noise"
@@ -75,7 +76,7 @@ class IntervalEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class SobolIndices:
+class SobolIndices(Printed):
     """Shares of the variance of a measure; see `sobol_indices`.
 
     Attributes
@@ -252,7 +253,7 @@ class _Design:
 
 
 @dataclass(frozen=True, eq=False)
-class Correlations:
+class Correlations(Printed):
     """Rank correlations of the drawn values with a measure; see `correlations`.
 
     Attributes

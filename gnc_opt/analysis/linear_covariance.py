@@ -38,7 +38,14 @@ import scipy
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import Strict, expect, read_integer, read_positive, read_probability
+from gnc_opt.arguments import (
+    Strict,
+    expect,
+    read_integer,
+    read_positive,
+    read_probability,
+    suggesting_keywords,
+)
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, unknown_name, warn_user
@@ -49,11 +56,12 @@ from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import Dispersions, dispersed
 from gnc_opt.simulation.step_selection import steps_for_modes
+from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, TINY
 
 
 @dataclass(frozen=True, eq=False)
-class CovarianceCheck:
+class CovarianceCheck(Printed):
     """Variances of the runs of a campaign over those of a linear covariance; arrays have an entry per component.
 
     Attributes
@@ -211,7 +219,7 @@ _KINDS = {"command": "commands", "applied": "applied"}
 
 
 @dataclass(frozen=True, eq=False)
-class LinearCovariance(Strict):
+class LinearCovariance(Strict, Printed):
     """Covariances along a nominal run, by source; see `linear_covariance`.
 
     A *signal* is the name of a state (its error, relative to the nominal run), or ``command(F)``,
@@ -372,6 +380,7 @@ class LinearCovariance(Strict):
 
 
 @one_thread()
+@suggesting_keywords
 def linear_covariance(
     experiment: Scenario,
     *,

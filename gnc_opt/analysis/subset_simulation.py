@@ -35,6 +35,7 @@ from gnc_opt.arguments import expect, read_integer, read_numbers, read_probabili
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
+from gnc_opt.text import Printed
 from gnc_opt.workers import Shared, WorkerPool
 
 LEVEL_EXCEEDANCE_SHARE = 0.1
@@ -54,7 +55,7 @@ Value = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class FailureProbability:
+class FailureProbability(Printed):
     """How probable it is that a run fails or a measure exceeds its limit; see `failure_probability`.
 
     Attributes

@@ -26,13 +26,14 @@ from gnc_opt.simulation.dispersions import (
     UniformInBall,
 )
 from gnc_opt.simulation.run import Run
+from gnc_opt.text import Printed
 
 _FAILED = 1e150
 """Value of a failed run: worse than any successful one."""
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCase:
+class WorstCase(Printed):
     """The worst run that was found; see `worst_case`.
 
     Attributes

@@ -70,7 +70,7 @@ def reserve_shares(reference: Reference, limits: Authority | None) -> list[Repor
     remark = (
         "least distance of the feedforward to its limits, share of half their range; what feedback can use"
     )
-    return [ReportEntry("saturation reserve", _distance(u, limits).min(axis=1) / half, "", remark)]
+    return [ReportEntry("control authority margin", _distance(u, limits).min(axis=1) / half, "", remark)]
 
 
 def require_reserve(
@@ -123,7 +123,7 @@ def require_reserve(
     beside = "beside the feedforward" if gain is None else "least of all, beside feedforward and gain"
     return [
         ReportEntry(
-            "saturation reserve", float(left[row, column]), unit, f"control '{label}' {where}, {beside}"
+            "control authority margin", float(left[row, column]), unit, f"control '{label}' {where}, {beside}"
         )
     ]
 

@@ -8,8 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arguments import Strict
+from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
+from gnc_opt.text import heading, table
 from gnc_opt.tolerances import ROUNDING
+
+REPORT_VALUE_WIDTH = 44
+"""Columns of the values in a printed table; longer ones move the unit to the right."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +51,12 @@ class ReportEntry:
 
 @dataclass(frozen=True)
 class DesignReport(Strict):
-    """The facts of one design; ``explanation["closed-loop poles"]`` returns a value, ``print`` shows all.
+    """The facts of one design; ``report["closed-loop poles"]`` returns a value, ``print`` shows a table.
 
     Attributes
     ----------
     title : str
-    facts : tuple of Fact
+    facts : tuple of ReportEntry
 
     Examples
     --------
@@ -73,7 +78,43 @@ class DesignReport(Strict):
         return iter(self.facts)
 
     def __str__(self) -> str:
-        return "\n".join([self.title, *(f"  {fact}" for fact in self.facts)])
+        rows = [("quantity", "value", "unit", "remark"), *(row for fact in self.facts for row in _rows(fact))]
+        widths = [max(len(row[k]) for row in rows) for k in range(3)]
+        widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
+        lines = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, [*widths, 0], strict=True)) for row in rows]
+        return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
+
+    def _repr_html_(self) -> str:
+        rows = [(fact.name, _value_text(fact), fact.unit, fact.remark) for fact in self.facts]
+        return heading(self.title) + table(("quantity", "value", "unit", "remark"), rows)
+
+
+def _rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
+    """Return the rows of one entry: a matrix has one for each of its own."""
+    first, *more = _value_text(fact).splitlines()
+    return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
+
+
+def _value_text(fact: ReportEntry) -> str:
+    """Return numbers separated by commas, a matrix row by row; conjugate poles as ``-1 ± 2j``."""
+    if isinstance(fact.value, str):
+        return fact.value
+    array = np.asarray(fact.value)
+    if array.ndim == 2:
+        return "\n".join(_list_text(row) for row in array)
+    return _list_text(np.atleast_1d(array))
+
+
+def _list_text(values: Array) -> str:
+    texts, left = [], list(values)
+    while left:
+        value = left.pop(0)
+        if left and np.iscomplexobj(value) and value.imag and left[0] == np.conj(value):
+            left.pop(0)
+            texts.append(f"{value.real:.6g} ± {abs(value.imag):.6g}j")
+        else:
+            texts.append(number_text(value))
+    return ", ".join(texts)
 
 
 def number_text(value: object) -> str:

@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive
+from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, reserve_shares
 from gnc_opt.control.controller import Controller, initial_state_function, law
@@ -86,6 +86,7 @@ _LINEARIZATION_SAMPLES = 25
 
 
 @one_thread()
+@suggesting_keywords
 def design_lqr(
     model: Model,
     reference: Reference | ArrayLike,

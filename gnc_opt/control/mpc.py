@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_mapping, read_positive
+from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.active_set_qp import ProgrammeCode, flight_law
 from gnc_opt.control.control_limits import (
@@ -78,6 +78,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 
 @one_thread()
+@suggesting_keywords
 def design_mpc(
     model: Model,
     reference: Reference | ArrayLike,

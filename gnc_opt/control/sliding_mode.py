@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers, read_positive
+from gnc_opt.arguments import read_numbers, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Authority, Limits, read_limits, require_reserve, saturated
 from gnc_opt.control.controller import Controller
@@ -429,6 +429,7 @@ or to the r - 1 poles of the surface."""
 
 
 @one_thread()
+@suggesting_keywords
 def design_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect
+from gnc_opt.arguments import expect, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import Limits, read_limits, reserve_shares
 from gnc_opt.control.controller import Controller, initial_state_function, law
@@ -65,6 +65,7 @@ class GainSchedule:
 
 
 @one_thread()
+@suggesting_keywords
 def design_tvlqr(
     model: Model,
     reference: Reference,
@@ -185,9 +186,14 @@ def _facts(
     if isinstance(gains, ContinuousGains) and gains.pieces:
         worst = riccati_defect(gains, cost)
         facts.append(
-            ReportEntry("Riccati defect", worst, "", "of P(t), by finite differences, over its largest term")
+            ReportEntry(
+                "Riccati residual along the reference",
+                worst,
+                "",
+                "of P(t), by differences, over its largest term",
+            )
         )
     if isinstance(gains, SampledGains) and gains.gains:
         remark = "cost of the law, added up forward, against P"
-        facts.append(ReportEntry("Riccati defect", cost_defect(gains), "", remark))
+        facts.append(ReportEntry("Riccati residual along the reference", cost_defect(gains), "", remark))
     return facts

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_positive
+from gnc_opt.arguments import expect, read_integer, read_label, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -30,6 +30,7 @@ from gnc_opt.model.variables import Layout, as_point, as_vector
 
 
 @one_thread()
+@suggesting_keywords
 def design_ekf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],
@@ -86,6 +87,7 @@ def design_ekf(
 
 
 @one_thread()
+@suggesting_keywords
 def design_ukf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],
@@ -233,7 +235,7 @@ class FilterDesign:
         labels = self.augmented.errors.labels
         facts = [
             ReportEntry("estimated", ", ".join(labels)),
-            ReportEntry("first sigma", self.sigma0),
+            ReportEntry("initial standard deviation", self.sigma0),
             ReportEntry("process noise", self.noise, "", "unit/s^0.5"),
         ]
         for channel in self.augmented.channels:
@@ -262,7 +264,7 @@ class FilterDesign:
         unseen = sorted(
             {label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index
         )
-        facts = [ReportEntry("not seen", ", ".join(unseen) or "nothing", remark=where)]
+        facts = [ReportEntry("unobservable states", ", ".join(unseen) or "nothing", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:
@@ -277,7 +279,10 @@ class FilterDesign:
         return [
             *facts,
             ReportEntry(
-                "steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}"
+                "steady-state standard deviation",
+                np.sqrt(np.maximum(np.diag(P), 0.0)),
+                "",
+                f"after an update, {where}",
             ),
         ]
 

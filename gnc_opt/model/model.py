@@ -25,6 +25,7 @@ from gnc_opt.model.variables import (
     Symbol,
     Variable,
     Variables,
+    VectorSymbols,
     as_expression,
     as_vector,
     foreign_symbols,
@@ -286,7 +287,7 @@ class Model(Strict):
         read_integer(size, f"the size of vector control '{name}' of model '{self.name}'", 2, ModelError)
         magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
         direction = self.control(f"{name}_direction", size, nominal=1.0)
-        return self._compose(VectorControl, name, magnitude, direction, unit), magnitude
+        return VectorSymbols((self._compose(VectorControl, name, magnitude, direction, unit), magnitude))
 
     def algebraic(
         self,

@@ -181,8 +181,8 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __float__(self) -> float:
         name = self.variable.name
         raise ModelError(
-            f"'{name}' is a symbol and has no number: write ca.sin({name}), with casadi imported as ca, not "
-            f"math.sin({name})."
+            f"'{name}' is a symbol and has no number: write ca.sqrt({name}) or ca.sin({name}), with casadi imported as "
+            f"ca, not math.sqrt({name}) or math.sin({name})."
         )
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
@@ -213,6 +213,31 @@ def owners_of(scalars: Iterable[Any]) -> list[Symbol]:
     return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
 
 
+class VectorSymbols(tuple[Any, Any]):
+    """Vector control and its magnitude; arithmetic with the pair raises an error that says to unpack it.
+
+    Examples
+    --------
+    >>> rocket = go.Model("rocket")
+    >>> T, magnitude = rocket.vector_control("T", 3, unit="N")
+    """
+
+    @property
+    def remedy(self) -> str:
+        """What the pair is, and how to unpack it."""
+        name = self[1].variable.name.removesuffix("_magnitude")
+        return (
+            f"the pair that vector_control('{name}', ...) returns: unpack it, "
+            f"{name}, magnitude = model.vector_control('{name}', ...)."
+        )
+
+    def _refuse(self, *_: Any) -> Any:
+        raise ModelError(f"an operand is {self.remedy}")
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _refuse
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _refuse
+
+
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column vector.
 
@@ -226,6 +251,8 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
     failure : class of GncOptError
         What to raise for a wrong size or type.
     """
+    if isinstance(value, VectorSymbols):
+        raise failure(f"{what} is {value.remedy}")
     try:
         parts = value if isinstance(value, (list, tuple)) else [value]
         expression = ca.vertcat(*[ca.SX(v) for v in parts])
@@ -242,7 +269,8 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
         raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
     if holds_nan(expression):
         raise failure(
-            f"{what} contains nan: give numbers, and write ca.sin(x), with casadi imported as ca, not math.sin(x)."
+            f"{what} contains nan: give numbers, and write ca.sqrt(x) or ca.sin(x), with casadi imported as ca, not "
+            "math.sqrt(x) or math.sin(x)."
         )
     return ca.densify(expression)
 

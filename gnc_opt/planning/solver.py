@@ -11,7 +11,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Literal
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import expect, read_positive, suggesting_keywords
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.failure import SolveError, failure_message
@@ -189,6 +189,7 @@ DEFAULT_TOLERANCE = 1e-6
 
 
 @one_thread()
+@suggesting_keywords
 def solve(
     problem: Problem,
     *,

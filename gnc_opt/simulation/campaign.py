@@ -22,11 +22,11 @@ from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percen
 from gnc_opt.simulation.measures import Envelope, Measures, envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.text import preformatted
+from gnc_opt.text import Printed
 
 
 @dataclass(frozen=True, eq=False)
-class Campaign(Strict):
+class Campaign(Strict, Printed):
     """Many runs of a closed loop; arrays have one column for each of the m available runs.
 
     Attributes
@@ -126,10 +126,6 @@ class Campaign(Strict):
 
     def __repr__(self) -> str:
         return f"<{str(self).splitlines()[0]}>"
-
-    def _repr_html_(self) -> str:
-        """For notebooks."""
-        return preformatted(str(self))
 
     # --- values per run -----------------------------------------------------------------------------------
 

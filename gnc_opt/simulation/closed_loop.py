@@ -212,9 +212,13 @@ class ClosedLoop:
         ]
         if bad:
             label = labels[bad[0]]
-            raise ArgumentError(
-                f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give x0= every state, and numbers."
-            )
+            missing = [n for n in states.names if np.all(np.isnan(P[self.layout.slice(f"initial.{n}")]))]
+            if missing:
+                names = ", ".join(f"'{name}'" for name in missing)
+                raise ArgumentError(
+                    f"the initial state of a run lacks {names}: give x0 a value of every state."
+                )
+            raise ArgumentError(f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give one.")
         return P
 
     # --- runs ---------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
+from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, in_words
 from gnc_opt.model.variables import as_vector
@@ -115,6 +115,7 @@ def _measured(name: str, judge: OutcomeClassifier, campaign: Campaign) -> Array:
     return values
 
 
+@suggesting_keywords
 def monte_carlo(
     loop: ClosedLoop,
     n: int,

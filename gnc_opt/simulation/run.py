@@ -22,7 +22,7 @@ from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.text import preformatted
+from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
@@ -102,7 +102,7 @@ class Logged:
 
 
 @dataclass(frozen=True)
-class Run(Strict):
+class Run(Strict, Printed):
     """A closed-loop run over N control steps.
 
     Attributes
@@ -187,10 +187,6 @@ class Run(Strict):
 
     def __repr__(self) -> str:
         return f"<{str(self).splitlines()[0]}>"
-
-    def _repr_html_(self) -> str:
-        """For notebooks."""
-        return preformatted(str(self))
 
     @property
     def followed(self) -> Layout:

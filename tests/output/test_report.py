@@ -124,10 +124,14 @@ def test_unit_of_the_objective_is_that_of_its_terms_or_as_stated() -> None:
     work.cost = None
     work.minimize(work.phases["leg"].integral(work.phases["leg"].model.symbol("a") ** 2), unit="m^2/s^3")
     assert work.cost_unit == "m^2/s^3" and work.with_initial(q=2.0).cost_unit == "m^2/s^3"
-    for cost, unit in [(leg.final_state("v"), "m/s"), (2.0 * leg.final_state("v"), ""), (leg.integral(1.0), "")]:
+    for cost, unit in [
+        (leg.final_state("v"), "m/s"),
+        (2.0 * leg.final_state("v"), ""),
+        (leg.integral(1.0), ""),
+    ]:
         problem.cost = cost
         assert problem.cost_unit == unit
-    with pytest.raises(GncOptError, match='the unit of the cost of problem .*: write unit="kg"'):
+    with pytest.raises(GncOptError, match=r'the unit of the cost of problem .*: write unit="kg"'):
         problem.cost = None
         problem.minimize(leg.final_time, unit=1)  # type: ignore[arg-type]
 

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_name, read_numbers
+from gnc_opt.arguments import expect, read_name, read_numbers, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, c_statements
 from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
@@ -100,6 +100,7 @@ class CCodeOptions:
     samples: tuple[ArrayLike, ArrayLike] | None = None
 
 
+@suggesting_keywords
 def export_c(
     controller: Controller,
     directory: str | Path,

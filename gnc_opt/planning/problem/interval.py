@@ -154,7 +154,8 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     ----------
     value : None, number, array-like or tuple (lower, upper)
         ``None`` is free; a number, list or array is a fixed value; a tuple of two is a range, each end a
-        number, an array or ``None`` (no limit). In a list ``None`` leaves that component free.
+        number, an array or ``None`` (no limit). In a list ``None`` leaves that component free. A list of two for one
+        component is a range, too.
     size : int
         Number of components; scalars are repeated.
     what : str
@@ -167,6 +168,8 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     """
     if value is None:
         return free(size)
+    if size == 1 and isinstance(value, (list, np.ndarray)) and np.shape(value) == (2,):
+        value = tuple(value)
     if not isinstance(value, tuple):
         fixed = Interval(_end(value, -np.inf, size, what), _end(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):

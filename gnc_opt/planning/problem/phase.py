@@ -120,11 +120,29 @@ def read_duration(duration: Any, where: str) -> Interval:
     return Interval(np.maximum(given.lower, 0.0), given.upper)
 
 
+_STATEMENTS = (
+    *("bounds", "duration", "final", "final_state", "final_time", "fraction", "guess", "hold", "initial"),
+    *(
+        "initial_state",
+        "initial_time",
+        "integral",
+        "model",
+        "name",
+        "norm_bounds",
+        "path",
+        "polynomials",
+        "rates",
+    ),
+    *("scale", "time"),
+)
+"""What users state or read of a phase; the rest serves the problem and the transcription."""
+
+
 class Phase(Strict):
     """One span of time of a problem; made by ``Problem.phase``.
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
-    ``None`` is free. Names are those of the model's variables.
+    ``None`` is free; of a scalar, a list of two is a range, too. Names are those of the model's variables.
 
     Examples
     --------
@@ -190,6 +208,9 @@ class Phase(Strict):
             }
             for end in ("initial", "final")
         }
+
+    def __dir__(self) -> list[str]:
+        return list(_STATEMENTS)
 
     def __repr__(self) -> str:
         return f"Phase({self.name!r} on {self.model!r})"

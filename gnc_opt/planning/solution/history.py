@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.text import Printed
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ class RefinementIteration:
 
 
 @dataclass(frozen=True)
-class History:
+class History(Printed):
     """What a refinement did.
 
     Attributes

@@ -46,11 +46,11 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scheme import Scheme
-from gnc_opt.text import preformatted
+from gnc_opt.text import Printed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution:
+class Solution(Printed):
     """A trajectory with its costates and multipliers.
 
     With a single phase, the phase argument of every method may be left out.
@@ -295,10 +295,6 @@ class Solution:
     def __repr__(self) -> str:
         state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"
         return f"Solution({self.problem_name!r}, {state})"
-
-    def _repr_html_(self) -> str:
-        """For notebooks."""
-        return preformatted(str(self))
 
     # --- files and tables -------------------------------------------------------------------------
 

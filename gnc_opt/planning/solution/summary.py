@@ -163,8 +163,8 @@ def optimality_text(solution: SummarisedSolution) -> str:
     """Return the result of the optimality check in words."""
     if solution.verdict is not None:
         return solution.verdict.headline
-    history = solution.history
-    return _LOADED_CHECK.get(history.status if history else None, "not checked: call verify()")
+    unknown = "not checked: call verify()"
+    return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
 
 
 def _mesh_words(mesh: Mesh) -> str:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arguments import expect, read_integer, read_positive, suggesting_keywords
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
@@ -35,6 +35,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.minima import Minimum, Reflection, Reflections, equal, merged
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.engine import verify
+from gnc_opt.text import Printed
 
 MOST_POINTS = 1000
 """Of a phase on a refined mesh."""
@@ -189,7 +190,7 @@ COARSE_MAX_ITERATIONS = 400
 
 
 @dataclass(frozen=True)
-class Multistart:
+class Multistart(Printed):
     """What `multistart` found.
 
     Attributes
@@ -266,6 +267,7 @@ def _listed(failures: Mapping[str, int]) -> str:
 
 
 @one_thread()
+@suggesting_keywords
 def multistart(
     problem: Problem | Builder,
     *,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.arguments import expect, read_numbers, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -25,6 +25,7 @@ from gnc_opt.planning.study.kkt_sensitivity import predict
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.planning.verification.engine import verify
+from gnc_opt.text import Printed
 
 Family: TypeAlias = Callable[[float], Problem]
 
@@ -50,7 +51,7 @@ class ContinuationStatus(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Continuation:
+class Continuation(Printed):
     """A family of solutions along a parameter.
 
     Attributes
@@ -123,6 +124,7 @@ class Continuation:
 
 
 @one_thread()
+@suggesting_keywords
 def continuation(
     problem_of: Family,
     values: Sequence[float],

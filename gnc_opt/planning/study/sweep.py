@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers
+from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
@@ -20,6 +20,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solver import solve
 from gnc_opt.planning.transcription.mesh import MeshLike
+from gnc_opt.text import Printed
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -35,7 +36,7 @@ MISTAKES = (NameError, AttributeError, TypeError, ImportError)
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Printed):
     """Solutions over a grid.
 
     Attributes
@@ -161,6 +162,7 @@ class Sweep:
 
 
 @one_thread()
+@suggesting_keywords
 def sweep(
     problem_of: Family,
     grid: Mapping[str, Sequence[float]],

@@ -283,7 +283,9 @@ def test_explanations_are_read_by_name_and_printed():
     assert (
         str(ReportEntry("two", 2.0)) == "two: 2" and str(ReportEntry("small", 1e-9, "s")) == "small: 1e-09 s"
     )
-    assert str(explanation).splitlines() == ["title", *(f"  {f}" for f in facts)]
+    lines = str(explanation).splitlines()
+    assert lines[0] == "title" and lines[1].split() == ["quantity", "value", "unit", "remark"]
+    assert [line[: lines[1].index("value")].strip() for line in lines[2:]] == [f.name for f in facts]
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):
         explanation["pale"]

@@ -224,7 +224,7 @@ def test_authority_is_compared_with_the_feedforward():
     controller = design_feedback_linearization(
         model, reference, outputs="v", poles=[-1.0], limits=(-3.0, 3.0)
     )
-    assert controller.explain()["saturation reserve"] == pytest.approx(1.0)
+    assert controller.explain()["control authority margin"] == pytest.approx(1.0)
     with pytest.raises(
         DesignError, match=r"control 'a' needs 2 at t = 0 s, but its limits are -1\.5 and 1\.5"
     ):
@@ -249,7 +249,7 @@ def test_authority_is_compared_on_both_sides_of_a_jump():
         controller = design_feedback_linearization(
             model, reference, outputs="v", poles=[-1.0], limits=(-limit, limit)
         )
-        return controller.explain()["saturation reserve"]
+        return controller.explain()["control authority margin"]
 
     assert reserve(0.997) == pytest.approx(0.002, rel=1e-5)
     with pytest.raises(DesignError, match=r"control 'a' needs 0\.995 at t = 0\.995 s"):

@@ -504,7 +504,7 @@ def test_saturation_reserve():
     model = cart()
     reference = Reference.from_functions(model, lambda t: [0, 0], lambda t: [0.6], 0, 1)
     facts = design_lqr(model, reference, Q=1, R=1, limits=(-1, 1)).explain()
-    assert np.asarray(facts["saturation reserve"]) == pytest.approx([0.4])
+    assert np.asarray(facts["control authority margin"]) == pytest.approx([0.4])
 
 
 @pytest.mark.parametrize(("stiffness", "dt"), [(0.0, 1e5), (1.0, 1e5), (1.0, 1e9)])

@@ -406,7 +406,7 @@ def test_a_moving_reference_is_followed_with_its_feedforward():
 
 def test_reserve_is_what_the_limits_leave_beside_feedforward_and_gain():
     assert design(ConstantRate(1.0), Sign(), limits=(-1.5, 2.0)).explain()[
-        "saturation reserve"
+        "control authority margin"
     ] == pytest.approx(0.5)
     with pytest.raises(
         DesignError, match=r"control 'u' needs 1 besides its feedforward 0 .* limits are -0.9 and 2"
@@ -566,6 +566,6 @@ def test_the_reserve_of_super_twisting_claims_no_largest_command():
     for law in (SuperTwisting(1.5, 1.1), ConstantRate(0.4)):
         design = {"outputs": "q", "slopes": 1.0, "reaching": law, "boundary": Sign(), "dt": 0.01}
         told = design_sliding_mode(model, [0.0, 0.0], **design, limits=(-1.0, 1.0)).explain()
-        line = next(line for line in str(told).splitlines() if "saturation reserve" in line)
-        reserves[type(law)] = (told["saturation reserve"], "gain" in line)
+        line = next(line for line in str(told).splitlines() if "control authority margin" in line)
+        reserves[type(law)] = (told["control authority margin"], "gain" in line)
     assert reserves == {SuperTwisting: (1.0, False), ConstantRate: (0.6, True)}

@@ -165,7 +165,7 @@ def test_sampled_cost_to_go_is_that_of_small_errors_of_the_nonlinear_plant():
     model, h = pendulum(), 0.1
     reference = swing(model)
     controller = design_tvlqr(model, reference, Q=1, R=1, terminal=1.0, dt=h)
-    assert controller.explain()["Riccati defect"] < 1e-12
+    assert controller.explain()["Riccati residual along the reference"] < 1e-12
     e_0 = 1e-4 * np.array([1.0, 0.5])
     state = np.append(reference.x(0.0) + e_0, 0.0)
     for gain, k in zip(gains(controller).gains, range(40), strict=True):
@@ -263,8 +263,8 @@ def test_refusals():
 
 def test_explanation_tells_gains_costs_and_reserve():
     facts = design_tvlqr(pendulum(), swing(pendulum()), Q=1, R=1, limits=(-1, 1)).explain()
-    assert facts["Riccati defect"] < 1e-7
+    assert facts["Riccati residual along the reference"] < 1e-7
     assert 0 < facts["smallest eigenvalue of P"] < facts["largest eigenvalue of P"]
     times = np.linspace(0, 4, 20001)
     worst = np.max(np.abs(np.sin(np.cos(times)) - np.cos(times)))
-    assert np.asarray(facts["saturation reserve"])[0] == pytest.approx(1 - worst, abs=1e-4)
+    assert np.asarray(facts["control authority margin"])[0] == pytest.approx(1 - worst, abs=1e-4)

@@ -67,7 +67,7 @@ def test_a_regulator_with_an_integral_is_its_formula(dt, limits, name, factor):
     )
     assert law.span == (0.0, 2.0) and law.dt == dt
     facts = {f.name for f in law.explain()}
-    assert ("sampled poles" in facts) is (dt is not None) and ("saturation reserve" in facts) is (
+    assert ("sampled poles" in facts) is (dt is not None) and ("control authority margin" in facts) is (
         limits is not None
     )
 
@@ -157,7 +157,8 @@ def test_a_time_varying_regulator_takes_its_gain_from_the_schedule():
     times = np.linspace(0, 1, 40)
     largest = np.max([np.linalg.eigvalsh(law.schedule.gains.P(t))[-1] for t in times])
     assert (
-        explained["largest eigenvalue of P"] == pytest.approx(largest) and explained["Riccati defect"] < 1e-6
+        explained["largest eigenvalue of P"] == pytest.approx(largest)
+        and explained["Riccati residual along the reference"] < 1e-6
     )
     assert np.asarray(explained["largest gain"]) == pytest.approx(
         np.max([np.abs(law.schedule.gains.K(t)) for t in [*times, 1.0]], axis=0), rel=1e-6

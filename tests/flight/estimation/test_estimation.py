@@ -146,7 +146,7 @@ def test_the_steady_covariance_solves_the_riccati_equation(design):
     x, _ = estimator(30.0, 1.0, 0.0, z)
     assert np.allclose(x, gain[:, 0], rtol=1e-10)
     after = np.sqrt(np.diag(steady - gain @ H @ steady))
-    assert np.allclose(estimator.explain()["steady sigma"], after, rtol=1e-9)
+    assert np.allclose(estimator.explain()["steady-state standard deviation"], after, rtol=1e-9)
 
 
 def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
@@ -543,10 +543,10 @@ def test_what_is_not_seen_is_told():
     q, w, a = model.state("q"), model.state("w"), model.control("a")
     model.ode({q: a, w: 0 * w})
     told = design_ekf(model, [0, 0], [Measurement("q", 1)], sigma0={"q": 1, "w": 1}, dt=DT).explain()
-    assert told["not seen"] == "w"
-    assert "steady sigma" not in [fact.name for fact in told]
+    assert told["unobservable states"] == "w"
+    assert "steady-state standard deviation" not in [fact.name for fact in told]
     pairs = pairwise(fact.name for fact in told)
-    assert ("first sigma", "process noise") in pairs
+    assert ("initial standard deviation", "process noise") in pairs
 
 
 def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():

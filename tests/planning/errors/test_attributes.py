@@ -9,6 +9,7 @@ import pytest
 from testing.wrong_arguments import cart, mistake, rest_to_rest
 
 import gnc_opt as go
+from gnc_opt.arguments import suggesting_keywords
 
 
 @mistake(go.UnknownAttributeError, "phase 'leg' has no 'intial'", "did you mean 'initial'?")
@@ -116,3 +117,33 @@ def test_errors_survive_pickling() -> None:
         rest_to_rest()[1].initial(vv=0.0)
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value) and type(again) is type(caught.value)
+
+
+def test_unknown_keywords_get_a_suggestion() -> None:
+    problem = go.Problem("probe")
+    leg = problem.phase("leg", cart())
+    for call, suggestion in [
+        (lambda: leg.time(initia=0.0), "'initia': did you mean 'initial'"),
+        (lambda: leg.path("fast", 1.0, uper=1.0), "'uper': did you mean 'upper'"),
+        (lambda: problem.parameter("k", lowr=1.0), "'lowr': did you mean 'lower'"),
+        (lambda: go.solve(problem, mash="3x3"), "'mash': did you mean 'mesh'"),
+    ]:
+        with pytest.raises(TypeError, match=suggestion):
+            call()
+
+
+def test_type_errors_inside_a_method_stay_as_they_are() -> None:
+    def wrong(**_: int) -> None:
+        raise TypeError("inner() got an unexpected keyword argument 'b'")
+
+    with pytest.raises(TypeError, match=r"'b'$"):
+        suggesting_keywords(wrong)(a=1)
+
+
+def test_dir_lists_what_users_may_call() -> None:
+    leg = go.Problem("probe").phase("leg", cart())
+    for thing in (go, leg, go.Problem("other"), go.Model("empty")):
+        assert not [name for name in dir(thing) if name.startswith("_")]
+    assert {"bounds", "path", "final_state", "integral"} <= set(dir(leg))
+    assert not {"told", "numbers", "clone", "handed"} & set(dir(leg))
+    assert all(hasattr(leg, name) for name in dir(leg))

@@ -212,3 +212,21 @@ def test_mistakes_are_named(mistake: Any, message: str) -> None:
     leg = go.Problem("p").phase("leg", model)
     with pytest.raises(go.GncOptError, match=message):
         mistake(model, leg)
+
+
+def test_a_pair_that_was_not_unpacked_says_so() -> None:
+    model = go.Model("rocket")
+    r = model.state("r", 3)
+    pair = model.vector_control("T", 3)
+    unpack = r"the pair that vector_control\('T', \.\.\.\) returns: unpack it, T, magnitude = "
+    with pytest.raises(go.ModelError, match=f"time derivative of state 'r' .* {unpack}"):
+        model.ode({r: pair})
+    for operation in (
+        lambda: pair / 2.0,
+        lambda: 2.0 * pair,
+        lambda: r + pair,
+        lambda: -pair,
+        lambda: pair @ r,
+    ):
+        with pytest.raises(go.ModelError, match=unpack):
+            operation()

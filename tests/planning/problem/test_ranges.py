@@ -141,3 +141,17 @@ def test_a_budget_is_told_anew_for_other_numbers() -> None:
     pumped = problem.with_bounds(u=(-1.0, 1.0))
     for stated, ways in ((problem, (False, True)), (filled, (True, False)), (pumped, (False, False))) * 2:
         assert tuple(bool(way[0]) for way in one_way_states(stated, stated.get_phase())) == ways
+
+
+def test_a_list_of_two_is_the_range_of_a_scalar_and_the_value_of_a_vector() -> None:
+    model = go.Model("point")
+    r, u = model.state("r", 2), model.control("u")
+    model.ode({r: [u, 1.0]})
+    leg = go.Problem("probe").phase("leg", model)
+    leg.bounds(u=[-1, 2])
+    assert (leg.numbers.controls.lower, leg.numbers.controls.upper) == ([-1.0], [2.0])
+    leg.bounds(u=[None, 2], r=[3.0, 4.0])
+    assert leg.numbers.controls.lower == [-np.inf]
+    assert leg.numbers.states.lower.tolist() == leg.numbers.states.upper.tolist() == [3.0, 4.0]
+    with pytest.raises(go.ProblemError):
+        leg.bounds(u=[2, -1])
