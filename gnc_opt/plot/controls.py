@@ -47,6 +47,9 @@ _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle":
 _ON_BOUND = 1e-3
 """Shares of a control's range: nearer to a bound it counts as on it."""
 
+TALL_ROWS = 3
+"""Up to so many controls the axes are taller."""
+
 _CONTROL_AXIS_HALF_HEIGHT = 1.25
 """Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
 
@@ -59,13 +62,13 @@ def plot_controls(
     labels: Labels | None = None,
     hamiltonian_unit: str = "",
 ) -> Figure:
-    """Draw every control component with its switching function underneath.
+    """Draw every control component with its switching function beside it.
 
-    Above: the flown signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
-    nodes and is cut off beyond an eighth of the range), bounds dashed. Below: the switching function dH/du;
+    Left: the applied signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
+    nodes and is cut off beyond an eighth of the range), bounds dashed. Right: the switching function dH/du;
     a bounded control belongs on its upper bound where this is negative. Dotted lines mark its changes of
-    sign. A solution that was loaded without its problem has no switching functions. Controls that are made of two
-    (``Model.vector_control``, ``Model.split_control``) follow, as flown.
+    sign. A solution that was loaded without its problem has no switching functions. Controls that are composed of two
+    (``Model.vector_control``, ``Model.split_control``) follow, as applied.
 
     Parameters
     ----------
@@ -110,26 +113,30 @@ def plot_controls(
         raise GncOptError(
             f"'{solution.problem_name}' has no controls to draw: draw its states by plot_states()."
         )
-    rows = 1 if solution.problem is None else 2
+    columns = 1 if solution.problem is None else 2
     with style():
-        figure = new_figure(0.5 + 2.15 * (len(parts) + len(composed)))
-        ratios = [2.2, 1.0][:rows] * len(parts) + [2.2] * len(composed)
-        grid = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
-        for ax, control in zip(grid[rows * len(parts) :], composed, strict=True):
-            _draw_composed(ax, legs, control, labels)
-        for k, (name, i) in enumerate(parts):
-            axes = grid[rows * k : rows * (k + 1)]
+        rows = len(parts) + len(composed)
+        figure = new_figure(0.9 + (1.75 if rows <= TALL_ROWS else 1.35) * rows)
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for axes, (name, i) in zip(grid, parts, strict=False):
             for leg in legs:
                 if name in leg.controls:
                     shown = component_labels(name, leg.control(name), labels)[i]
                     _draw_control(axes[0], leg, name, i, shown)
-                    if rows == 2:
+                    if columns == 2:
                         _draw_switching(axes, solution, leg, name, i, shown, hamiltonian_unit)
-        for ax in grid:
+        for axes, control in zip(grid[len(parts) :], composed, strict=True):
+            _draw_composed(axes[0], legs, control, labels)
+            for ax in axes[1:]:
+                ax.remove()
+        for ax in figure.axes:
             span_phases(ax, legs)
-        grid[-1].set_xlabel("time (s)")
-        figure.align_ylabels(list(grid))
-        legend_on_top(figure, _control_legend(rows == 2))
+        for column in grid.T:
+            last = column[-1] if column[-1] in figure.axes else column[len(parts) - 1]
+            last.set_xlabel("time (s)")
+            last.tick_params(labelbottom=True)
+            figure.align_ylabels(list(column))
+        legend_on_top(figure, _control_legend(columns == 2))
     return figure
 
 
@@ -188,7 +195,7 @@ def _draw_switching(
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
     per = per_unit(unit, leg.control(name).unit)
-    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
+    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}", per))
     negligible = _negligible_switching(solution, leg, name, i)
     leave_room(axes[1], negligible)
     on_bound = _on_a_bound(
@@ -223,7 +230,7 @@ def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: 
 
 def _control_legend(with_switching: bool) -> list[Any]:
     handles = [
-        Line2D([], [], label="flown", **_FLOWN),
+        Line2D([], [], label="applied", **_FLOWN),
         Line2D([], [], label="polynomial and nodes", marker=".", markersize=4, **_POLYNOMIAL),
         Line2D([], [], label="bounds", **BOUND),
     ]

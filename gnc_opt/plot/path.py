@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,10 +10,24 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
-from gnc_opt.plot.style import COLORS, axis_label, legend_above, legend_on_top, line_look, new_figure, style
+from gnc_opt.plot.style import (
+    COLORS,
+    QUIET,
+    axis_label,
+    legend_above,
+    legend_on_top,
+    line_look,
+    new_figure,
+    style,
+)
+from gnc_opt.plot.view import AXIS, VEHICLE_HALF_EDGES, Moved, View, motion, span, sphere
+
+PATH_SAMPLES = 400
+"""Points of a drawn path."""
 
 
 def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: str) -> Figure:
@@ -114,6 +129,77 @@ def plot_path(
     return figure
 
 
+def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
+    """Draw the path of a vehicle in space, the vehicle at equal intervals of time, and the other bodies of a view.
+
+    Parameters
+    ----------
+    moved : Solution or Run
+    view : View
+        With a position; the vehicle is drawn as a box with its axes if there is an attitude, else as a dot.
+    vehicles : int
+        How often the vehicle is drawn, start and end included.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UnknownNameError, ArgumentError
+        As for `View`.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import View, plot_motion
+    >>> figure = plot_motion(solution, View("q"))
+    """
+    begin, end = span(moved, view)
+    path = motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
+    few = motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
+    bodies = {name: np.ravel(np.asarray(place, dtype=float)) for name, place in view.bodies.items()}
+    extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
+    size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
+    with style():
+        figure = new_figure(5.2)
+        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=18, azim=-62)
+        ax.plot(*path.position, color=COLORS[0], zorder=4)
+        handles = [Line2D([], [], color=COLORS[0], label="path")]
+        for point, marker, label in ((path.position[:, 0], "o", "start"), (path.position[:, -1], "s", "end")):
+            ax.plot(*point[:, None], marker, color=COLORS[0], markersize=5, zorder=6)
+            handles.append(Line2D([], [], color=COLORS[0], marker=marker, linestyle="none", label=label))
+        drawn = [extent]
+        for k in range(few.times.size):
+            if few.dcm_BL is not None:
+                drawn.append(_draw_box(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
+        for i, (name, place) in enumerate(bodies.items(), 1):
+            drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)]))
+            handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], linewidth=6, alpha=0.4, label=name))
+        for name in view.keep_out:
+            surface = sphere(*view.volume(name))
+            ax.plot_wireframe(*surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2)
+            drawn.append(surface.reshape(3, -1))
+            handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label=name))
+        frame_space(ax, np.hstack(drawn), path.unit, ("", "", ""), view.down, zoom=1.15)
+        legend_on_top(figure, handles)
+    return figure
+
+
+def _draw_box(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str) -> Array:
+    """Draw a vehicle as a box along its axes, the rows of ``dcm_BL``; return its corners (3, 8)."""
+    edges = size * np.array(VEHICLE_HALF_EDGES)
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * edges
+    points = corners @ dcm_BL + centre
+    faces = [points[list(face)] for face in _BOX_FACES]
+    shown = Poly3DCollection(faces, facecolor=color, edgecolor=color, linewidth=0.6, alpha=0.2, zorder=3)
+    ax.add_collection3d(shown)
+    return np.asarray(points.T)
+
+
+_BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+"""Corners of each face, in the order of `itertools.product`."""
+
+
 def _draw_body_axes(ax: Any, r: Array, dcm: Array, at: Sequence[int], length: float) -> list[Array]:
     tips = []
     for k in at:
@@ -124,7 +210,9 @@ def _draw_body_axes(ax: Any, r: Array, dcm: Array, at: Sequence[int], length: fl
     return tips
 
 
-def frame_space(ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
+def frame_space(
+    ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool, zoom: float = 1.05
+) -> None:
     """Equal scales on all axes, limits around all points, labels with units."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))
@@ -133,7 +221,7 @@ def frame_space(ax: Any, points: Array, unit: str, notes: Sequence[str], down: b
     # With z down, y runs towards the viewer: the frame stays right-handed.
     ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
-    ax.set_box_aspect(high - low, zoom=1.05)
+    ax.set_box_aspect(high - low, zoom=zoom)
     for axis, extent in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, strict=True):
         axis.set_major_locator(MaxNLocator(max(2, round(6 * extent / float(np.max(high - low))))))
     names = [axis_label(f"${name}$ {note}".strip(), unit) for name, note in zip("xyz", notes, strict=True)]

@@ -60,11 +60,12 @@ def plot_verdict(verdict: Verdict) -> Figure:
         axes.axvline(1.0, color=QUIET, linestyle="--", linewidth=1.0, label="tolerance")
         axes.set_xscale("log")
         axes.set_xlim(
-            _VERDICT_LEAST, 10.0 ** np.ceil(np.log10(max(1.0, *map(_offence, verdict.conditions)) * 3))
+            _VERDICT_LEAST,
+            10.0 ** np.ceil(np.log10(max(1.0, *map(_offence, verdict.conditions)) * 3)),
         )
         axes.set_yticks(rows, [c.name for c in verdict.conditions])
         axes.tick_params(axis="y", length=0)
-        axes.set_xlabel("worst offence, in tolerances")
+        axes.set_xlabel("largest residual as a share of its tolerance")
         axes.set_title(f"{verdict.problem_name}: {verdict.headline}")
         legend_on_top(figure, axes.get_legend_handles_labels()[0])
         return figure
@@ -113,9 +114,9 @@ _NARROW = 3e-3
 def plot_refinement(history: History) -> Figure:
     """Draw how a refinement went.
 
-    Above, the estimated error of each pass over its number of collocation points, in order, with the tolerance;
-    passes whose solve failed are crossed out.
-    Below, for each phase, one row per pass: its segments over time, coloured by their degrees. Where the first
+    Above, the estimated error of each iteration over its number of collocation points, in order, with the tolerance;
+    iterations whose solve failed are crossed out.
+    Below, for each phase, one row per iteration: its segments over time, coloured by their degrees. Where the first
     or last segments are too narrow to be seen, time is the share of the phase on a logit axis,
     which stretches both ends.
 
@@ -142,7 +143,7 @@ def plot_refinement(history: History) -> Figure:
         norm = Normalize(min(degrees), max(max(degrees), min(degrees) + 1))
         for ax, phase in zip(axes[1:], phases, strict=True):
             _draw_meshes(ax, history, phase, norm)
-            ax.set_ylabel("pass" if len(phases) == 1 else f"pass ({phase})")
+            ax.set_ylabel("iteration" if len(phases) == 1 else phase)
         tall = sum(heights[1:])
         ticks = MaxNLocator(max(1, int(tall / _TICK)), integer=True)
         figure.colorbar(
@@ -205,7 +206,7 @@ def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> Non
 
 def _legend(history: History) -> list[Any]:
     handles = [
-        Line2D([], [], label="passes in order", **_PATH),
+        Line2D([], [], label="iterations in order", **_PATH),
         Line2D([], [], label=f"returned: {history.status.value.replace('_', ' ')}", **_CHOSEN),
         Line2D([], [], label="tolerance", **_TOLERANCE),
     ]

@@ -52,12 +52,14 @@
   const moving = [];
   if (data.moves) {
     moving.push([line("path", "#777777", 2, { dash: "dash" }), () => columns(shown.position[0].map((_, k) => at(k)))]);
-    moving.push([line("flown", "ink", 5), (k) => columns(shown.position[0].slice(0, k + 1).map((_, i) => at(i)))]);
+    moving.push([line("path so far", "ink", 5), (k) => columns(shown.position[0].slice(0, k + 1).map((_, i) => at(i)))]);
   }
-  const corners = [];
-  for (const x of [-1, 1]) for (const y of [-1, 1]) for (const z of [-1, 1]) corners.push([0.36 * x, 0.26 * y, 0.26 * z]);
+  const corners = [], [ex, ey, ez] = data.half_edges;
+  for (const x of [-1, 1]) for (const y of [-1, 1]) for (const z of [-1, 1]) corners.push([ex * x, ey * y, ez * z]);
   const box = { type: "mesh3d", name: "vehicle", color: "#8a949c", flatshading: true, ...common, x: [], y: [], z: [],
     i: [0, 0, 4, 4, 0, 0, 2, 2, 0, 0, 1, 1], j: [1, 3, 6, 7, 4, 5, 3, 7, 2, 6, 5, 7], k: [3, 2, 7, 5, 5, 1, 7, 6, 6, 4, 7, 3] };
+  for (const [name, place] of Object.entries(data.bodies))
+    still.push({ ...box, name, color: hue.y, ...columns(corners.map((c) => add(place, c, data.axis))) });
   const dot = { type: "scatter3d", mode: "markers", name: "vehicle", marker: { size: 5, color: "ink" }, ...common };
   moving.push(data.turns
     ? [box, (k) => columns(corners.map((c) => add(at(k), turned(c, frame(k)), data.axis)))]

@@ -20,7 +20,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
 from gnc_opt.plot.campaign import SHOWN_RUN_SHARE, tube
-from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere
+from gnc_opt.plot.view import AXIS, PLUME, VEHICLE_HALF_EDGES, Motion, Moved, View, motion, span, sphere
 
 _INSTANTS = (41, 241)
 """Fewest and most instants of a motion."""
@@ -83,7 +83,9 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
     usual = [each.position for name, each in motions.items() if regular.get(name, True)]
     usual = usual or [each.position for each in motions.values()]
     volumes = {name: sphere(*view.volume(name)) for name in view.keep_out}
-    low, high, size = _extent([*usual, *(v.reshape(3, -1) for v in volumes.values())], view)
+    bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
+    still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
+    low, high, size = _extent([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
     many = len(usual) >= _FEWEST_OF_A_TUBE and view.position is not None
@@ -98,6 +100,8 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
         "high": high.tolist(),
         "axis": AXIS * size,
         "plume": PLUME * size,
+        "bodies": bodies,
+        "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
         "tube": None if around is None else np.round(around, digits).tolist(),
         "tube_name": f"holds {SHOWN_RUN_SHARE:.0%} of the runs",

@@ -12,8 +12,8 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-FIGURE_WIDTH_INCHES = 6.5
-"""Width of a figure, inches: the text width of a page."""
+FIGURE_WIDTH_INCHES = 9.0
+"""Width of a figure: its letters suit the full width of a report, and a page of 6.5 inches after reduction."""
 
 DPI = 150
 

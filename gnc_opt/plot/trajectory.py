@@ -177,7 +177,7 @@ def plot_hamiltonian(
     along = [sample(_flown_hamiltonian(solution, leg), leg.flown.jumps) for leg in legs]
     low, high = data_range(np.concatenate(at_points))
     with style():
-        figure = new_figure(3.8)
+        figure = new_figure(3.4)
         ax = figure.subplots()
         ax.axhspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0, zorder=1)
         for leg, points, (t, values) in zip(legs, at_points, along, strict=True):
@@ -213,7 +213,7 @@ def _draw_each(
     legs = chosen_phases(solution, phase)
     names = chosen_names(legs, "states", names)
     with style():
-        figure = new_figure(0.4 + 2.6 * len(names))
+        figure = new_figure(0.5 + 2.1 * len(names))
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
             for leg in legs:
@@ -224,7 +224,8 @@ def _draw_each(
                     if decorate is not None:
                         decorate(ax, leg, name)
             span_phases(ax, legs)
-            legend_above(ax)
+            if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
+                legend_above(ax)
         axes[-1].set_xlabel("time (s)")
         figure.align_ylabels(list(axes))
     return figure
@@ -256,7 +257,7 @@ def _hamiltonian_legend(low: float, high: float, expected: float | None) -> list
     handles: list[Any] = [
         Line2D([], [], label="at the collocation points", **_AT_POINTS),
         Line2D([], [], label=f"band of these, {told}", color=COLORS[0], alpha=0.25, linewidth=6),
-        Line2D([], [], label="along the flown controls", **_ALONG_FLOWN),
+        Line2D([], [], label="along the applied controls", **_ALONG_FLOWN),
     ]
     if expected is not None:
         handles.append(Line2D([], [], label=f"expected, {number_text(expected)}", **_EXPECTED))

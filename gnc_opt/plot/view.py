@@ -20,6 +20,9 @@ from gnc_opt.spacecraft import mrp_to_dcm, quaternion_to_dcm
 Moved: TypeAlias = Solution | Run
 Names: TypeAlias = str | Sequence[str]
 
+VEHICLE_HALF_EDGES = (0.36, 0.26, 0.26)
+"""Of the box that stands for a vehicle, along its axes, in lengths of the axes as drawn."""
+
 AXIS, PLUME = 0.12, 0.2
 """Lengths of the body's axes and of the plume at full thrust, shares of the largest extent of what is drawn."""
 
@@ -70,6 +73,8 @@ class View:
         Spheres, or ellipsoids with three semi-axes along those of L, in the unit of the position.
     down : bool
         Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
+    bodies : mapping of str to array (3,)
+        Other vehicles, which rest in L, such as the target of a rendezvous: position by name.
 
     Raises
     ------
@@ -87,6 +92,7 @@ class View:
     force: Names | Mapping[str, Thruster] | None = None
     keep_out: Mapping[str, tuple[ArrayLike, ArrayLike]] = field(default_factory=dict)
     down: bool = False
+    bodies: Mapping[str, ArrayLike] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.position is None and self.attitude is None:
@@ -95,6 +101,8 @@ class View:
             )
         for name in self.keep_out:
             self.volume(name)
+        for name, position in self.bodies.items():
+            _three(position, f"the position of '{name}'")
         for name, thruster in self.thrusters.items():
             if not isinstance(thruster, Thruster):
                 raise ArgumentError(f"the thruster '{name}' is a {type(thruster).__name__}: give a Thruster.")

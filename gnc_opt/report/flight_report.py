@@ -1,8 +1,9 @@
-"""Reports of what flew: a folder with one page about a run, or about a campaign and any of its runs."""
+"""Reports of simulations: a folder with one page about a run, or about a campaign and any of its runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,19 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.page import again, chip, document, pictures, report_folder, save_figures
+from gnc_opt.report.document import (
+    chip,
+    command_text,
+    document,
+    picture,
+    pictures,
+    report_folder,
+    save_figures,
+    write_page,
+)
+from gnc_opt.report.page import TRAJECTORY_CAPTION
+from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
+from gnc_opt.simulation.confidence_intervals import share_below_maximum
 from gnc_opt.text import preformatted, table
 
 if TYPE_CHECKING:
@@ -41,7 +54,7 @@ def write_run_report(
     view : gnc_opt.plot.View, optional
         What of the motion is shown in three dimensions, as in `write_report`.
     command : str, optional
-        How to get this report again, for the page.
+        What writes this report again, for the page.
 
     Returns
     -------
@@ -61,19 +74,27 @@ def write_run_report(
     """
     folder = report_folder(directory)
     motion = "" if view is None else _scene({title: run}, view)
-    files = save_figures(folder, _run_figures(run))
+    files = save_figures(folder, _run_figures(run, view))
     sections = {
-        "Answer": preformatted(str(run)),
+        "Overview": picture(files, "trajectory", TRAJECTORY_CAPTION) + preformatted(str(run)),
         "Motion": motion,
-        "Figures": pictures(files),
+        "States": picture(files, "states", "States of the plant over time."),
+        "Controls": picture(files, "controls", "Commands and applied controls over time."),
+        "Errors": picture(files, "errors", "Errors of the states relative to the reference over time."),
         "Parameters": table(
-            ("", "value"),
-            zip(run.layouts["parameter"].labels, (f"{v:.9g}" for v in run.parameters), strict=True),
+            ("parameter", "value", "unit"),
+            zip(
+                run.layouts["parameter"].labels,
+                (f"{v:.9g}" for v in run.parameters),
+                run.layouts["parameter"].units,
+                strict=True,
+            ),
         ),
-        "Provenance": again(command) + table(("", ""), [("seed", run.seed)]),
+        "Software": command_text(command) + table(("", ""), [("seed", run.seed)]),
     }
     headline = chip(str(run.outcome), "good" if run.outcome.ok else "bad")
-    return [_written(folder, document(title, headline, sections)), run.save(folder / "run.npz"), *files]
+    page = write_page(folder, document(title, headline, sections))
+    return [page, run.save(folder / "run.npz"), *files.values()]
 
 
 def write_campaign_report(
@@ -95,12 +116,12 @@ def write_campaign_report(
     title : str
         Of the page.
     view : gnc_opt.plot.View, optional
-        What is shown in three dimensions, as in `write_report`: any of the runs, flown again for it, all their
+        Motion in three dimensions, as in `write_report`: any of the runs, simulated again, all their
         paths, and the tube that holds 95 % of them. It needs a campaign that can fly (see `Campaign.rerun`).
     runs : int
         At most so many are shown there: those that did not pass first, then the others in the order of their numbers.
     command : str, optional
-        How to get this report again, for the page.
+        What writes this report again, for the page.
 
     Returns
     -------
@@ -128,21 +149,85 @@ def write_campaign_report(
     files = save_figures(folder, _campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Answer": preformatted(str(campaign)),
+        "Overview": _outcomes(campaign) + _pass_rates(campaign),
         "Motion": motion,
-        "Figures": pictures(files),
-        "Failures": table(("run", "what went wrong"), failures),
-        "Provenance": again(command)
+        "Percentiles": _percentiles(campaign),
+        "Distributions": picture(
+            files, "distributions", "Distribution of each measure over all runs, with its limit."
+        ),
+        "Dispersions": pictures(
+            {
+                path: f"Errors of {stem.removeprefix('dispersion_')} at the end of all runs, by pairs of components."
+                for stem, path in files.items()
+                if stem.startswith("dispersion_")
+            }
+        ),
+        "Envelopes": pictures(
+            {
+                path: (
+                    f"{stem.removeprefix('envelope_')} over time: 1st, 50th and 99th percentile of the runs, "
+                    "with their intervals of 95 % confidence."
+                )
+                for stem, path in files.items()
+                if stem.startswith("envelope_")
+            }
+        ),
+        "Failures": table(("run", "cause"), failures),
+        "Software": command_text(command)
         + table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
     }
     passed = campaign.pass_rate()
-    headline = chip(
-        f"{passed.passed} of {len(campaign)} passed", "good" if passed.passed == len(campaign) else "open"
+    tone = "good" if passed.passed == len(campaign) else "open"
+    headline = (
+        chip(f"{passed.passed} of {len(campaign)} passed", tone) + f"pass rate {passed}, 95 % confidence"
     )
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     saved = campaign.save(folder / "campaign.npz")
-    return [_written(folder, document(title, headline, sections)), saved, statistics, *files]
+    page = write_page(folder, document(title, headline, sections))
+    return [page, saved, statistics, *files.values()]
+
+
+# --- numbers ----------------------------------------------------------------------------------------------
+
+
+def _outcomes(campaign: Campaign) -> str:
+    """Return how the runs ended, and the share of all possible runs that stay below each maximum."""
+    below = 100 * share_below_maximum(len(campaign))
+    events = "".join(f"; event {name} in {count} runs" for name, count in campaign.event_totals.items())
+    return (
+        f"<p>{escape(str(campaign).splitlines()[0].capitalize() + events)}.</p>"
+        f"<p>With 95 % confidence, {below:.2f} % of all runs stay below each maximum.</p>"
+    )
+
+
+def _pass_rates(campaign: Campaign) -> str:
+    """Return the pass rate of each limit with its interval."""
+    rows = []
+    for name, limit in campaign.limits.items():
+        found = campaign.pass_rate(name)
+        value = f"{limit:.4g} {campaign.unit(name)}".strip()
+        rows.append(
+            (name, value, f"{found.passed} of {found.runs}", *_percents(found.rate, found.low, found.high))
+        )
+    found = campaign.pass_rate()
+    rows.append(("all", "", f"{found.passed} of {found.runs}", *_percents(found.rate, found.low, found.high)))
+    return table(("measure", "limit", "runs that pass", "rate", "95 % interval"), rows)
+
+
+def _percents(rate: float, low: float, high: float) -> tuple[str, str]:
+    return f"{100 * rate:.1f} %", f"{100 * low:.1f} % to {100 * high:.1f} %"
+
+
+def _percentiles(campaign: Campaign) -> str:
+    """Return percentiles of each measure with their intervals."""
+    rows = []
+    for name in shown_measures(campaign):
+        found = [campaign.percentile(name, level) for level in LEVELS]
+        texts = [f"{p.value:.3g} ({p.low:.3g} to {p.high:.3g})".replace("inf", "∞") for p in found]
+        rows.append((name, campaign.unit(name), *texts, f"{campaign.maximum(name):.3g}"))
+    titles = ("measure", "unit", *(f"{100 * level:g} %" for level in LEVELS), "maximum")
+    return "<p>In parentheses: intervals of 95 % confidence by order statistics.</p>" + table(titles, rows)
 
 
 # --- motion -----------------------------------------------------------------------------------------------
@@ -164,16 +249,19 @@ def _any_run(campaign: Campaign, view: View, runs: int) -> str:
         word = "passed" if passed[k] else "beyond a limit" if outcome.ok else outcome.status.value
         name = f"run {index}: {word}"
         flown[name], regular[name] = campaign.rerun(index), outcome.ok
-    told = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return told + _scene(flown, view, regular)
+    count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
+    return count + _scene(flown, view, regular)
 
 
 # --- figures ----------------------------------------------------------------------------------------------
 
 
-def _run_figures(run: Run) -> Iterator[tuple[str, Figure]]:
+def _run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
+    from gnc_opt.plot.path import plot_motion
     from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
 
+    if view is not None and view.position is not None:
+        yield "trajectory", plot_motion(run, view)
     yield "states", plot_run_states(run)
     yield "controls", plot_run_controls(run)
     if run.errors is not None:
@@ -181,7 +269,7 @@ def _run_figures(run: Run) -> Iterator[tuple[str, Figure]]:
 
 
 def _campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
-    from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
+    from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 
     if campaign.measures:
         yield "distributions", plot_distributions(campaign)
@@ -189,9 +277,6 @@ def _campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
         layout: Any = campaign.layouts["error"]
         if name in layout and layout[name].size > 1:
             yield f"dispersion_{name}", plot_dispersion(campaign, name)
-
-
-def _written(folder: Path, text: str) -> Path:
-    told = folder / "report.html"
-    told.write_text(text, encoding="utf-8")
-    return told
+    if campaign.sample_times.size:
+        for name in campaign.layouts["quantity"].names:
+            yield f"envelope_{name}", plot_envelope(campaign, name)

@@ -1,141 +1,55 @@
-"""The page about one solution.
+"""The page about one solution, for a design review.
 
-The one page of a report: its frame, its style and its pieces; it needs no network and no other file.
-
-A verdict as a table.
+The first section holds the trajectory, the controls with their switching functions and the result of the optimality
+check; the others the problem, states, costates, Hamiltonian, arcs, refinement, conditions, multipliers and versions.
 """
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
-from gnc_opt.errors import GncOptError
 from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.summary import known_quality, mesh_text
+from gnc_opt.planning.solution.summary import (
+    ROUNDING_VIOLATION,
+    known_quality,
+    left_tables,
+    mesh_text,
+    objective_text,
+)
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
+from gnc_opt.report.document import chip, command_text, document, figures_of_user, picture
+from gnc_opt.report.problem_statement import problem_statement
 from gnc_opt.text import table
 
-_KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
-"""Content that browsers draw inside a page."""
+TRAJECTORY_CAPTION = (
+    "Trajectory in space: circle at the start, square at the end, vehicle drawn at equal intervals of time."
+)
 
-
-def report_folder(directory: str | Path) -> Path:
-    """Make a folder for a report and return its path; refuse a file."""
-    folder = Path(directory)
-    if folder.exists() and not folder.is_dir():
-        raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
-    """Write figures by file stem as SVG and return their paths."""
-    from gnc_opt.plot.style import save_figure
-
-    return [save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures]
-
-
-def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
-    """Return a page: sections of HTML below their titles, empty ones left out."""
-    shown = {name: body for name, body in sections.items() if body}
-    links = "".join(f'<a href="#{_anchor(name)}">{name}</a>' for name in shown)
-    bodies = "".join(
-        f'<section id="{_anchor(name)}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
-    )
-    name = escape(title)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}</title><style>{_STYLE}</style></head>\n<body><header><h1>{name}</h1>"
-        f"<p>{headline}</p><nav>{links}</nav></header>\n<main>{bodies}</main></body></html>\n"
-    )
-
-
-def pictures(paths: Sequence[Path]) -> str:
-    """Return SVG and PNG files as part of a page; others are left out."""
-    return "".join(_picture(path) for path in paths if path.suffix in _KINDS)
-
-
-def chip(word: str, tone: str) -> str:
-    """Return a word that stands out; tones: good, bad, open or none."""
-    return f'<span class="chip {tone}">{escape(word)}</span>'
-
-
-def again(command: str | None) -> str:
-    """Return how to get the same page again."""
-    return f"<p>Again: <code>{escape(command)}</code></p>" if command else ""
-
-
-def _anchor(title: str) -> str:
-    return title.lower().replace(" ", "-")
-
-
-def _picture(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    name = escape(path.stem.replace("_", " "))
-    source = f"data:{_KINDS[path.suffix]};base64,{data}"
-    return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
-
-
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1a1f24; --quiet: #5b6770; --paper: #fff; --line: #d8dde1;
-  --good: #1a7f4b; --bad: #c0341d; --open: #8a6100; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --quiet: #9aa7b1; --paper: #14181c; --line: #343c44;
-  --good: #4cc38a; --bad: #ff8a70; --open: #e3b341; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 1rem; font: 16px/1.5 system-ui, sans-serif; color: var(--ink);
-  background: var(--paper); }
-h1 { margin: 0; font-size: 1.6rem; } h2 { margin: 2rem 0 .5rem; font-size: 1.15rem; }
-nav { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; padding: .4rem 0; border-block: 1px solid var(--line); }
-a { color: inherit; } a:focus-visible, summary:focus-visible { outline: 2px solid var(--good); }
-.chip { display: inline-block; padding: 0 .55rem; margin-right: .5rem; border: 1px solid; border-radius: 1rem;
-  font-size: .85rem; font-weight: 600; }
-.good { color: var(--good); } .bad { color: var(--bad); } .open { color: var(--open); }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th, summary span:last-child, figcaption { color: var(--quiet); font-weight: normal; }
-details { padding: .3rem 0; border-bottom: 1px solid var(--line); } details p { margin: .3rem 0 .3rem 1rem; }
-summary { cursor: pointer; } summary b { margin-right: .8rem; }
-figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
-img { max-width: 100%; padding: .5rem; background: #fff; border-radius: .3rem; }
-code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
-#stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
-#film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
-#film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
-@media print { nav, #motion { display: none; } figure, details, tr { break-inside: avoid; }
-  h2 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 22cm; } }
-"""
-
-
-def verdict_counts(verdict: Verdict) -> str:
-    """Return "11 pass, 0 fail, 2 inconclusive"."""
-    words = {
-        ConditionResult.PASS: "pass",
-        ConditionResult.FAIL: "fail",
-        ConditionResult.INCONCLUSIVE: "inconclusive",
-    }
-    results = [condition.result for condition in verdict.conditions]
-    return ", ".join(f"{results.count(result)} {word}" for result, word in words.items())
-
-
-def number_text(value: float) -> str:
-    """Return two digits of a number, "-" for none."""
-    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
-
-
-_TONES = {ConditionResult.PASS: "good", ConditionResult.FAIL: "bad", ConditionResult.INCONCLUSIVE: "open"}
+CAPTIONS = {
+    "states": "States over time; dashed: limits.",
+    "controls": (
+        "Controls (left) and their switching functions ∂H/∂u (right). A control is at its lower limit where its "
+        "switching function is positive, at its upper limit where it is negative; dotted: changes of sign."
+    ),
+    "costates": "Costates over time: derivatives of the optimal cost with respect to the states.",
+    "hamiltonian": (
+        "Hamiltonian over time. It is constant if time does not occur in the problem, and -1 in minimum time."
+    ),
+    "refinement": "Mesh and estimated error of each refinement iteration.",
+    "verdict": "Residual of each condition as a share of its tolerance.",
+}
+"""Captions of the figures that every report has, by file stem."""
 
 
 def page(
     solution: Solution,
     verdict: Verdict | None,
-    files: Sequence[Path],
+    files: Mapping[str, Path],
+    own: Sequence[Path] = (),
     *,
     motion: str = "",
     command: str | None = None,
@@ -146,78 +60,134 @@ def page(
     ----------
     solution : Solution
     verdict : Verdict or None
-    files : sequence of Path
-        Figures, which become part of the page.
+    files : mapping of str to Path
+        Figures by stem, which become part of the page.
+    own : sequence of Path
+        Figures of the user.
     motion : str
         The scene in three dimensions as HTML.
     command : str, optional
-        What was typed to get here.
+        What writes the page again.
     """
+
+    def shown(*stems: str) -> str:
+        return "".join(picture(files, stem, CAPTIONS[stem]) for stem in stems)
+
     sections = {
-        "Answer": _answer(solution),
+        "Overview": _overview(solution, verdict, files),
         "Motion": motion,
-        "Verdict": _verdict(verdict),
+        "Problem": "" if solution.problem is None else problem_statement(solution.problem),
+        "States": shown("states") if "trajectory" in files else "",
+        "Costates and Hamiltonian": shown("costates", "hamiltonian"),
         "Arcs": _arcs(solution),
-        "Refinement": _refinement(solution.history),
-        "Figures": pictures(files),
+        "Refinement": _refinement(solution.history) + shown("refinement"),
+        "Conditions": _conditions(verdict) + shown("verdict"),
+        "Figures": figures_of_user(own),
         "Multipliers": _multipliers(solution),
-        "Provenance": _provenance(solution, command),
+        "Software": _software(solution, command),
     }
-    return document(solution.problem_name, _chips(solution, verdict), sections)
+    return document(solution.problem_name, _headline(solution, verdict), sections)
 
 
-# --- sections -------------------------------------------------------------------------------------------
+# --- first section ----------------------------------------------------------------------------------------
 
 
-def _chips(solution: Solution, verdict: Verdict | None) -> str:
-    """Status, verdict and objective in one line."""
+def _headline(solution: Solution, verdict: Verdict | None) -> str:
+    """Return the status of solver and optimality check, and the objective, in one line."""
     solved = solution.status.solved
     chips = chip(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
     if verdict is not None:
-        chips += chip(verdict.word, "good" if verdict.ok else "bad" if verdict.failed else "open")
-        chips += chip("a strict local minimum", "good") if verdict.minimum else ""
+        tone = "good" if verdict.ok else "bad" if verdict.failed else "open"
+        chips += chip("strict local minimum" if verdict.minimum else verdict.word, tone)
     sense = "maximised" if solution.maximised else "minimised"
-    return f"{chips} objective <strong>{solution.objective:.12g}</strong> ({sense})"
+    return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"
 
 
-def _answer(solution: Solution) -> str:
-    rows = [("mesh", mesh_text(solution))]
-    for name, leg in solution.phases.items():
-        rows.append((f"phase {name}", f"{leg.initial_time:.12g} s to {leg.final_time:.12g} s"))
-    for name in solution.free_parameters.names:
-        rows.append((f"parameter {name}", f"{solution.parameter(name)}"))
+def _overview(solution: Solution, verdict: Verdict | None, files: Mapping[str, Path]) -> str:
+    trajectory = picture(files, "trajectory", TRAJECTORY_CAPTION) or picture(
+        files, "states", CAPTIONS["states"]
+    )
+    controls = picture(files, "controls", CAPTIONS["controls"])
+    return _check(solution, verdict) + trajectory + controls + _facts(solution)
+
+
+def _check(solution: Solution, verdict: Verdict | None) -> str:
+    if not solution.status.solved:
+        rows = [("what to do", solution.status.remedy)]
+        rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
+        return table(("", ""), rows)
+    if verdict is None:
+        return "<p>Optimality was not checked.</p>"
+    failing = "".join(f"<p>{escape(text)}</p>" for text in what_fails(verdict))
+    return failing + table(("check", "result", "largest residual", "at"), check_lines(verdict))
+
+
+FEASIBLE = ("dynamics", "propagation", "bounds", "path constraints", "boundary conditions", "cost", "tables")
+"""Conditions that any admissible trajectory satisfies."""
+
+
+def check_lines(verdict: Verdict) -> list[tuple[str, str, str, str]]:
+    """Return group, result, largest residual and its place of three groups of conditions."""
+    groups: dict[str, list[Condition]] = {}
+    for c in verdict.conditions:
+        group = (
+            "feasible" if c.name in FEASIBLE else f"{'second' if c.sufficient else 'first'}-order conditions"
+        )
+        groups.setdefault(group, []).append(c)
+    order = {ConditionResult.FAIL: 2, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 0}
+    lines = []
+    for group, found in groups.items():
+        worst = max(found, key=lambda c: (order[c.result], -math.inf if math.isnan(c.value) else c.value))
+        place = f"{worst.name}: {worst.location_text}"
+        lines.append((group, worst.result.value.lower(), residual_text(worst.value), place))
+    return lines
+
+
+def what_fails(verdict: Verdict) -> list[str]:
+    """Return a sentence for each condition that fails or is inconclusive though necessary: place, size, meaning."""
+    return [f"{c.name} {c.result.value.lower()} at {c.location_text}. {c.meaning}" for c in verdict.open]
+
+
+def _facts(solution: Solution) -> str:
+    rows = [
+        (f"phase {name}", f"{leg.initial_time:.10g} s to {leg.final_time:.10g} s")
+        for name, leg in solution.phases.items()
+    ]
+    rows += [(f"parameter {name}", f"{solution.parameter(name)}") for name in solution.free_parameters.names]
+    if solution.problem is not None and solution.status.solved:
+        rows.append(("accuracy", solution.accuracy.text))
     quality = known_quality(solution)
     if quality is not None:
-        rows += [
-            ("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_location}"),
-            (
-                "outside its bounds",
-                f"{quality.max_bound_violation:.2g} of their range: {quality.bound_location}",
-            ),
-            ("miss when flown", f"{quality.propagation_error:.2g} relative: {quality.propagation_location}"),
-        ]
-    rows += [(f"broken: {broken.name}", f"{broken.amount:.2g}") for broken in solution.violations]
-    if not solution.status.solved:
-        rows.append(("what to do", solution.status.remedy))
+        rows.append(("defect between nodes", f"{quality.max_defect:.2g} relative: {quality.defect_location}"))
+        if quality.max_bound_violation > ROUNDING_VIOLATION:
+            violation = f"{quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
+            rows.append(("limits exceeded by", violation))
+    rows.append(("mesh", mesh_text(solution)))
+    rows += [("table left", str(found)) for found in left_tables(solution)]
     return table(("", ""), rows)
 
 
-def _verdict(verdict: Verdict | None) -> str:
+# --- further sections -------------------------------------------------------------------------------------
+
+
+def _conditions(verdict: Verdict | None) -> str:
     if verdict is None:
-        return "<p>Not judged.</p>"
-    return f"<p>{verdict_counts(verdict)}. Each line unfolds.</p>" + "".join(
-        _condition(c) for c in verdict.conditions
+        return ""
+    rows = [
+        (c.name, c.result.value.lower(), residual_text(c.value), f"{c.tolerance:.0e}", c.location_text)
+        for c in verdict.conditions
+    ]
+    meanings = "".join(
+        f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>"
+        for c in verdict.conditions
+        if c.result is not ConditionResult.PASS
     )
+    return table(("condition", "result", "residual", "tolerance", "largest at"), rows) + meanings
 
 
-def _condition(condition: Condition) -> str:
-    opened = " open" if condition.result is ConditionResult.FAIL else ""
-    return (
-        f"<details{opened}><summary>{chip(condition.result.value, _TONES[condition.result])}"
-        f"<b>{escape(condition.name)}</b><span>{number_text(condition.value)}, tolerance "
-        f"{condition.tolerance:.0e}</span></summary>"
-        f"<p>{escape(condition.location_text)}</p><p>{escape(condition.meaning)}</p></details>"
-    )
+def residual_text(value: float) -> str:
+    """Return two digits of a residual, "-" for none."""
+    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
 
 
 def _arcs(solution: Solution) -> str:
@@ -244,33 +214,33 @@ def _refinement(history: History | None) -> str:
         )
         for i, p in enumerate(history.passes)
     ]
-    titles = ("pass", "segments", "points", "error", "objective", "iterations", "time (s)", "done")
+    titles = (
+        *("iteration", "segments", "points", "error", "objective", "solver iterations", "time (s)"),
+        "changes",
+    )
     return f"<p>{escape(history.message)}</p>" + table(titles, rows)
 
 
 def _multipliers(solution: Solution) -> str:
-    rows = list(zip(solution.constraint_labels, map(_exact, solution.constraint_multipliers), strict=True))
-    rows += zip(solution.free_parameters.labels, map(_exact, solution.parameter_multipliers), strict=True)
+    rows = [
+        (f"constraint {label}", _exact(value), "")
+        for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
+    ]
+    rows += [
+        (f"limits of {label}", _exact(value), "")
+        for label, value in zip(solution.free_parameters.labels, solution.parameter_multipliers, strict=True)
+    ]
     for name, leg in solution.phases.items():
         ends = zip(leg.states.labels, leg.lam(leg.initial_time), leg.lam(leg.final_time, "left"), strict=True)
-        for label, first, last in ends:
-            rows.append(
-                (
-                    f"costate of {label}, phase {name}",
-                    f"{_exact(first)} at the start, {_exact(last)} at the end",
-                )
-            )
-    return table(("", "value"), rows)
-
-
-def _provenance(solution: Solution, command: str | None) -> str:
-    rows = [(key.replace("_", " "), str(value)) for key, value in solution.provenance.items()]
-    rows.append(("solver", solution.statistics.text))
-    return again(command) + table(("", ""), rows)
-
-
-# --- pieces ---------------------------------------------------------------------------------------------
+        rows += [(f"costate of {label}, phase {name}", _exact(a), _exact(b)) for label, a, b in ends]
+    return table(("multiplier of", "value, or at the start", "at the end"), rows)
 
 
 def _exact(value: float) -> str:
     return f"{value:.9g}"
+
+
+def _software(solution: Solution, command: str | None) -> str:
+    rows = [(key.replace("_", " "), str(value)) for key, value in solution.provenance.items()]
+    rows.append(("last solve", solution.statistics.text))
+    return command_text(command) + table(("", ""), rows)

@@ -1,4 +1,4 @@
-"""A folder that holds all there is to know about one solution."""
+"""The folder of a report on one solution: page, summary, solution and figures."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
+from gnc_opt.report.document import report_folder, save_figures, write_page
 from gnc_opt.report.json_output import write_json
-from gnc_opt.report.page import report_folder, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,23 +28,27 @@ def write_report(
     view: View | None = None,
     command: str | None = None,
 ) -> list[Path]:
-    """Write one page that shows everything, the solution itself, its summary as JSON, and the figures into a folder.
+    """Write a page for a design review, the solution, its summary as JSON, and the figures into a folder.
+
+    The page begins with the trajectory, the controls with their switching functions and the optimality check. It then
+    states the problem in full and shows states, costates, Hamiltonian, arcs, refinement, conditions and versions.
 
     Parameters
     ----------
     solution : Solution
         Joined to its problem; one without it gets no figure of the Hamiltonian.
     verdict : Verdict or None
-        None writes no verdict.
+        None writes no optimality check.
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
     figures : callable, optional
         ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns
         their path(s), or returns matplotlib figures: one, a list, or a dict by name.
     view : gnc_opt.plot.View, optional
-        What of the motion is shown in three dimensions, over a slider of time, by plotly of the extra ``report``.
+        Vehicles and motion: a figure of the trajectory, and a scene over a slider of time (plotly of the extra
+        ``report``).
     command : str, optional
-        How to get this report again, for the page.
+        What writes this report again, for the page.
 
     Returns
     -------
@@ -70,15 +74,17 @@ def write_report(
 
     folder = report_folder(directory)
     motion = "" if view is None else _motion(solution, view)
-    pictures = save_figures(folder, _generic_figures(solution))
-    if verdict is not None:
-        pictures += save_figures(folder, [("verdict", _verdict_figure(verdict))])
-    if figures is not None:
-        pictures += _own_figures(folder, figures(solution, folder))
-    told = folder / "report.html"
-    told.write_text(page(solution, verdict, pictures, motion=motion, command=command), encoding="utf-8")
+    files = save_figures(folder, _figures(solution, verdict, view))
+    own = [] if figures is None else _own_figures(folder, figures(solution, folder))
+    text = page(solution, verdict, files, own, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
-    return [told, summary, solution.save(folder / "solution.npz"), *pictures]
+    return [
+        write_page(folder, text),
+        summary,
+        solution.save(folder / "solution.npz"),
+        *files.values(),
+        *own,
+    ]
 
 
 def _motion(solution: Solution, view: View) -> str:
@@ -87,27 +93,28 @@ def _motion(solution: Solution, view: View) -> str:
     return scene_html({solution.problem_name: solution}, view)
 
 
-def _verdict_figure(verdict: Verdict) -> Figure:
-    from gnc_opt.plot.refinement import plot_verdict
-
-    return plot_verdict(verdict)
-
-
-def _generic_figures(solution: Solution) -> Iterator[tuple[str, Figure]]:
+def _figures(solution: Solution, verdict: Verdict | None, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls
+    from gnc_opt.plot.path import plot_motion
+    from gnc_opt.plot.refinement import plot_refinement, plot_verdict
+    from gnc_opt.plot.style import per_unit
 
+    unit = "" if solution.problem is None else solution.problem.cost_unit
+    rate = "" if unit in ("", "s") else per_unit(unit, "s")
+    if view is not None and view.position is not None:
+        yield "trajectory", plot_motion(solution, view)
     yield "states", trajectory.plot_states(solution)
     if any(leg.controls.size for leg in solution.phases.values()):
-        yield "controls", plot_controls(solution)
-    yield "costates", trajectory.plot_costates(solution)
+        yield "controls", plot_controls(solution, hamiltonian_unit=rate)
+    yield "costates", trajectory.plot_costates(solution, cost_unit=unit)
     if solution.problem is not None:
-        yield "hamiltonian", trajectory.plot_hamiltonian(solution)
+        yield "hamiltonian", trajectory.plot_hamiltonian(solution, unit=rate)
     if solution.history is not None:
-        from gnc_opt.plot.refinement import plot_refinement
-
         yield "refinement", plot_refinement(solution.history)
+    if verdict is not None:
+        yield "verdict", plot_verdict(verdict)
 
 
 def _own_figures(folder: Path, result: Any) -> list[Path]:
@@ -115,8 +122,9 @@ def _own_figures(folder: Path, result: Any) -> list[Path]:
     if result is None:
         return []
     if isinstance(result, dict):
-        return save_figures(folder, result.items())
+        return list(save_figures(folder, result.items()).values())
     items = list(result) if isinstance(result, Iterable) and not isinstance(result, (str, Path)) else [result]
     paths = [Path(item) for item in items if isinstance(item, (str, Path))]
     drawn = [item for item in items if not isinstance(item, (str, Path))]
-    return paths + save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))
+    saved = save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))
+    return [*paths, *saved.values()]

@@ -10,13 +10,19 @@ from rich.table import Table
 from rich.text import Text
 
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
-from gnc_opt.report.page import number_text, verdict_counts
+from gnc_opt.report.page import residual_text
 
 _STYLES = {
     ConditionResult.PASS: "green",
     ConditionResult.FAIL: "bold red",
     ConditionResult.INCONCLUSIVE: "yellow",
 }
+
+
+def verdict_counts(verdict: Verdict) -> str:
+    """Return "11 pass, 0 fail, 2 inconclusive"."""
+    results = [condition.result for condition in verdict.conditions]
+    return ", ".join(f"{results.count(result)} {result.value.lower()}" for result in ConditionResult)
 
 
 def verdict_table(verdict: Verdict) -> Table:
@@ -51,7 +57,7 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
     return (
         Text(condition.name),
         Text(condition.result.value, _STYLES[condition.result]),
-        Text(number_text(condition.value)),
+        Text(residual_text(condition.value)),
         Text(f"{condition.tolerance:.0e}"),
         Text(condition.location_text),
     )

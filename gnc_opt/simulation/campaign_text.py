@@ -85,7 +85,7 @@ def campaign_table(campaign: CampaignStatistics) -> str:
     note = f"  intervals: {100 * CONFIDENCE:g} % confidence"
     if all(np.isfinite(campaign.maximum(name)) for name in shown_measures(campaign)):
         content = share_below_maximum(runs)
-        note += f"; as surely, {100 * content:.2f} % of all possible runs stay within each max"
+        note += f"; with that confidence {100 * content:.2f} % of all runs stay below each maximum"
     lines.append(note)
     return "\n".join([*lines, *_events(campaign), *_causes(campaign)])
 

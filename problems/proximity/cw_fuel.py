@@ -61,7 +61,7 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
 
 REFERENCE = Reference(3.913602, "linear programme of 8000 steps", 3e-6, "m/s")
 
-VIEW = View("r", force="a")
+VIEW = View("r", force="a", bodies={"target": (0.0, 0.0, 0.0)})
 """What a report shows moving."""
 
 

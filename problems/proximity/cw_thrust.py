@@ -61,7 +61,7 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
 
 REFERENCE = Reference(3.618759, "second-order cone programme", 2e-6, "m/s")
 
-VIEW = View("r", force="a")
+VIEW = View("r", force="a", bodies={"target": (0.0, 0.0, 0.0)})
 """What a report shows moving."""
 
 

@@ -92,8 +92,9 @@ VIEW = View(
         for i, axis in enumerate("xyz")
     },
     down=True,
+    bodies={"target": (0.0, 0.0, 0.0)},
 )
-"""What a report shows moving: the chaser's axes and its thrusters, z towards the Earth."""
+"""Chaser with its axes and thrusters, and the target; z points to the Earth."""
 
 
 def chaser_model(equation: Equation = "printed") -> go.Model:

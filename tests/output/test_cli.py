@@ -57,7 +57,7 @@ def cart(tmp_path: Path) -> Path:
 @pytest.fixture
 def without_generic_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take half a second each time and have their own tests."""
-    monkeypatch.setattr("gnc_opt.report.report._generic_figures", lambda _: iter(()))
+    monkeypatch.setattr("gnc_opt.report.report._figures", lambda *_: iter(()))
 
 
 def run(*arguments: Any) -> int:
@@ -83,7 +83,7 @@ def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixt
     assert run("solve", cart, "--tol", "none") == 0
     out, err = capsys.readouterr()
     assert re.match(r"cart: solved \(optimal\), objective 2(\.00000\d*)? s ± \S+ \(minimised\)", out)
-    assert "10x3 LG" in out  # MESH of the file
+    assert "10 segments, degree 3, Legendre-Gauss" in out  # MESH of the file
     assert "verdict on 'cart': ok" in out
     assert re.search(r"transversality +PASS", out)
     assert err.count("\n") == 1 and "iteration" in err

@@ -132,7 +132,7 @@ def test_film_of_a_solution_and_of_runs(solution, tmp_path):
 def test_axes_have_numbers_only_where_there_is_a_place(solution, monkeypatch, tmp_path, view, numbered):
     figures = []
     monkeypatch.setattr(
-        film_module, "new_figure", lambda height: figures.append(new_figure(height)) or figures[0]
+        film_module, "new_figure", lambda *size: figures.append(new_figure(*size)) or figures[0]
     )
     save_film(solution, tmp_path / "f.gif", view, seconds=0.25, rate=8)
     figures[0].canvas.draw()

@@ -23,7 +23,7 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["dynamics", "bounds", "singular arcs"]
     handles, labels = axes.get_legend_handles_labels()
     assert labels == ["PASS (1)", "FAIL (1)", "INCONCLUSIVE (1)", "tolerance"] and len(handles) == 4
-    assert axes.get_xlabel() == "worst offence, in tolerances"
+    assert axes.get_xlabel() == "largest residual as a share of its tolerance"
     assert "NOT ok" in axes.get_title()
 
 

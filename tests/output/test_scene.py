@@ -16,7 +16,7 @@ from gnc_opt.plot.campaign import tube
 from gnc_opt.plot.scene import scene_html
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report, write_run_report
-from gnc_opt.report.page import document
+from gnc_opt.report.document import document
 from gnc_opt.simulation import Normal
 from gnc_opt.spacecraft import mrp_rate
 
@@ -247,7 +247,7 @@ def check_vehicle(tab, data, name, k):
     axes = np.array(motion["axes"])[:, :, k]
     axes = np.vstack([axes, np.cross(*axes)])
     assert np.allclose(tab.ask(f"{POINTS}('path')"), motion["position"])
-    assert np.allclose(np.array(tab.ask(f"{POINTS}('flown')"))[:, -1], here)
+    assert np.allclose(np.array(tab.ask(f"{POINTS}('path so far')"))[:, -1], here)
     assert np.allclose(np.mean(tab.ask(f"{POINTS}('vehicle')"), axis=1), here)
     for axis, label in zip(axes, ("bx", "by", "bz"), strict=True):
         root, tip = np.array(tab.ask(f"{POINTS}('{label}')")).T

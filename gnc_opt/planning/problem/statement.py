@@ -101,6 +101,10 @@ class Statement(Strict):
         self.parameter_bounds[name] = bounds
         self.parameter_guess[name] = guess
 
+    def free_symbols(self) -> tuple[Symbol, ...]:
+        """Return the symbols of the free parameters."""
+        return tuple(self._parameters.values())
+
     def parameter_symbols(self) -> Any:
         """Stacked SX symbols of the free parameters."""
         return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)

@@ -1,0 +1,131 @@
+"""Frame, style and elements of a report: one page that needs no network and no other file, on screens and in print."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import date
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from gnc_opt.environment import package_version
+from gnc_opt.errors import GncOptError
+
+_KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+"""Content that browsers draw inside a page."""
+
+
+def report_folder(directory: str | Path) -> Path:
+    """Make a folder for a report and return its path; refuse a file."""
+    folder = Path(directory)
+    if folder.exists() and not folder.is_dir():
+        raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_page(folder: Path, text: str) -> Path:
+    """Write ``report.html`` into a folder and return its path."""
+    path = folder / "report.html"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
+    """Write figures by file stem as SVG and return their paths by stem."""
+    from gnc_opt.plot.style import save_figure
+
+    return {stem: save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures}
+
+
+def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
+    """Return a page: sections of HTML below their titles, empty ones left out."""
+    shown = {name: body for name, body in sections.items() if body}
+    links = "".join(f'<a href="#{_anchor(name)}">{name}</a>' for name in shown)
+    bodies = "".join(
+        f'<section id="{_anchor(name)}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
+    )
+    name = escape(title)
+    written = f"{date.today().isoformat()}, gnc_opt {package_version('gnc_opt')}"
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{name}</title><style>{_STYLE}</style></head>\n<body><header><h1>{name}</h1>"
+        f'<p>{headline}</p><p class="quiet">{written}</p><nav>{links}</nav></header>\n'
+        f"<main>{bodies}</main></body></html>\n"
+    )
+
+
+def pictures(figures: Mapping[Path, str]) -> str:
+    """Return SVG and PNG files with their captions as part of a page; other files are left out."""
+    return "".join(_picture(path, caption) for path, caption in figures.items() if path.suffix in _KINDS)
+
+
+def picture(files: Mapping[str, Path], stem: str, caption: str) -> str:
+    """Return the figure of a stem with its caption; nothing if there is no such figure."""
+    return pictures({files[stem]: caption}) if stem in files else ""
+
+
+def figures_of_user(paths: Sequence[Path]) -> str:
+    """Return figures with the words of their file names as captions."""
+    return pictures({path: path.stem.replace("_", " ").capitalize() + "." for path in paths})
+
+
+def chip(word: str, tone: str) -> str:
+    """Return a word that stands out; tones: good, bad, open or none."""
+    return f'<span class="chip {tone}">{escape(word)}</span>'
+
+
+def command_text(command: str | None) -> str:
+    """Return the command that writes the same page."""
+    return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""
+
+
+def _anchor(title: str) -> str:
+    return title.lower().replace(" ", "-")
+
+
+def _picture(path: Path, caption: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    name = escape(caption)
+    source = f"data:{_KINDS[path.suffix]};base64,{data}"
+    return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
+
+
+_STYLE = """
+:root { color-scheme: light dark; --ink: #1a1f24; --quiet: #5b6770; --paper: #fff; --line: #d8dde1;
+  --good: #1a7f4b; --bad: #c0341d; --open: #8a6100; }
+@media screen and (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --quiet: #9aa7b1; --paper: #14181c;
+  --line: #343c44; --good: #4cc38a; --bad: #ff8a70; --open: #e3b341; }
+  img[src^="data:image/svg"] { filter: invert(.914) hue-rotate(180deg); } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 68rem; padding: 1rem; font: 16px/1.5 system-ui, sans-serif; color: var(--ink);
+  background: var(--paper); }
+h1 { margin: 0; font-size: 1.6rem; } h2 { margin: 2.2rem 0 .6rem; font-size: 1.3rem; }
+h3 { margin: 1.4rem 0 .3rem; font-size: 1.1rem; } h4 { margin: 1rem 0 .2rem; font-size: 1rem; }
+header p { margin: .3rem 0; } .quiet { color: var(--quiet); font-size: .9rem; }
+nav { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; padding: .4rem 0; border-block: 1px solid var(--line); }
+a { color: inherit; } a:focus-visible { outline: 2px solid var(--good); }
+.chip { display: inline-block; padding: 0 .55rem; margin-right: .5rem; border: 1px solid; border-radius: 1rem;
+  font-size: .85rem; font-weight: 600; }
+.good { color: var(--good); } .bad { color: var(--bad); } .open { color: var(--open); }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+th, figcaption { color: var(--quiet); font-weight: normal; }
+.formulas td { border: 0; padding: .25rem .8rem .25rem 0; vertical-align: baseline; line-height: 2; }
+.formulas td:first-child { text-align: right; }
+figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
+img { display: block; width: 100%; height: auto; background: #fff; }
+math { font-size: 1.12em; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
+code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
+#stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
+#film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
+#film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
+@media (max-width: 40rem) { table { font-size: .85rem; } th, td { padding-right: .6rem; } }
+@page { size: A4; margin: 16mm 15mm; }
+@media print { body { padding: 0; font-size: 10.5pt; max-width: none; } nav, #motion { display: none; }
+  section:nth-of-type(2) { break-before: page; } figure, tr { break-inside: avoid; } .wide { overflow: visible; }
+  h2, h3, h4 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 23cm; margin: 0 auto; }
+  #overview img { max-height: 10.5cm; } #overview figure:first-of-type img { max-height: 7.2cm; } }
+"""

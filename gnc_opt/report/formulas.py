@@ -1,0 +1,235 @@
+"""CasADi expressions as MathML, for the problem statement of a report.
+
+A subexpression that occurs twice, or is long, becomes an auxiliary quantity with a formula of its own, as in a paper.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.model.expressions import nodes_of
+
+FORMULA_MAX_NODES = 400
+"""Operations and symbols of all formulas of one phase; larger ones are described by their arguments."""
+
+AUXILIARY_MIN_NODES = 6
+"""Smallest repeated subexpression that gets a formula of its own."""
+
+AUXILIARY_LONG_NODES = 26
+"""Subexpressions from this size on get a formula of their own, which keeps lines short."""
+
+_GREEK_NAMES = (
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu"),
+    *("nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta"),
+    *("Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
+)
+_GREEK = dict(zip(_GREEK_NAMES, "αβγδεζηθικλμνξπρστφχψωΓΔΘΛΞΠΣΦΨΩ", strict=True))
+
+_SUM, _SIGNED, _PRODUCT, _ATOM = range(4)
+"""How tightly a formula binds: an operand that binds less than its operation needs is put in parentheses."""
+
+_TIMES = '<mo>&#8290;</mo><mspace width="0.15em"/>'
+
+_FUNCTIONS = {
+    ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos",
+    ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_ASINH: "arsinh",
+    ca.OP_ACOSH: "arcosh", ca.OP_ATANH: "artanh", ca.OP_EXP: "exp", ca.OP_LOG: "ln", ca.OP_LOG1P: "ln1p",
+    ca.OP_EXPM1: "expm1", ca.OP_ERF: "erf", ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",
+    ca.OP_ATAN2: "atan2", ca.OP_FMIN: "min", ca.OP_FMAX: "max", ca.OP_FMOD: "mod", ca.OP_HYPOT: "hypot",
+    ca.OP_COPYSIGN: "copysign", ca.OP_REMAINDER: "remainder",
+}  # fmt: skip
+
+_RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠", ca.OP_AND: "∧", ca.OP_OR: "∨"}
+
+
+@dataclass
+class Formulas:
+    """Writes scalar expressions; collects the auxiliary quantities that they use.
+
+    Attributes
+    ----------
+    names : mapping of int to str
+        MathML of the symbols, and of subexpressions that have a name, by ``element_hash``.
+    auxiliary : list of (str, str)
+        Name and formula of the auxiliary quantities so far, in MathML, each after those that it uses.
+    shown : int
+        How many of these have been shown to the reader.
+    """
+
+    names: dict[int, str]
+    auxiliary: list[tuple[str, str]] = field(default_factory=list)
+    shown: int = 0
+    _repeated: set[int] = field(default_factory=set)
+    _sizes: dict[int, int] = field(default_factory=dict)
+
+    def admit(self, expressions: Any) -> bool:
+        """Return whether a column of expressions is short enough to be written; note what occurs in it twice."""
+        nodes = []
+        for node in nodes_of(expressions):
+            nodes.append(node)
+            if len(nodes) > FORMULA_MAX_NODES:
+                return False
+        uses = Counter(o.element_hash() for node in nodes for o in self._operands(node))
+        self._repeated |= {place for place, count in uses.items() if count > 1}
+        return True
+
+    def terms(self, expression: Any) -> list[str]:
+        """Return a formula as its terms, signs included, between which a line may break."""
+        return list(self._terms(expression, ""))
+
+    def _operands(self, node: Any) -> list[Any]:
+        named = node.element_hash() in self.names
+        return [] if named else [node.dep(i) for i in range(node.n_dep())]
+
+    def _terms(self, node: Any, sign: str) -> Iterator[str]:
+        if (
+            node.element_hash() not in self.names
+            and node.n_dep() == 2
+            and node.op() in (ca.OP_ADD, ca.OP_SUB)
+        ):
+            yield from self._terms(node.dep(0), sign)
+            if node.op() == ca.OP_ADD:
+                yield from self._terms(node.dep(1), "+")
+                return
+            yield _operator("−") + self._operand(node.dep(1), _PRODUCT)
+            return
+        text, binding = self._written(node)
+        if sign and binding == _SIGNED:
+            yield text  # its own minus
+        else:
+            yield (_operator(sign) if sign else "") + text
+
+    def _size(self, node: Any) -> int:
+        place = node.element_hash()
+        if place not in self._sizes:
+            self._sizes[place] = 1 + sum(self._size(operand) for operand in self._operands(node))
+        return self._sizes[place]
+
+    def _operand(self, node: Any, least: int) -> str:
+        """Return an operand, in parentheses if it binds less than ``least``."""
+        text, binding = self._written(node)
+        size, place = self._size(node), node.element_hash()
+        long = size >= AUXILIARY_LONG_NODES or (place in self._repeated and size >= AUXILIARY_MIN_NODES)
+        if long and place not in self.names:
+            known = {formula: name for name, formula in self.auxiliary}
+            if text not in known:
+                known[text] = f"<msub><mi>w</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
+                self.auxiliary.append((known[text], text))
+            self.names[place], binding = known[text], _ATOM
+            text = known[text]
+            self._sizes.clear()
+        return text if binding >= least else _parentheses(text)
+
+    def _written(self, node: Any) -> tuple[str, int]:
+        """Return MathML and how tightly it binds."""
+        place = node.element_hash()
+        if place in self.names:
+            return self.names[place], _ATOM
+        if node.is_constant():
+            value = float(node)
+            return number_math(value), _ATOM if value >= 0 else _SIGNED
+        if node.is_symbolic():
+            return name_math(node.name()), _ATOM
+        return self._operation(node.op(), [node.dep(i) for i in range(node.n_dep())])
+
+    def _operation(self, op: int, parts: list[Any]) -> tuple[str, int]:
+        if op in (ca.OP_ADD, ca.OP_SUB):
+            second = self._operand(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
+            return self._operand(parts[0], _SUM) + _operator("+" if op == ca.OP_ADD else "−") + second, _SUM
+        if op == ca.OP_MUL:
+            second = self._operand(parts[1], _ATOM)
+            if parts[0].is_constant() and float(parts[0]) < 0:
+                return number_math(float(parts[0])) + _TIMES + second, _SIGNED
+            return self._operand(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
+        if op == ca.OP_NEG:
+            return "<mo form='prefix'>−</mo>" + self._operand(parts[0], _PRODUCT), _SIGNED
+        if op == ca.OP_TWICE:
+            return "<mn>2</mn>" + _TIMES + self._operand(parts[0], _ATOM), _PRODUCT
+        if op in (ca.OP_DIV, ca.OP_INV):
+            above, below = (
+                ("<mn>1</mn>", parts[0]) if op == ca.OP_INV else (self._operand(parts[0], _SUM), parts[1])
+            )
+            return f"<mfrac><mrow>{above}</mrow><mrow>{self._operand(below, _SUM)}</mrow></mfrac>", _ATOM
+        if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
+            power = "<mn>2</mn>" if op == ca.OP_SQ else self._operand(parts[1], _SUM)
+            return f"<msup><mrow>{self._operand(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>", _ATOM
+        if op == ca.OP_SQRT:
+            return f"<msqrt>{self._operand(parts[0], _SUM)}</msqrt>", _ATOM
+        if op == ca.OP_FABS:
+            return f"<mo>|</mo>{self._operand(parts[0], _SUM)}<mo>|</mo>", _ATOM
+        if op in _RELATIONS:
+            both = [self._operand(part, _SUM) for part in parts]
+            return f"{both[0]}<mo>{_RELATIONS[op]}</mo>{both[1]}", _SUM - 1
+        if op == ca.OP_IF_ELSE_ZERO:
+            value, condition = self._operand(parts[1], _PRODUCT), self._operand(parts[0], _SUM - 1)
+            return f"{value}<mtext> if </mtext>{condition}", _SUM - 1
+        if op == ca.OP_NOT:
+            return f"<mo>¬</mo>{self._operand(parts[0], _ATOM)}", _ATOM
+        return call_math(
+            _FUNCTIONS.get(op, f"operation {op}"), [self._operand(part, _SUM) for part in parts]
+        ), _ATOM
+
+
+def call_math(name: str, arguments: Iterable[str]) -> str:
+    """Return a function with its arguments."""
+    return f"<mi>{escape(name)}</mi>{_parentheses('<mo>,</mo>'.join(arguments))}"
+
+
+def symbol_names(symbols: Mapping[str, Any]) -> dict[int, str]:
+    """Return MathML by ``element_hash`` for the components of symbols, given by their names."""
+    found = {}
+    for name, symbol in symbols.items():
+        elements = ca.vertsplit(symbol)
+        for i, element in enumerate(elements):
+            label = name if len(elements) == 1 else f"{name}[{i}]"
+            found[element.element_hash()] = name_math(label)
+    return found
+
+
+def name_math(label: str, *, dotted: bool = False) -> str:
+    """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its rate."""
+    name, _, index = label.partition("[")
+    base, _, subscript = name.partition("_")
+    text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
+    if dotted:
+        text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"
+    if subscript:
+        text = f"<msub>{text}<mi>{escape(subscript.replace('_', ' '))}</mi></msub>"
+    if not index:
+        return text
+    left, right = ('<mo stretchy="false">' + bracket + "</mo>" for bracket in "[]")
+    return f"<mrow>{text}{left}<mn>{escape(index[:-1])}</mn>{right}</mrow>"
+
+
+def number_math(value: float) -> str:
+    """Return a number with six digits, its exponent typeset."""
+    digits, _, exponent = f"{abs(value):.6g}".partition("e")
+    text = f"<mn>{digits}</mn>"
+    if exponent:
+        power = f"<msup><mn>10</mn><mrow>{_signed(int(exponent))}</mrow></msup>"
+        text = power if digits == "1" else f"{text}<mo>·</mo>{power}"
+    return ("<mo form='prefix'>−</mo>" if value < 0 else "") + text
+
+
+def math(content: str) -> str:
+    """Return an inline formula."""
+    return f"<math>{content}</math>"
+
+
+def _signed(value: int) -> str:
+    return f"<mo form='prefix'>−</mo><mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
+
+
+def _operator(sign: str) -> str:
+    return f"<mo form='infix'>{sign}</mo>"
+
+
+def _parentheses(text: str) -> str:
+    stretchy = "" if "<mfrac" in text or "<msqrt" in text else ' stretchy="false"'
+    return f"<mrow><mo{stretchy}>(</mo>{text}<mo{stretchy}>)</mo></mrow>"

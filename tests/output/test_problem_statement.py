@@ -1,0 +1,153 @@
+"""The problem statement of a report: formulas that have the values of their expressions, and every number stated."""
+
+import math
+import re
+from xml.etree import ElementTree
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.report.formulas import Formulas, name_math, symbol_names
+from gnc_opt.report.problem_statement import problem_statement
+
+X, Y = ca.SX.sym("x"), ca.SX.sym("y")
+NAMES = {"x": X, "y": Y}
+
+
+def value(element, values):
+    """The value of presentation MathML, read by the rules of arithmetic."""
+    return eval(
+        _python(element), {"__builtins__": {}}, {**vars(math), "arctan": math.atan, "ln": math.log, **values}
+    )
+
+
+def _python(element):
+    children = list(element)
+    if element.tag in ("mi", "mn"):
+        return element.text
+    if element.tag == "mo":
+        return {"\u2212": "-", "\u2062": "*", "|": "|", "·": "*"}.get(element.text, element.text)
+    if element.tag == "mfrac":
+        return f"(({_python(children[0])})/({_python(children[1])}))"
+    if element.tag == "msup":
+        return f"(({_python(children[0])})**({_python(children[1])}))"
+    if element.tag == "msqrt":
+        return f"sqrt({''.join(map(_python, children))})"
+    if element.tag == "msub":
+        return "".join(_python(child) for child in children)
+    return "".join(map(_python, children))
+
+
+EXPRESSIONS = [
+    X - (Y - X),
+    X - (X + Y) * 2 / (1 - Y),
+    -X + (-Y),
+    (X + Y) ** 2 - X**2,
+    (-X) ** 2 * -3,
+    Y + (-2.5) * X * (Y - 1),
+    ca.sqrt(1 + X**2) / (X * Y),
+    X / Y / (X - Y),
+    X * (Y * (X - Y)),
+    ca.sin(X + Y) * ca.exp(-X / Y) - ca.atan(X),
+    (1 + X**2 + Y**2) ** 3 + (1 + X**2 + Y**2) * X - ca.cos(1 + X**2 + Y**2),
+    1e-7 * X + 3.25e12 * Y,
+    X**1.5 - 1 / Y,
+]
+
+
+@pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)
+def test_formulas_have_the_values_of_their_expressions(expression):
+    writer = Formulas(symbol_names(NAMES))
+    assert writer.admit(expression)
+    text = "".join(writer.terms(expression))
+    values = {"x": 1.7, "y": 0.6}
+    for name, formula in writer.auxiliary:
+        key = _python(ElementTree.fromstring(name))
+        values[key] = value(ElementTree.fromstring(f"<math>{formula}</math>"), values)
+    found = value(ElementTree.fromstring(f"<math>{text}</math>"), values)
+    exact = float(ca.Function("f", [X, Y], [expression])(1.7, 0.6))
+    assert found == pytest.approx(exact, rel=1e-9)
+
+
+def test_what_occurs_twice_is_written_once():
+    root = ca.sqrt(1 + X**2 + Y**2)
+    writer = Formulas(symbol_names(NAMES))
+    pair = ca.vertcat(X / root, ca.sin(root) + root)
+    assert writer.admit(pair)
+    texts = ["".join(writer.terms(row)) for row in ca.vertsplit(pair)]
+    assert len(writer.auxiliary) == 1 and not any("msqrt" in text for text in texts)
+
+
+def test_long_dynamics_are_described_instead():
+    long = X
+    for i in range(500):
+        long = ca.sin(long) + i * Y
+    assert not Formulas(symbol_names(NAMES)).admit(long)
+
+
+def test_names_are_typeset_and_escaped():
+    assert "<mi>ω</mi>" in name_math("omega[1]") and "<mn>1</mn>" in name_math("omega[1]")
+    assert "<b>" not in name_math("<b>")
+
+
+def test_statement_shows_every_number_and_unit():
+    model = go.Model("lander")
+    r, v = model.state("r", 2, unit="m"), model.state("v", 2, unit="m/s")
+    mass = model.state("mass", unit="kg")
+    T = model.control("T", 2, unit="N")
+    g = model.parameter("g", 3.71, unit="m/s^2")
+    model.ode({r: v, v: T / mass - ca.vertcat(0, g), mass: -ca.sumsqr(T) / 1e6})
+    problem = go.Problem("land <softly>")
+    leg = problem.phase("descent", model)
+    leg.time(0.0, (10.0, 90.0))
+    leg.initial(r=[150.0, 1200.0], v=[7.0, -30.0], mass=1900.0)
+    leg.final(r=0.0, v=0.0)
+    leg.bounds(T=([-9000.0] * 2, [9000.0] * 2), mass=(1505.0, None))
+    leg.path("glide slope", r[1] - 0.25 * r[0], lower=-3.5)
+    problem.constrain("range", leg.final_state("v")[0] ** 2, upper=17.0)
+    problem.parameter("delay", lower=0.5, upper=2.25, unit="s")
+    problem.maximize(leg.final_state("mass"))
+    text = problem_statement(problem)
+    plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
+    for shown in ("Maximise the objective, in kg", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
+                  "10 to 90", "3.71", "m/s^2", "glide slope", "3.5", "range", "17", "0.5 to 2.25"):  # fmt: skip
+        assert shown in plain, shown
+    ElementTree.fromstring(f"<div>{text}</div>".replace("&#8290;", "\u2062"))
+    assert problem_statement(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
+
+
+def rest_to_rest():
+    """With a norm that is reformulated, a table and two phases linked."""
+    model = go.Model("probe")
+    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
+    drag = go.table([0.0, 1.0, 2.0], [0.0, 0.1, 0.4], name="drag")
+    model.ode({r: v, v: a * (1 - drag(0.5 + 0.1 * ca.tanh(v[0])))})
+    problem = go.Problem("two phases")
+    first, second = problem.phase("first", model), problem.phase("second", model)
+    for leg in (first, second):
+        leg.bounds(a=([-2.0, -2.0], [2.0, 2.0]))
+    first.time(0.0, (0.5, 5.0))
+    second.time((0.5, 5.0), (1.0, 9.0))
+    first.initial(r=[1.0, 0.5], v=0.0)
+    second.final(r=0.0, v=0.0)
+    problem.link(first, second)
+    problem.minimize(second.final_time + 0.1 * first.integral(ca.sumsqr(a)))
+    return problem
+
+
+def test_figure_of_motion_holds_vehicle_and_other_bodies():
+    from gnc_opt.plot import View, plot_motion
+
+    solution = go.solve(rest_to_rest(), mesh="4x3", tol=None)
+    view = View(("r[0]", "r[1]"), bodies={"target": (0.0, 0.0, 0.5)})
+    axes = plot_motion(solution, view).axes[0]
+    path = np.array(axes.lines[0].get_data_3d())
+    assert path[:, 0] == pytest.approx([1.0, 0.0, 0.5]) and path[:, -1] == pytest.approx(
+        [0.0, 0.0, 0.0], abs=1e-6
+    )
+    low, high = axes.get_zlim()
+    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == "$x$"
+    with pytest.raises(go.ArgumentError, match="position of 'target'"):
+        View("r", bodies={"target": (0.0, 1.0)})
