@@ -53,9 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # what is left is not written at the exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest is not written at the exit
         return ExitCode.BROKEN_PIPE
     except KeyboardInterrupt:
         print("gnc-opt: interrupted", file=sys.stderr)
@@ -171,7 +169,7 @@ def _add_solve(commands: Any) -> None:
 
     command = commands.add_parser(
         "solve",
-        help="solve a problem and judge the answer",
+        help="solve a problem and check that the solution is optimal",
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -184,7 +182,7 @@ def _add_solve(commands: Any) -> None:
         type=number_or_none,
         default=REFINE_TOLERANCE,
         metavar="TOL|none",
-        help="refine until the error between the nodes is below this (default 1e-8); none: leave it at the mesh",
+        help="refine until the error between the nodes is below this (default 1e-8); none: no refinement",
     )
     add(
         "--structure",
@@ -203,8 +201,9 @@ def _add_solve(commands: Any) -> None:
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
     add("--report", metavar="DIR", help="write report.html, the solution and figures to a folder")
-    add("--no-verify", action="store_true", help="skip the verdict")
-    add("--exit-zero", action="store_true", help="exit with 0 even if the verdict fails")
+    add("--conditions", action="store_true", help="print every condition of the optimality check")
+    add("--no-verify", action="store_true", help="skip the optimality check")
+    add("--exit-zero", action="store_true", help="exit with 0 even if the optimality check fails")
     command.set_defaults(run=solve_command)
 
 

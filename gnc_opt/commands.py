@@ -74,7 +74,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
         verdict = _verify(solution) if checked else None
     if args.quiet and not solution.status.solved:
         print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
-    _show(console, solution, verdict)
+    _show(console, solution, verdict, args.conditions)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
 
@@ -215,17 +215,15 @@ def _say(console: Console, text: Any) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _show(console: Console, solution: Solution, verdict: Verdict | None) -> None:
-    from gnc_opt.report.verdict_table import verdict_table
+def _show(console: Console, solution: Solution, verdict: Verdict | None, conditions: bool) -> None:
+    """Print the summary, the iterations of a refinement that did not converge, and the optimality check."""
+    from gnc_opt.report.verdict_table import verdict_text
 
     _say(console, str(solution))
-    if solution.history is not None:
+    if solution.history is not None and not solution.history.converged:
         _say(console, str(solution.history))
-    if verdict is None:
-        return
-    console.print(verdict_table(verdict))
-    for condition in verdict.failed:
-        _say(console, f"{condition.name}: {condition.meaning}")
+    if verdict is not None:
+        _say(console, verdict_text(verdict, 200) if conditions else str(verdict))
 
 
 def _write(

@@ -194,7 +194,7 @@ class PlantModes:
         x, applied = self._flight.kernel.state.split(X)["plant"], self._outputs.split(y)[OUTPUTS[1]]
         a, _ = self._plant.linearize(t, x, applied, self._p)
         if not np.isfinite(a).all():
-            return 1  # the linearization itself says what is not finite
+            return 1  # the linearization itself names values that are not finite
         length = self._flight.dt / self._flight.minor_steps
         return steps_for_modes(np.linalg.eigvals(a).astype(complex), length, self._asked)
 

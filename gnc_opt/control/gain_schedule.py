@@ -72,7 +72,7 @@ def design_gain_schedule(
         Returns the state and control of the linearisation for one value of each scheduling variable; it is
         also evaluated between the grid points.
     Q, R : weight
-        As in `design_lqr`, the same at all points.
+        As in `design_lqr`, the same at each point.
     dt : float
         Control step, s.
 

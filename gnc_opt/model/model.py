@@ -298,7 +298,7 @@ class Model(Strict):
         unit: str = "",
         nominal: ArrayLike | None = None,
     ) -> Symbol:
-        """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 at all times.
+        """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 along a phase.
 
         A phase has z among its controls, with bounds and a guess, and the path constraint ``equation of z``. If g
         contains no control, `solve` follows z as a state; see `gnc_opt.planning.problem.reformulation.algebraic`.

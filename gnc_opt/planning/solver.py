@@ -1,4 +1,4 @@
-"""solve: from a stated problem to a solution that is accurate and judged.
+"""solve: from a stated problem to an accurate solution with its optimality check.
 
 Resolver: solving a problem again and again with other numbers, near a solution that is known.
 """
@@ -44,8 +44,8 @@ class Resolver:
     ============  ============================================================  ========================================
     way           where                                                         how
     ============  ============================================================  ========================================
-    SWITCH_TIMES  one phase, every control on a bound, all that is asked of     Newton's method on switch times, arcs
-                  the ends an equality                                          dropped and added as signs ask
+    SWITCH_TIMES  one phase, every control on a bound, all conditions at       Newton's method on switch times, arcs
+                  the ends are equalities                                       dropped and added as signs ask
     WARM          all else                                                      its arcs or mesh, and multipliers, by
                                                                                 IPOPT; refined if it was refined
     COLD          where the others give up                                      `solve` as if nothing were known
@@ -55,7 +55,7 @@ class Resolver:
     right to 1e-9 by an estimate from two grids, switch times to the root of that in shares of the phase, and no
     limit is exceeded, or it gives up.
     WARM, from a refined solution, is within ``tol``; if the arcs are others or the mesh had to be refined, it also
-    passes the verdict, which it carries then, or it gives up. All else is judged by `verify` only.
+    passes the verdict, which it carries then, or it gives up. All else is checked by `verify` only.
     Both find a local minimum, as a rule that next to the known one; COLD may find another. What was compiled,
     transcribed and differentiated serves all solves. One object must not be used by two threads at once.
 
@@ -204,10 +204,10 @@ def solve(
     progress: bool = False,
     throw: bool = True,
 ) -> Solution:
-    """Solve an optimal control problem by collocation, refine the solution, and judge it.
+    """Solve an optimal control problem by collocation, refine the solution, and check that it is optimal.
 
     What is printed of the solution says whether it is ok, a minimum, or which condition of the verdict is open;
-    `verify` returns that verdict without judging again.
+    `verify` returns that verdict without another check.
 
     Parameters
     ----------
@@ -222,15 +222,15 @@ def solve(
         answer says how. If it is the refined solution of a variation (`Problem.with_initial`, ...), and neither mesh
         nor options are given, its arcs or its mesh serve on, to the tolerance it was refined to; without a tolerance
         and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
-        see `Resolver`. Where these lead nowhere, it is refined and judged again, from the mesh that the guess was
-        refined from, and if that does not settle, from the start. Without a guess the problem's own guess and straight
+        see `Resolver`. If these do not converge, it is refined and checked anew, from the mesh that the guess was
+        refined from, and if that does not converge, from the start. Without a guess the problem's own guess and straight
         lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
         constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
-        Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
-        does not come to rest is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
+        Refine until the error between the nodes is below this, and check the result; see `refine`. A solution that
+        does not converge is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
         one solve on the
-        given mesh, not judged. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a
+        given mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a
         variation was refined
         to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
@@ -316,7 +316,7 @@ def said(solution: Solution, way: SolveMethod) -> Solution:
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
     """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
 
-    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and judged only if these
+    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and checked only if these
     are others.
     """
     if not _is_variation(problem, known):
@@ -357,8 +357,8 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
 def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
     """Return what refining leads to where arcs and mesh of a known solution are no longer right.
 
-    They are refined for what has changed: from the mesh that they came of the new ones are found sooner. If that
-    does not come to rest, what is known has led astray, and the problem is solved from the start.
+    They are refined for what has changed: from the mesh that they were refined from the new ones are found sooner. If that
+    does not converge, the problem is solved from the start.
     """
     meshes, start = first_meshes(known), on_the_way(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)

@@ -62,7 +62,7 @@ def plot_controls(
     labels: Labels | None = None,
     hamiltonian_unit: str = "",
 ) -> Figure:
-    """Draw every control component with its switching function beside it.
+    """Draw every control component and, next to it, its switching function.
 
     Left: the applied signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
     nodes and is cut off beyond an eighth of the range), bounds dashed. Right: the switching function dH/du;

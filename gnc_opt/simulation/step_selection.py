@@ -105,7 +105,7 @@ class StepSelection:
     def modes(self, t: float, x: Array, p: Array) -> Array:
         """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
-        # the run itself will say what is not finite
+        # the run itself names values that are not finite
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
     def reached(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:

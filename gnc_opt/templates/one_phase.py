@@ -32,7 +32,7 @@ def build(distance: float = 1.0, duration: float = 2.0) -> go.Problem:
     leg.initial(q=0.0, v=0.0)
     leg.final(q=distance, v=0.0)
     leg.bounds(a=(-10.0, 10.0))
-    # leg.path("power", a * v, upper=1.0)   # what holds at all times
+    # leg.path("power", a * v, upper=1.0)   # a limit along the phase
     # leg.guess([0.0, duration], a=0.5)     # where the solver begins
 
     # The cost: problem.minimize(leg.final_time) would be minimum time.

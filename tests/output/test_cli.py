@@ -84,9 +84,25 @@ def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixt
     out, err = capsys.readouterr()
     assert re.match(r"cart: solved \(optimal\), objective 2(\.00000\d*)? s ± \S+ \(minimised\)", out)
     assert "10 segments, degree 3, Legendre-Gauss" in out  # MESH of the file
-    assert "verdict on 'cart': ok" in out
-    assert re.search(r"transversality +PASS", out)
+    assert "verdict: ok" in out
     assert err.count("\n") == 1 and "iteration" in err
+
+
+def test_conditions_prints_every_condition(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--tol", "none", "--conditions", "--quiet") == 0
+    assert capsys.readouterr().out == ""
+    assert run("solve", cart, "--tol", "none", "--conditions") == 0
+    out = capsys.readouterr().out
+    for name in (
+        condition.name for condition in go.verify(go.solve(load_cart(cart), mesh="10x3", tol=None)).conditions
+    ):
+        assert re.search(rf"^{name} +PASS", out, re.MULTILINE), name
+
+
+def load_cart(path: Path) -> go.Problem:
+    from gnc_opt.problem_file import load_problem_file
+
+    return load_problem_file(str(path)).build({})
 
 
 def test_solve_writes_json_and_report(cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

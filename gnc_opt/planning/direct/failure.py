@@ -34,7 +34,7 @@ class SolveError(GncOptError, RuntimeError):
 
 
 def failure_message(solution: Solution) -> str:
-    """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms written by hand."""
+    """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms to declare."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
         first = solution.violations[0]

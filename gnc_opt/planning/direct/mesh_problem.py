@@ -109,7 +109,7 @@ class Attempt:
 
     @contextmanager
     def meter(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
-        """While open, iterations can be shown by the function that it yields, if they are to be shown at all."""
+        """While open, iterations can be shown by the function that it yields, if they are to be shown."""
         if not self.progress:
             yield None
             return

@@ -4,7 +4,7 @@ Where some combination of equality constraints is satisfied by every motion of t
 four components of a quaternion prescribed at its end, say), any multiple of r may be added to the multipliers. An
 interior-point method leaves it where its iterates drifted, which may be so far out that no digit of the costates is
 left. So what is kept is the solution of least norm, :math:`\lambda - r` with r the part of :math:`\lambda` in the null
-space of :math:`J_F^T`: r is what is left of the least-squares problem :math:`\min_w |\lambda - J_F w|`, solved by its
+space of :math:`J_F^T`: r is the residual of the least-squares problem :math:`\min_w |\lambda - J_F w|`, solved by its
 augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5). Inequalities and bounds keep
 their multipliers; those of fixed variables take what the rows give up, so that stationarity stays what it is.
 """

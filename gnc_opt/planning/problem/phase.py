@@ -289,7 +289,7 @@ class Phase(Strict):
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
-        """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` at all times.
+        """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` along the phase.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """How far the costates are from their differential equation between the nodes.
 
 The residual of a segment is the integral of |d(lambda)/dt + dH_a/dx + z|, times the state's magnitude over the cost's:
-the share of the cost that the offence is worth, as in `gnc_opt.planning.verification.costate_conditions`.
+the share of the cost that the residual amounts to, as in `gnc_opt.planning.verification.costate_conditions`.
 
 It counts where it says something about the mesh. Where a constraint of the states alone is active, the multipliers of
 collocation converge in a weak sense only, and costates may jump: such segments are left out.
@@ -46,12 +46,12 @@ def costate_rates(samples: PhaseSamples, times: Array, x: Array, u: Array, lam: 
 
 
 def costate_worth(samples: PhaseSamples) -> Array:
-    """Return what a change of each costate is worth, in shares of the cost, (n_states,)."""
+    """Return the change of the cost by a change of each costate, as a share of the cost, (n_states,)."""
     return samples.state_scale / samples.cost_scale
 
 
 def unconstrained(samples: PhaseSamples, pure_paths: Array) -> Mask:
-    """Return in which segments (K,) no constraint of the states alone pushes, neither inside nor at the ends."""
+    """Return in which segments (K,) no constraint of the states alone is active, neither inside nor at the ends."""
     leg = samples.leg
     forces = np.concatenate(
         [

@@ -35,13 +35,13 @@ def refine(
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem. Arcs that this holds by hand (`Problem.with_fixed_arcs`) belong to its mesh: the
-        refined solution is one of the problem without them.
+        A solved one, with its problem. Arcs that this holds explicitly (`Problem.with_fixed_arcs`) belong to its mesh:
+        the refined solution is one of the problem without them.
     tol : float
         On the dimensionless error between the nodes (`gnc_opt.planning.refinement.error`), and on the estimated error
         of the objective in shares of it (`gnc_opt.planning.solution.objective_error`).
     structure : {"auto", "bang-bang", "none"}
-        ``"none"``: hp refinement of the mesh. ``"bang-bang"``: recognise which control sits on which bound when,
+        ``"none"``: hp refinement of the mesh. ``"bang-bang"``: recognise which control is at which bound when,
         make the switch times variables, and mend the structure until the switching functions agree with it.
         The same for kinks, where controls enter and leave their bounds or mixed path constraints, and for singular
         arcs and arcs on state bounds.
@@ -61,7 +61,7 @@ def refine(
     Solution
         With ``history`` and, where switch times were optimised, ``structure``. The history ends as CONVERGED only
         if the tolerance was reached and no condition of the verdict fails; otherwise its message says what is open.
-        The solution keeps that verdict: ``verify(solution)`` returns it without judging again.
+        The solution keeps that verdict: ``verify(solution)`` returns it without another check.
 
     Raises
     ------

@@ -12,7 +12,7 @@ Four errors, none of which the solver sees, each of them dimensionless:
 * costates: the square of the residual of their differential equation (an error of theirs affects the cost in second
   order only), where no state constraint sets in: see `gnc_opt.planning.refinement.costate_error`.
 
-The other conditions of optimality are not judged here but by `gnc_opt.verify`.
+The other conditions of optimality are not checked here but by `gnc_opt.verify`.
 """
 
 from __future__ import annotations

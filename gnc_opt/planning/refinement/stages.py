@@ -334,7 +334,7 @@ class Stages:
         share: float = PROGRAM_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield what a program with arcs leads to, if it is worth trying."""
+        """Yield what a program with arcs leads to, if it is promising."""
         if not self._is_new(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(tolerance=TIGHT, max_iterations=PROGRAM_MAX_ITERATIONS)

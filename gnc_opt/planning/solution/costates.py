@@ -24,7 +24,7 @@ it is better than those by an order.
 point on a segment boundary, its multiplier is the sum of a density and an impulse (a jump of the costate).
 Next to a segment without an active constraint it counts as an impulse. Along an active segment the one-sided
 costates come from the points, and the remainder in the stationarity of the boundary state is the density of
-the bound. LG has no such point. There a bound active at all nodes of a segment makes the row of the end state
+the bound. LG has no such point. There a bound active at every node of a segment makes the row of the end state
 redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point to
 point by :math:`e_j` (the coefficients of the row). The costate without that oscillation continues the points.
 
@@ -271,7 +271,7 @@ class _CostatePieces:
     held : bool array (n_states, K)
         Segments along which an active bound or path constraint contributes to the costate rate.
     still : bool array (n_states, K)
-        Segments on which the state has the same value at all nodes.
+        Segments on which the state has the same value at every node.
     pushed : bool array (n_states, N)
         Points at which a bound or path constraint has a nonzero multiplier, segment boundaries included.
     bounded : bool array (n_states, N)
@@ -344,7 +344,7 @@ class _CostatePieces:
         self.impulses[rows, boundary] -= gap[rows]
 
     def settle_redundant_rows(self) -> None:
-        """LG: if a bound is active at all nodes of a segment, extrapolate the costate of the points."""
+        """LG: if a bound is active at every node of a segment, extrapolate the costate of the points."""
         for k, rule in enumerate(self.collocation.rules):
             here = _points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
@@ -393,7 +393,7 @@ def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
 
 
 def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
-    """Segments with a multiplier at an interior point, or (trapezoidal rule) at all points; (n_states, K)."""
+    """Segments with a multiplier at an interior point, or (trapezoidal rule) at every point; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
         inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]
@@ -402,7 +402,7 @@ def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) ->
 
 
 def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
-    """Segments on which a state has the same value at all nodes, (n_states, K)."""
+    """Segments on which a state has the same value at every node, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
     return np.asarray(np.stack(spreads, axis=1) <= _HELD * size[:, None])

@@ -1,4 +1,4 @@
-"""How H bends in each control: linear, convex, or convex for as long as what it moves is worth something."""
+"""How H bends in each control: linear, convex, or convex for as long as what it moves has something."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def regular_channels(samples: PhaseSamples) -> Mask:
 def convex_channels(samples: PhaseSamples) -> Mask:
     """Return in which controls H is convex all along the phase, and strictly at times, (m,).
 
-    It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
-    limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
-    strictly convex all along: where it is not, it is worth nothing, and may jump.
+    It is linear in a control whose square moves a state alone, where the costate of that state is zero: heat, beyond
+    its limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
+    strictly convex all along: where it is not, its value is zero, and it may jump.
     """
     bends = curvature(samples)
     above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))

@@ -131,7 +131,7 @@ def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: 
 
 
 def _reach(times: Array, offence: Callable[[Array], Array]) -> float | None:
-    """Return up to where an offence that starts at the first time reaches, or None if there is none."""
+    """Return up to where a violation that starts at the first time reaches, or None if there is none."""
     over = offence(times) > 0
     if not over[0]:
         return None

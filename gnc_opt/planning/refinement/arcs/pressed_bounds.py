@@ -1,4 +1,4 @@
-"""Interior arcs that are none: their control stays at a bound, and H presses it there all along."""
+"""Interior arcs whose control stays at a bound, where H is least all along."""
 
 from __future__ import annotations
 

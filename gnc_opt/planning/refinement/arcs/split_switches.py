@@ -44,7 +44,7 @@ ROOM = 10.0
 
 
 def shared(structure: PhaseStructure) -> tuple[int, ...]:
-    """Return the boundaries at which several controls change, with pieces beside them that leave room."""
+    """Return the boundaries at which several controls change, with pieces next to them that have space."""
     least = ROOM * INSTANT * (structure.times[-1] - structure.times[0])
     return tuple(
         k

@@ -1,4 +1,4 @@
-"""Control structure: which control sits on which bound when."""
+"""Control structure: which control is at which bound when."""
 
 from __future__ import annotations
 

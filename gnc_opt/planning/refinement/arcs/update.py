@@ -194,11 +194,11 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
 def _chatter(
     samples: PhaseSamples, structure: PhaseStructure, offence: Array, problem: Problem
 ) -> tuple[int, float, float] | None:
-    """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
+    """Return control, start and end of bangs that stand in for a singular arc, if the largest violation is among them.
 
     There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is
-    about as large as the offence; bangs beside the arc leave a larger one. Of second order the arc would meet bangs by
-    chattering: few of them will do.
+    about as large as the violation; bangs beside the arc leave a larger one. Of second order the arc would meet bangs
+    by chattering: few of them will do.
     """
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     if (
@@ -227,7 +227,7 @@ def _among(switches: Sequence[float], times: Array, large: Mask, j: int) -> list
 def _with_worst(
     samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that the worst offence asks for and what was done, or None."""
+    """Return the structure with the arc that the largest violation asks for and what was done, or None."""
     if not offence.size or offence.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
@@ -262,10 +262,10 @@ def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
 
 
 def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
-    """How much each control and path constraint offends where it is, and the place that it asks for.
+    """Violation of each control and path constraint where it is, and the place that it asks for.
 
-    A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
-    bound, or to become interior where H is not linear in it. An interior control offends by the share of
+    A control on a bound with a switching function of the wrong sign violates by the gain in H; it asks for the other
+    bound, or to become interior where H is not linear in it. An interior control violates by the share of
     its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
@@ -369,7 +369,7 @@ def _around(holds: Mask, j: int) -> slice:
 def _forgive_own_switches(
     offence: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
 ) -> None:
-    """Zero the offences that reach up to one of the channel's own switches, but for such on both sides of it.
+    """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
     sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch. Nor is it zero
@@ -391,7 +391,7 @@ def _run_of(holds: Mask, places: range) -> list[int]:
 
 
 def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
-    """Return where there is an offence around the worst one: its zeros, from the samples beside them."""
+    """Return where there is a violation around the largest one: its zeros, from the samples beside them."""
     times, j = samples.times, int(np.argmax(offence))
     fine = np.flatnonzero(offence <= 0)
     before, after = fine[fine < j], fine[fine > j]

@@ -98,7 +98,7 @@ def product_vectors(s: PhaseSamples) -> Iterator[ProductVector]:
 def _only_product(s: PhaseSamples, v: ProductVector) -> bool:
     """Whether s f_s = n . f_n for H and all path constraints but the length: a function of the product alone."""
     u = s.u.copy()
-    u[v.magnitude] = 0.5 * v.most  # what is at zero, or of no length, tells nothing
+    u[v.magnitude] = 0.5 * v.most  # inconclusive at zero and for zero length
     u[v.direction] = np.array([0.6, *[0.8] * (v.direction.size - 1)])[:, None]
     slopes = s.functions.switching(s.times, s.x, u, s.lam)
     rows = s.functions.path_control_jacobian(s.times, s.x, u)
@@ -143,7 +143,7 @@ def with_magnitudes_at_limits(solution: Solution) -> Solution:
 
 
 def with_singular_magnitudes(s: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
-    """Return the structure with magnitudes as singular as their directions: that is how vectors are told."""
+    """Return the structure with magnitudes as singular as their directions: which identifies vectors."""
     for v in product_vectors(s):
         for k, kinds in enumerate(structure.kinds):
             if kinds[v.direction[0]] is ArcKind.SINGULAR:

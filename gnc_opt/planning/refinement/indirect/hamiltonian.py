@@ -65,7 +65,7 @@ class HeldLimits:
 
 
 def active_limits(solution: Solution) -> HeldLimits:
-    """Return which limits the solution sits on."""
+    """Return which limits are active."""
     problem = solution.problem
     assert problem is not None, "solve_indirect refuses solutions without a problem"
     phases = {}

@@ -66,7 +66,7 @@ def solve_indirect(solution: Solution, *, tol: float = 1e-10) -> Solution:
     Returns
     -------
     Solution
-        On its own mesh; ``provenance["polished"]`` says how. `verify` judges it like any other.
+        On its own mesh; ``provenance["polished"]`` says how. `verify` checks it like any other.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Too fine: neighbours merged and degrees lowered where a smaller mesh holds the same trajectory.
 
 A trial segment is what collocation would make of the known trajectory there: interpolate the rates and the
-controls at the trial's points, integrate, and judge the result by the same errors as the solution itself.
+controls at the trial's points, integrate, and check the result by the same errors as the solution itself.
 Dynamic programming then picks the cheapest way through the accurate segments.
 """
 

@@ -37,7 +37,7 @@ class Kink:
 
 
 def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
-    """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise.
+    """Return the kinks in segment k, in order and not overlapping; none if they cannot be separated from noise.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def activity(error: PhaseError) -> Array:
     """Return how hard each active bound or path constraint pulls at each collocation point, (rows, N); else zero.
 
     In shares of H, with the sign of the multiplier. Of slack, in shares of the quantity's magnitude, and multiplier,
-    the larger one tells whether a constraint is active.
+    the larger one shows whether a constraint is active.
     """
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = states_at_points(leg), np.hstack(leg.u.values)

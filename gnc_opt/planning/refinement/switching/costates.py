@@ -1,6 +1,6 @@
 r"""Costates where switches of several controls share one time.
 
-A program with one unknown for several switches knows only that the sum of what they are worth vanishes there: its
+A program with one unknown for several switches knows only that the sum of their values vanishes there: its
 multipliers are not unique, and those that the solver returns need not make each switching function vanish. The
 multipliers that do are those of the induced problem, which has an unknown for every switch (module
 `gnc_opt.planning.optimality.switching_problem`). From the solver's they differ by a solution of the

@@ -163,7 +163,7 @@ def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolyno
 
 
 def forgive(wrong: Array, switches: Indices) -> None:
-    """Zero the offences of switches that are not quite at rest, a little too late or early.
+    """Zero the violations of switches that are not quite at rest, a little too late or early.
 
     The sign is wrong from such a switch to the zero that it belongs to, and nowhere more so than at the switch. Where
     the offence grows instead, the switching function has another zero, or the wrong slope at this one: a time of the

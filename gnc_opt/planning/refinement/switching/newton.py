@@ -104,8 +104,8 @@ def settle_flow(
 ) -> tuple[PhaseStructure, SwitchFlight] | None:
     """Find the least cost to some accuracy, without any collocated problem.
 
-    The grid is made finer until what it changes of the cost, told from a flight on a grid `PARTS` times as fine, is
-    below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
+    The grid is made finer until what it changes of the cost, estimated from a trajectory on a grid `PARTS` times as fine,
+    is below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
     root of it.
 
     Parameters
@@ -142,7 +142,7 @@ def settle_flow(
 def _optimum(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchFlight | None:
-    """Return the flight whose switches have come to rest with signs that agree.
+    """Return the flight whose switches have converged with signs that agree.
 
     If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
     """
@@ -178,7 +178,7 @@ def _at_rest(
 ) -> SwitchFlight | None:
     """Return the flight of switches near the given ones that a step and those after it lead to.
 
-    Steps take the matrices of the one before as long as they can be told to shrink fast enough.
+    Steps take the matrices of the one before as long as these shrink fast enough.
     """
     before = math.inf  # length of the step before, if that had these matrices
     for _ in range(MOST_CHORDS):

@@ -35,7 +35,7 @@ class SwitchStep:
     flow : BangBangFlow
         Before the step.
     adjoint : array
-        What the final values of the flow are worth.
+        Derivative of the cost by the final values of the flow.
     multipliers : array
         Of the end values that are given, then of the boundary constraints.
     cost : float
@@ -140,7 +140,7 @@ def chord_step(
 
 
 def final_worth(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
-    """Return what the final values of a flow are worth, with the multipliers of a step."""
+    """Return the derivative of the cost by the final values of a flow, with the multipliers of a step."""
     return _Ends.of(problem, s, flow).worth(multipliers)[0]
 
 
@@ -201,7 +201,7 @@ class _Ends:
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
     def worth(self, multipliers: Array) -> tuple[Array, Array, Array]:
-        """What the final values are worth, and the gradient and the Hessian of the Lagrangian by both ends."""
+        """Derivative of the cost by the final values, and the gradient and the Hessian of the Lagrangian by both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.derivatives(nu)
         adjoint = np.zeros(self.flow.final.size)
