@@ -223,8 +223,8 @@ def solve(
         nor options are given, its arcs or its mesh serve on, to the tolerance it was refined to; without a tolerance
         and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
         see `Resolver`. If these do not converge, it is refined and checked anew, from the mesh that the guess was
-        refined from, and if that does not converge, from the start. Without a guess the problem's own guess and straight
-        lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
+        refined from, and if that does not converge, from the start. Without a guess the problem's own guess and
+        straight lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
         constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
         Refine until the error between the nodes is below this, and check the result; see `refine`. A solution that
@@ -316,8 +316,8 @@ def said(solution: Solution, way: SolveMethod) -> Solution:
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
     """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
 
-    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and checked only if these
-    are others.
+    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and checked only if
+    these are others.
     """
     if not _is_variation(problem, known):
         return None
@@ -357,7 +357,7 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
 def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
     """Return what refining leads to where arcs and mesh of a known solution are no longer right.
 
-    They are refined for what has changed: from the mesh that they were refined from the new ones are found sooner. If that
+    Refinement begins with the mesh that the known ones were refined from, which finds the new ones sooner. If it
     does not converge, the problem is solved from the start.
     """
     meshes, start = first_meshes(known), on_the_way(known, problem)

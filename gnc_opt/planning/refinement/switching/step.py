@@ -201,7 +201,7 @@ class _Ends:
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
     def worth(self, multipliers: Array) -> tuple[Array, Array, Array]:
-        """Derivative of the cost by the final values, and the gradient and the Hessian of the Lagrangian by both ends."""
+        """Derivative of the cost by the final values; gradient and Hessian of the Lagrangian by both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.derivatives(nu)
         adjoint = np.zeros(self.flow.final.size)
