@@ -224,8 +224,8 @@ def solve(
         and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
         see `Resolver`. If these do not converge, it is refined and checked anew, from the mesh that the guess was
         refined from, and if that does not converge, from the start. Without a guess the problem's own guess and
-        straight lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
-        constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
+        straight lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible,
+        the constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
         Refine until the error between the nodes is below this, and check the result; see `refine`. A solution that
         does not converge is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
