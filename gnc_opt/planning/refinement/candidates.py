@@ -12,6 +12,7 @@ from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import pass_record
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
 from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_loss
 from gnc_opt.planning.verification.engine import verify
@@ -135,17 +136,14 @@ class Candidate:
         relative = self.solution.objective_error.relative if self.solved else math.inf
         return max(relative, tol), self.error
 
-    def is_lower(self, other: Candidate) -> bool:
-        """Whether it belongs to another minimum with a lower cost, both estimates considered.
+    def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
+        """Whether it belongs to another minimum with a lower cost, so many of both estimates considered.
 
         One that is not known to pass the optimality check must be lower by far than one that does.
         """
         ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
         least = LOSS_MIN_SHARE * abs(other.cost) if other.passes and not self.passes else 0.0
-        return (
-            self.cost + max(CANDIDATE_ERROR_MARGIN * ours, least)
-            < other.cost - CANDIDATE_ERROR_MARGIN * theirs
-        )
+        return self.cost + max(margin * ours, least) < other.cost - margin * theirs
 
 
 def best_of(candidates: Sequence[Candidate], tol: float) -> int:
@@ -197,8 +195,19 @@ def answer_of(
         time.perf_counter() - begin,
     )
     solution = best.solution
-    answer = replace(solution, history=history, provenance={**solution.provenance, "stage": best.stage})
+    provenance = {**solution.provenance, "stage": best.stage, **_better_coarse_solve(candidates, best)}
+    answer = replace(solution, history=history, provenance=provenance)
     return answer.with_verdict(verdict)
+
+
+def _better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+    """Return a hint at a coarse solve that is lower than the answer by more than the estimates of both, if any is."""
+    lower = [c for c in candidates if c.solved and best.solved and c.is_lower(best, margin=1.0)]
+    if not lower:
+        return {}
+    least = min(lower, key=lambda c: c.cost)
+    text = f"a coarse solve (stage {least.stage}) reached {least.solution.objective:.6g}: see multistart"
+    return {BETTER_COARSE_SOLVE: text}
 
 
 def _status(

@@ -23,6 +23,9 @@ LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
 """Violated constraints, open conditions and overshooting controls that are named."""
 
+BETTER_COARSE_SOLVE = "also seen"
+"""Key of the provenance: a coarse solve on the way to the answer that was better, perhaps by another minimum."""
+
 ROUNDING_VIOLATION = 1e-9
 """Relative bound violations below this are rounding."""
 
@@ -54,6 +57,8 @@ class SummarisedSolution(Protocol):
     def statistics(self) -> Statistics: ...
     @property
     def history(self) -> History | None: ...
+    @property
+    def provenance(self) -> Mapping[str, str]: ...
     @property
     def problem(self) -> Problem | None: ...
     @property
@@ -227,6 +232,8 @@ def _refinement(solution: SummarisedSolution) -> Iterator[str]:
     history = solution.history
     if history is None:
         return
+    if BETTER_COARSE_SOLVE in solution.provenance:
+        yield _line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
     final = history.final
     yield _line(
         "refinement",

@@ -1,9 +1,10 @@
 """multistart: solves from many initial guesses to find the best of several local minima.
 
-Every start is solved on a coarse mesh. Solutions that their integrated dynamics do not confirm are discarded
-and equal ones merged. The others are reflected, component by component, for further starts. The distinct
-minima are refined, verified and merged again: several discretisations may approximate one minimum, and some
-are spurious.
+Starts differ in what separates local minima: durations over decades, whole turns of angles, ways past obstacles, phases
+of periodic motion, switches of controls (`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a
+coarse mesh; a solution that its integrated dynamics do not confirm, once more on halved segments. Equal solutions are
+merged. The best distinct minima are refined, verified and merged again: several discretisations may approximate one
+minimum, and some are spurious.
 
 Refinement of a coarse minimum to exact switch times or on finer meshes, and its verification.
 """
@@ -25,14 +26,14 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.perturbation import with_random_guess
+from gnc_opt.planning.problem.guess.perturbation import is_plain, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import StructureChoice
 from gnc_opt.planning.refinement.engine import refine as refine_solution
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.minima import Minimum, Reflection, Reflections, equal, merged
+from gnc_opt.planning.study.minima import Minimum, equal, merged
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.engine import verify
 from gnc_opt.text import Printed
@@ -173,19 +174,13 @@ Answer = TypeVar("Answer")
 
 COARSE_MESH = "20x3"
 
-BARRIERS = (None, 1e-5, 1e-4, 1e-5)
-"""First barrier parameters, by turns. IPOPT's own (0.1) forgets the guess: it is the most likely to find the best
-minimum, and it finds little else. With a small one the solver stays near the guess, which finds the others. Every
-second start has the smallest, full bangs and large turns, and about the duration of the best solution that the others
-lead to: of what is tried these find most."""
+PLAIN_BARRIER, NEAR_BARRIER = 1e-3, 1e-5
+"""First barrier parameters of plain starts and of every second start. IPOPT's own (0.1), for the rest, forgets the
+guess: it is the most likely to find the best minimum, and it finds little else. With a small one the solver stays near
+the guess, which finds the others: turns and durations with the larger one of the two, and with the smaller one large
+perturbations and full bangs about the duration of the best solution that the other starts lead to."""
 
-RANDOM_START_SHARE = 0.6
-"""Share of the starts that are random; the others are reflections of what these find, if there are as many."""
-
-REFLECTED = 1e-5
-"""First barrier parameter of a reflection."""
-
-COARSE_MAX_ITERATIONS = 400
+COARSE_MAX_ITERATIONS = 200
 """Of a coarse solve; a start that needs more is worth less than another start."""
 
 
@@ -277,7 +272,7 @@ def multistart(
     structure: StructureChoice = "auto",
     tol: float = 1e-8,
     refine: bool = True,
-    max_refined: int = 12,
+    max_refined: int = 6,
     within: float | None = None,
     executor: Executor | Literal["serial"] | None = None,
     options: SolverOptions | None = None,
@@ -294,8 +289,7 @@ def multistart(
         Problems hold symbols that cannot be sent to another process, so executors of processes need the function;
         the default executor can do without where processes fork (Linux).
     n : int
-        Starts. The first one is the problem's own guess, about six in ten are random, and the others are reflections
-        of the minima that these lead to; see `gnc_opt.planning.study.minima`.
+        Starts. The first one is the problem's own guess, the others are random.
     seed : int
         The answer depends on it, and not on the executor or the order in which the starts end.
     mesh : Mesh, str or mapping, optional
@@ -313,9 +307,8 @@ def multistart(
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
     options : SolverOptions, optional
-        For the coarse solves. Default: at most `COARSE_MAX_ITERATIONS` iterations. Without a ``mu_init``
-        of theirs, most
-        starts use a small one; see `BARRIERS`.
+        For the coarse solves. Default: at most `COARSE_MAX_ITERATIONS` iterations. Without a ``mu_init`` of theirs,
+        most starts use a small one.
     progress : bool
         Show how many starts have ended and the best objective.
 
@@ -384,40 +377,18 @@ class _Search:
     progress: bool
 
     def endings(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
-        """Solve n starts: the problem's own guess, random ones, and reflections of what these lead to."""
+        """Solve n starts: the problem's own guess and random ones, every second about as long as the best so far."""
         endings: list[_StartEnding] = []
         with _meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
-
-            def run(task: _Coarse, starts: Iterable[_Start]) -> None:
-                if not self.pool.interrupted:
-                    done = self.pool.run(task, starts, lambda start: show(_answer(start).objective))
-                    endings.extend(_answer(start) for start in done)
-
             try:
-                self._run_all(coarse, n, endings, run)
+                for starts in (range(0, n, 2), range(1, n, 2)):
+                    if not self.pool.interrupted:
+                        done = self.pool.run(coarse, starts, lambda start: show(_answer(start).objective))
+                        endings += [_answer(start) for start in done]
+                        coarse = replace(coarse, durations=_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
         return endings
-
-    def _run_all(
-        self,
-        coarse: _Coarse,
-        n: int,
-        endings: Sequence[_StartEnding],
-        run: Callable[[_Coarse, Iterable[_Start]], None],
-    ) -> None:
-        random = math.ceil(RANDOM_START_SHARE * n)
-        run(coarse, map(_Start, range(0, random, 2)))
-        coarse = replace(coarse, durations=_durations(endings))
-        run(coarse, map(_Start, range(1, random, 2)))
-        reflections = Reflections()
-        while not self.pool.interrupted:
-            first, minima = len(endings), merged(_first_minima(endings))
-            chosen = reflections.of(self.problem, minima, n - first)
-            if not chosen:
-                break
-            run(coarse, [_Start(first + k, turned) for k, turned in enumerate(chosen)])
-        run(coarse, map(_Start, range(len(endings), n)))
 
     def refined(self, refining: Refining, minima: Sequence[Minimum], most: int) -> list[Minimum]:
         """Refine minima, best first, until there are so many distinct ones; return the others as they are."""
@@ -497,14 +468,6 @@ def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContex
 
 
 @dataclass(frozen=True)
-class _Start:
-    """One start: random, or a reflection."""
-
-    index: int
-    reflection: Reflection | None = None
-
-
-@dataclass(frozen=True)
 class _StartEnding:
     """How one start ended; the solution, without its problem, if it is a minimum."""
 
@@ -526,31 +489,29 @@ class _Coarse:
     options: SolverOptions
     durations: Mapping[str, float] = field(default_factory=dict)
 
-    def __call__(self, problem: Problem, start: _Start) -> _StartEnding:
-        index, options = start.index, self.options
+    def __call__(self, problem: Problem, index: int) -> _StartEnding:
+        options = self.options
         if index and options.mu_init is None:
-            barrier = BARRIERS[index % len(BARRIERS)] if start.reflection is None else REFLECTED
-            options = replace(options, mu_init=barrier)
+            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if is_plain(index) else None
+            options = replace(options, mu_init=small)
         try:
-            started = self._started(problem, start)
+            durations = self.durations if index % 2 else None
+            started = with_random_guess(problem, self.seed, index, durations)
             started.check()
             solution = solve_mesh(started, self.mesh, options=options)
         except ProblemError:
             if index == 0:
                 raise
             return _StartEnding(index, "bad guess")
+        if solution.status.solved and is_spurious(solution):
+            finer = {name: _halved(leg.mesh) for name, leg in solution.phases.items()}
+            solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             pass_on_interrupt(solution, options)
             return _StartEnding(index, solution.status.value)
         if is_spurious(solution):
             return _StartEnding(index, "spurious")
         return _StartEnding(index, solution=replace(solution, problem=None))
-
-    def _started(self, problem: Problem, start: _Start) -> Problem:
-        if start.reflection is not None:
-            return start.reflection.guess(problem)
-        durations = self.durations if start.index % 2 else None
-        return with_random_guess(problem, self.seed, start.index, durations)
 
 
 def _first_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:

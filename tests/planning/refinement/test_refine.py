@@ -17,7 +17,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
-from gnc_opt.planning.refinement.candidates import Candidate, best_of
+from gnc_opt.planning.refinement.candidates import Candidate, _better_coarse_solve, best_of
 from problems.classics import van_der_pol
 
 
@@ -378,9 +378,10 @@ def candidate(
 ) -> Any:
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
     made = SimpleNamespace(solved=True, cost=cost, estimate=estimate, passes=passes, loss=loss, error=error)
-    made.solution = SimpleNamespace(objective_error=SimpleNamespace(relative=estimate / cost))
+    made.stage = "60"
+    made.solution = SimpleNamespace(objective=cost, objective_error=SimpleNamespace(relative=estimate / cost))
     made.rank = lambda tol: Candidate.rank(made, tol)
-    made.is_lower = lambda other: Candidate.is_lower(made, other)
+    made.is_lower = lambda other, **margin: Candidate.is_lower(made, other, **margin)
     return made
 
 
@@ -405,6 +406,18 @@ def candidate(
 )
 def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
     assert best_of(found, tol=1e-8) == kept
+
+
+@pytest.mark.parametrize(
+    ("estimate", "hint"),
+    [
+        (0.05, {"also seen": "a coarse solve (stage 60) reached 1.9: see multistart"}),
+        (0.15, {}),  # the difference may be an error of the coarse mesh
+    ],
+)
+def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
+    found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
+    assert best_of(found, tol=1e-8) == 1 and _better_coarse_solve(found, found[1]) == hint
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
@@ -438,7 +451,7 @@ def two_wells(start: float, sign: float = 1.0) -> go.Problem:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_lower_minimum_is_known_by_its_estimates(sign: float) -> None:
+def test_a_better_coarse_solve_is_known_by_its_estimates(sign: float) -> None:
     """u = e is constant and e a root of 4 e^3 - 4 e + 0.02 e + 0.3 = 0: meshes are exact."""
     found = {}
     for side in (1.0, -1.0):

@@ -1,4 +1,4 @@
-"""Random starting trajectories: what `multistart` lets the solver begin from."""
+"""Random guesses for `multistart`: times, whole turns of angles, ways past obstacles, bang-bang controls."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.angles import PERIODS
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.magnitudes import phase_magnitudes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation.restate import angle_probe
 
-SPREAD = 5.0
-"""A guessed duration is multiplied or divided by at most this (log-uniformly, within its bounds)."""
+DURATION_MAX_RATIO = 10.0
+"""A guessed duration is multiplied or divided by at most this: two decades, log-uniformly, within its bounds."""
 
 KNOWN_DURATION_MAX_RATIO = 1.4
 """The same where the duration is known from another solution."""
@@ -36,14 +38,23 @@ MOST_SWITCHES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
+def is_plain(index: int) -> bool:
+    """Whether a start keeps the shape of the problem's own guess: every fourth one."""
+    return index % 4 == 2
+
+
 def with_random_guess(
     problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
 ) -> Problem:
     """Return the problem with a random guess that depends on ``seed`` and ``index`` alone.
 
-    States are the problem's own guess (a straight line by default) with a smooth perturbation that leaves fixed ends
-    in place; controls are random bang-bang patterns or smooth waves within their bounds; free times and parameters are
-    drawn within theirs. Index 0 is the problem's own guess.
+    Index 0 is the problem's own guess. Free times are drawn over decades, free parameters within their bounds. Angles
+    with a free end make as many whole turns as the drawn duration allows at the guessed rate, one more or one less;
+    those with a free beginning begin anywhere in a turn.
+
+    Plain starts (`is_plain`) change nothing else. In the others states have a smooth perturbation that leaves fixed
+    ends in place, which takes them past obstacles on either side, and controls are random bang-bang patterns or smooth
+    waves within their bounds.
 
     With durations (s) of another solution, by phase, times are drawn near these, perturbations are large, and all
     controls that have bounds are full bangs.
@@ -52,21 +63,63 @@ def with_random_guess(
         return problem
     rng = np.random.default_rng([seed, index])
     twin, shift = problem, 0.0
+    turned: dict[str, float] = {}
     for name, leg in problem.phases.items():
         known = (durations or {}).get(name)
+        guessed = guess_times(leg)
         times = _draw_times(leg, rng, shift, known)
-        shift = times[1] - guess_times(leg)[1]
+        shift = times[1] - guessed[1]
         start = start_phase(leg, FRACTIONS)
-        magnitudes = phase_magnitudes(leg)
-        states = _draw_states(
-            leg, start.states, magnitudes[0], rng, least=0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
-        )
-        controls = _draw_controls(
-            leg.numbers.controls, start.controls, magnitudes[1], rng, full=known is not None
-        )
+        ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
+        states, controls = start.states + _draw_turns(problem, leg, rng, ratio, turned), start.controls
+        if known is not None or not is_plain(index):
+            magnitudes = phase_magnitudes(leg)
+            least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
+            states = _draw_states(leg, states, magnitudes[0], rng, least)
+            controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
         values = _by_name(leg.model.states, states) | _by_name(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _with_random_parameters(twin, rng)
+
+
+def angular_states(problem: Problem, leg: Phase) -> Array:
+    """Return the period of each state (n_states,): a turn for angles, 0 for others."""
+
+    def build() -> Array:
+        probe = angle_probe(problem, leg, of_states=True)
+        return np.array([probe.period(i, PERIODS) for i in range(leg.model.states.size)])
+
+    return problem.once(("angular states", leg.name), build)
+
+
+def _draw_turns(
+    problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
+) -> Array:
+    """Return what is added to the states (n_states, n_fractions): turns of angles, linear in time.
+
+    ``turned`` holds how far each angle is turned at the end of the phase before, and after the call of this one.
+    """
+    numbers, periods = leg.numbers, angular_states(problem, leg)
+    first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
+    guess = start_phase(leg, FRACTIONS[[0, -1]]).states
+    added = np.zeros((periods.size, FRACTIONS.size))
+    for i in np.flatnonzero(periods > 0):
+        label, period = leg.model.states.labels[i], periods[i]
+        start, end = turned.get(label), 0.0
+        if first.fixed[i]:
+            start = 0.0
+        elif start is None:
+            begin = guess[i, 0] + period * rng.uniform(-0.5, 0.5)
+            start = float(np.clip(begin, first.lower[i], first.upper[i])) - guess[i, 0]
+        if not last.fixed[i]:
+            turns = round((guess[i, 1] - guess[i, 0]) / period * (ratio - 1.0)) + rng.integers(-1, 2)
+            low, high = ((edge - guess[i, 1] - start) / period for edge in (last.lower[i], last.upper[i]))
+            end = start + period * (
+                float(np.clip(turns, np.ceil(low), np.floor(high))) if low < high else 0.0
+            )
+        added[i] = start + (end - start) * FRACTIONS
+        turned[label] = end
+    return added
 
 
 def _by_name(layout: Layout, rows: Array) -> dict[str, Any]:
@@ -77,7 +130,7 @@ def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float
     """Return initial and final time (2,); a free initial time follows the end of the phase before."""
     first, last = guess_times(leg)
     initial, final = leg.times()
-    span, spread, box = last - first, SPREAD, leg.numbers.duration
+    span, spread, box = last - first, DURATION_MAX_RATIO, leg.numbers.duration
     if known:
         span, spread = known, KNOWN_DURATION_MAX_RATIO
     share = rng.uniform()

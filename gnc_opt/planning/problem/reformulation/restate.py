@@ -71,7 +71,7 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
         return turns
     if not _TURNING & problem.once(("operations", leg.name), lambda: operations_in(along(leg))):
         return turns
-    probe = _probe(problem, leg)
+    probe = angle_probe(problem, leg)
     if not np.all(np.any(np.isfinite(probe.here), axis=1)):
         return turns
     for i in np.flatnonzero(bounded | np.isinf(room)):
@@ -93,8 +93,16 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
     return replace(turns, pairs=tuple(pairs))
 
 
-def _probe(problem: Statement, leg: Phase) -> AngleProbe:
-    """All that varies along a phase, at random times, states, controls and free parameters."""
+def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+    """Return a probe of all that varies along a phase, at random times, states, controls and free parameters.
+
+    Parameters
+    ----------
+    problem : Statement
+    leg : Phase
+    of_states : bool
+        Probe the states; by default the controls.
+    """
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
 
@@ -106,6 +114,8 @@ def _probe(problem: Statement, leg: Phase) -> AngleProbe:
         rng.uniform(-1.5, 1.5, (s.numel(), _RESTATE_DRAWS)) for s in (t, x, u, q)
     )
     function, values = problem.once(("along", leg.name), build), leg.model.parameter_values
+    if of_states:
+        return AngleProbe(lambda x: evaluate(function, times[0], x, controls, values, free), states)
     return AngleProbe(lambda u: evaluate(function, times[0], states, u, values, free), controls)
 
 
