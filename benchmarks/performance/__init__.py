@@ -1,8 +1,8 @@
 """How fast, how large, how accurate: ``python -m benchmarks.performance.NAME`` prints a table and writes JSON.
 
-* `speed`: one solve, step by step, beside a bare CasADi script; `scale`: time and memory by size of the mesh;
+* `scale`: time and memory by size of the mesh;
 * `certified`: time to a verified answer; `resolve`: warm starts; `problem_files`: every example by the default call;
-* `refinement`: points of hp meshes and of fixed ones; `convergence`: orders of convergence;
+* `convergence`: orders of convergence;
 * `closed_loop`: Monte Carlo runs per second; `peers`: other programs;
 * `page`: writes the tables of docs/benchmarks.md.
 """

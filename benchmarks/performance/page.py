@@ -96,12 +96,6 @@ def _resolve(told: Any) -> Cells:
         yield f"{100 * row['size']:g} %", str(row["runs"]), *spent, _error(row["largest_difference"]), others
 
 
-def _speed(told: Any) -> Cells:
-    for row in told["build_and_solve"]:
-        for name, run in row["medians"].items():
-            yield f"{name}, {row['mesh']}", f"{run['cpu_s']:.2f}", f"{run['iterations']:.0f}"
-
-
 def _scale(told: Any) -> Cells:
     for row in told:
         each = row.get("per_segment_ms")
@@ -113,11 +107,6 @@ def _scale(told: Any) -> Cells:
             f"{100 * row['functions']:.0f} %",
             f"{row['memory_mb']:.0f}",
         )
-
-
-def _refinement(told: Any) -> Cells:
-    yield "by refinement", str(told["points"])
-    yield f"smallest by hand: {told['hand_mesh']}", str(told["hand_points"])
 
 
 def _closed_loop(told: Any) -> Cells:
@@ -201,7 +190,6 @@ BENCHMARKS = {
         ),
         _resolve,
     ),
-    "speed": Benchmark(("--quick",), ("program, mesh", "built and solved (s)", "iterations"), _speed),
     "scale": Benchmark(
         (),
         (
@@ -214,7 +202,6 @@ BENCHMARKS = {
         ),
         _scale,
     ),
-    "refinement": Benchmark((), ("mesh of the hyper-sensitive problem", "points"), _refinement),
     "convergence": Benchmark((), ("problem", "points", "state", "control", "costate"), _convergence),
     "problem_files": Benchmark(
         (),

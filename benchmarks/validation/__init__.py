@@ -5,7 +5,6 @@
 * `problem_set`: a set of problems in JSON with independent references;
 * `verdict`: planted wrong answers and right ones, and what the verification reports;
 * `published`: five published systems, number by number; `basilisk`: the tracked rendezvous in another simulator;
-* `random_rendezvous`, `lower_bounds`: rendezvous between random boundary values, and bounds of their cost;
-  `rendezvous_minima`: local minima of the published rendezvous;
-* `cluster`: a campaign on a Dask cluster that loses workers and its scheduler.
+* `lower_bounds`: lower bounds of the cost of rendezvous between random boundary values;
+* `rendezvous_minima`: local minima of the published rendezvous.
 """
