@@ -111,7 +111,6 @@ class ActiveReference:
 
     Parameters
     ----------
-    replanner : PlanUpdater or None
     times : array (n_steps + 1,)
         s.
     schedule : array (n_signals, n_steps + 1)
@@ -127,7 +126,6 @@ class ActiveReference:
     ----------
     schedule : array (n_signals, n_steps + 1)
         Now.
-    replans : list of Replan
     """
 
     def __init__(

@@ -116,7 +116,6 @@ class Allocation(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Allocation
     >>> block = Allocation("two motors", [[1.0, 1.0]], to="motors", on="a")  # each gives half of it
     """
 
@@ -237,7 +236,6 @@ class WheelArray(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import WheelArray
     >>> from gnc_opt.spacecraft import wheel_pyramid
     >>> block = WheelArray("wheels", wheel_pyramid(), max_torque=0.2, max_momentum=4.0, on="T_B")
     """

@@ -85,8 +85,6 @@ class Block:
 
     >>> import casadi as ca
     >>> from dataclasses import dataclass
-    >>> from gnc_opt.simulation import Block
-    >>> from gnc_opt.simulation.block import Step
     >>> @dataclass(frozen=True)
     ... class OneWay(Block):
     ...     def step(self, tick, signal, state, p, noise):

@@ -129,8 +129,8 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
     if states.shape[1]:
         errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
     way = {}
-    if flight.quantities is not None:
-        count, at = len(flight.quantities), sample_steps(flight.n_steps)
+    if flight.quantities.size:
+        count, at = flight.quantities.size, sample_steps(flight.n_steps)
         samples = joined("samples", count * at.size).reshape(count, at.size, -1)
         way = {"sums": joined("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
     drawn = [p.parameters for p in flown if p.parameters is not None]
@@ -160,7 +160,7 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
             "command": flight.commands,
             "memory": flight.memory,
             "event": flight.events,
-            **({} if flight.quantities is None else {"quantity": flight.quantities.layout}),
+            **({"quantity": flight.quantities} if flight.quantities.size else {}),
         },
         flight=flight,
         fingerprint=flight.fingerprint,
@@ -215,7 +215,6 @@ class Flown:
     Attributes
     ----------
     parameters : array (n_parameters, n) or None
-    ending : Ending or None
     mishap : str
         Why there is no ending.
     died : bool

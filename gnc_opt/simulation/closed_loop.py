@@ -20,12 +20,12 @@ from gnc_opt.model.variables import Layout, as_point, as_vector
 from gnc_opt.simulation.active_reference import PlanUpdater
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
+from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_kernel import Kernel, build_kernel
 from gnc_opt.simulation.outcome import OutcomeClassifier
-from gnc_opt.simulation.quantities import Quantities, Quantity, read_quantities
+from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.step_selection import StepSelection
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -107,7 +107,6 @@ class ClosedLoop:
     divergence_limits: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
     _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
-    _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         expect(self.plant, Model, "the plant of a closed loop", "give a Model")
@@ -128,12 +127,15 @@ class ClosedLoop:
                 _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"),
             )
         set_(self, "events", _listed(self.events, Event, "events", "write Event(name, expression)"))
-        blocks = Blocks(
-            tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
-        )
         quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
-        read_quantities(self.plant, quantities)
+        blocks = Blocks(
+            tuple(self.actuators),
+            tuple(self.sensors),
+            tuple(self.disturbances),
+            tuple(self.events),
+            tuple(quantities),
+        )
         if self.replanner is not None:
             expect(
                 self.replanner,
@@ -252,14 +254,7 @@ class ClosedLoop:
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
         flight = self._accurate(nominal, times, rows)
-        quantities = self._followed_on_the_way(flight.substeps)
-        return replace(flight, replanner=self.replanner, quantities=quantities)
-
-    def _followed_on_the_way(self, substeps: int) -> Quantities | None:
-        if self.quantities and substeps not in self._on_the_way:
-            step = ControlStep(self.wiring, substeps)
-            self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
-        return self._on_the_way.get(substeps)
+        return replace(flight, replanner=self.replanner)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
@@ -359,6 +354,7 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
+            quantities=self.wiring.quantities.layout,
             judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),

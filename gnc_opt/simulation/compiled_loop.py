@@ -18,13 +18,12 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, native
-from gnc_opt.simulation.error_estimate import integration_errors
 from gnc_opt.simulation.events import EventOccurrence, occurrences
-from gnc_opt.simulation.final_values import FinalValues
+from gnc_opt.simulation.final_values import FinalValues, integration_errors
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
-from gnc_opt.simulation.quantities import Quantities, QuantityRecorder
+from gnc_opt.simulation.quantities import sample_steps
 from gnc_opt.simulation.run import Run
 
 LEG = 1000
@@ -67,8 +66,8 @@ class CompiledLoop:
     events : Layout
         Names of the events.
     replanner : PlanUpdater or None
-    quantities : Quantities or None
-        Quantities stored along the run.
+    quantities : Layout
+        Names and units of the quantities along the run.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
     libraries : tuple of two str
@@ -104,7 +103,7 @@ class CompiledLoop:
     events: Layout = field(default_factory=lambda: Layout("event"))
     replanner: PlanUpdater | None = None
     estimates: Any = None
-    quantities: Quantities | None = None
+    quantities: Layout = field(default_factory=lambda: Layout("quantity"))
     libraries: tuple[str, str] = ("", "")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -139,8 +138,6 @@ class CompiledLoop:
             digest.update(np.ascontiguousarray(array).tobytes())
         if self.replanner is not None:
             digest.update(self.replanner.description.encode())
-        if self.quantities is not None:
-            digest.update(self.quantities.along.serialize().encode())
         return digest.hexdigest()
 
     def natively(self, runs: int) -> CompiledLoop:
@@ -175,7 +172,7 @@ class CompiledLoop:
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        recorder = self._recorder(P.shape[1])
+        samples = np.full((self.quantities.size, self._sampled.size, P.shape[1]), np.nan)
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -192,12 +189,9 @@ class CompiledLoop:
                     X, C, again = *self._begun(rows[0], P[:, i]), True
                 else:
                     self._consider(course, first, X, rows, C)
-                if recorder is None or self._stopped(X[0]):
-                    self._fly(X, rows, C, final[i])
-                else:
-                    columns, logs = self._logged(X, rows, C, final[i])
-                    recorder.add(i, first, columns, logs, (rows, P[:, i]))
+                self._fly(X, rows, C, final[i])
                 X[:] = final[i]
+                self._sample(samples[..., i], first + len(rows), X[0])
                 if all(self._stopped(x) for x in X):
                     break
             if self.replanner is not None:
@@ -206,10 +200,10 @@ class CompiledLoop:
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final[:, 0].T)
         ending = self._ending(final, refused, followed, replans)
-        if recorder is None:
+        if not self.quantities.size:
             return ending
-        outcomes = recorder.told(ending.outcomes)
-        return replace(ending, outcomes=outcomes, sums=recorder.sums, samples=recorder.samples)
+        record = self.kernel.state.split(final[:, 0].T)["quantities"]
+        return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -247,7 +241,7 @@ class CompiledLoop:
         log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
-        course, last, recorder = self._course(), self.n_steps, self._recorder(1)
+        course, last = self._course(), self.n_steps
         legs = self.legs(seed, known, course)
         for first, rows in legs:
             if first == 0:
@@ -259,8 +253,6 @@ class CompiledLoop:
                 continue
             columns, logs = self._logged(X.copy(), rows, C, X)
             parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
-            if recorder is not None:
-                recorder.add(0, first, columns, logs, (rows, P))
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
                 events += occurrences(told, flown, self.events.names, self.states.size)
@@ -295,7 +287,7 @@ class CompiledLoop:
             saturation=ending.saturation_time[:, 0],
             variation=ending.variation[:, 0],
             integration_error=float(ending.integration_error[0]),
-            outcome=ending.outcomes[0] if recorder is None else recorder.told(ending.outcomes)[0],
+            outcome=ending.outcomes[0],
             seed=str(seed),
             events=tuple(events),
             replans=tuple(course.replans),
@@ -370,17 +362,25 @@ class CompiledLoop:
 
     @cached_property
     def _edges(self) -> list[int]:
-        """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
+        """Steps at which a leg ends and another begins: every `LEG` steps, where a plan may be made and where
+        quantities are sampled."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
-        return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
+        edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
+        return sorted(edges | set(self._sampled.tolist()))
 
-    def _recorder(self, runs: int) -> QuantityRecorder | None:
-        return (
-            None
-            if self.quantities is None
-            else QuantityRecorder(self.quantities, self.kernel, self.times, runs)
-        )
+    @cached_property
+    def _sampled(self) -> Any:
+        """Steps at whose beginnings quantities are sampled, and the end."""
+        return sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
+
+    def _sample(self, samples: Array, step: int, X: Array) -> None:
+        """Write the quantities at a step, of which the record of a run X has the last values, to (n, n_samples)."""
+        if step in self._sampled and not self._stopped(X):
+            n = self.quantities.size
+            record = X[self.kernel.state.slices["quantities"]]
+            samples[:, np.searchsorted(self._sampled, step)] = record[4 * n :]
+            samples[:, 0] = record[3 * n : 4 * n]
 
     def _course(self) -> ActiveReference:
         return ActiveReference(

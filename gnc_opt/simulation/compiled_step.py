@@ -36,7 +36,6 @@ class StepExecutor:
 
     Parameters
     ----------
-    kernel : Kernel
     library : str
         Of `quick` as machine code; "" for the interpreter.
     """

@@ -25,7 +25,6 @@ class PassRate:
 
     Attributes
     ----------
-    passed, runs : int
     low, high : float
         Interval that holds the true rate with at least ``confidence``.
     """

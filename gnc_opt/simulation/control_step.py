@@ -14,6 +14,7 @@ from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
 from gnc_opt.simulation.event_location import Watch, notes_of, record_of
 from gnc_opt.simulation.intersample_input import Input, Wave
+from gnc_opt.simulation.quantities import DECAY_PANELS, Extremes
 from gnc_opt.simulation.signals import Link, Places, put, put_wave, take, take_wave
 from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
@@ -27,7 +28,6 @@ class ControlStep:
 
     Parameters
     ----------
-    wiring : Wiring
     substeps : int
         Integration steps per minor step.
     """
@@ -68,6 +68,7 @@ class ControlStep:
                 ("divergence time", 1),
                 ("alarm", 1),
                 ("alarm time", 1),
+                ("quantities", 5 * len(wiring.quantities)),
                 *self._if_events(
                     ("armed", len(wiring.events.owners)), *record_of(wiring.events, wiring.plant.states.size)
                 ),
@@ -199,12 +200,12 @@ class ControlStep:
         waves: list[Wave],
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
-        watch: Callable[[Taken, Callable[[Any], Any]], None] | None = None,
+        watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
 
-        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state. ``watch`` is called
-        with each integration step and with what is applied at a share (0 to 1) of it.
+        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state. ``watches`` are
+        called with each integration step and with what is applied at a share (0 to 1) of it.
         """
         f, n, held = self._rate(state), self.substeps, all(wave.held for wave in waves)
         first, last = span or (ca.SX(0), ca.SX(self.h))
@@ -216,7 +217,7 @@ class ControlStep:
             applied = _applied(waves, begin, end)
 
             def stepped(taken: Taken, applied: Callable[[Any], Any] = applied) -> None:
-                if watch is not None:
+                for watch in watches:
                     watch(taken, lambda nu: applied((taken.number + nu) * taken.length))
 
             if held:
@@ -263,9 +264,15 @@ class ControlStep:
         seen = [*watched(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
+        n = len(self.wiring.quantities)
+        seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which keep what is not finite
         self._watch(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told})
+
+    def extremes(self, waves: Sequence[Wave]) -> Extremes:
+        panels = DECAY_PANELS if any(wave.tau is not None for wave in waves) else 1
+        return Extremes(self.wiring.quantities, self.plant_p, panels)
 
     def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
         return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
@@ -325,6 +332,7 @@ def watched_labels(wiring: Wiring) -> list[str]:
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),
         ("event", wiring.events.layout),
+        ("quantity", wiring.quantities.layout),
     )
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 

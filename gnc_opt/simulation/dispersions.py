@@ -62,7 +62,6 @@ class Normal(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal
     >>> spread = Normal(0.05)
     """
 
@@ -115,7 +114,6 @@ class Uniform(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Uniform
     >>> spread = Uniform(0.9, 1.1)
     """
 
@@ -156,7 +154,6 @@ class Choice(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Choice
     >>> dispersions = {"plant.mass": Choice([90.0, 100.0, 130.0])}
     """
 
@@ -196,7 +193,6 @@ class RandomDirection(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal, RandomDirection
     >>> dispersions = {"initial.r": RandomDirection(10.0), "initial.v": RandomDirection(Normal(0.1))}
     """
 
@@ -223,7 +219,6 @@ class UniformInBall(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import UniformInBall
     >>> dispersions = {"initial.r": UniformInBall(10.0)}  # within 10 m
     """
 
@@ -254,7 +249,6 @@ class RandomRotation(Dispersion):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal, RandomRotation
     >>> dispersions = {"initial.q_BL": RandomRotation(Normal(np.radians(5.0)))}
     """
 

@@ -29,7 +29,6 @@ class Disturbance(Block):
     One's own disturbance, drag that grows with the square of the speed:
 
     >>> from dataclasses import dataclass
-    >>> from gnc_opt.simulation import Disturbance
     >>> @dataclass(frozen=True)
     ... class Drag(Disturbance):
     ...     def value(self, t, x, state, p):
@@ -64,7 +63,6 @@ class ConstantDisturbance(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import ConstantDisturbance
     >>> block = ConstantDisturbance("wind", 0.1, on="v")
     """
 
@@ -92,7 +90,6 @@ class SinusoidalDisturbance(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import SinusoidalDisturbance
     >>> block = SinusoidalDisturbance("flutter", 0.1, 2.0, on="v")
     """
 
@@ -123,7 +120,6 @@ class PiecewiseConstantNoise(Disturbance):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import PiecewiseConstantNoise
     >>> block = PiecewiseConstantNoise("gusts", 0.1, period=0.5, on="v")
     """
 

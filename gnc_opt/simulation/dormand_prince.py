@@ -102,7 +102,6 @@ def dormand_prince(
         Where to begin (s and the units of the state).
     length : scalar
         s.
-    steps : int
     u : callable, optional
         ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
     stepped : callable, optional

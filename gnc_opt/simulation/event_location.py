@@ -23,6 +23,7 @@ import casadi as ca
 
 from gnc_opt.simulation.dormand_prince import Taken
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
+from gnc_opt.simulation.quantities import joined
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import SAME_TIME
 
@@ -51,7 +52,6 @@ class Watch:
 
     Parameters
     ----------
-    events : Events
     armed : SX column
         1 for rows that can cross.
     parameters : SX column
@@ -141,10 +141,9 @@ def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
 
     Parameters
     ----------
-    events : Events
     leg : casadi.Function
-        ``(x, armed, begin, end, *context) -> (x, armed, y, dy_dt, found, first, last, lost, lost_inside)``, the plant
-        flown between two times since the minor step began.
+        ``(x, armed, begin, end, *context) -> (x, armed, y, dy_dt, found, first, last, lost, lost_inside, quantities)``,
+        the plant flown between two times since the minor step began.
     h : float
         Minor step, s.
 
@@ -169,6 +168,7 @@ class _Passage:
                 ("x", n),
                 ("armed", self.n_rows),
                 ("s", 1),
+                ("quantities", leg.size1_out(9)),
                 *record_of(events, n),
                 *notes_of(n),
             )
@@ -202,8 +202,10 @@ class _Passage:
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
-        x, armed, _, _, found, first, last, lost, _ = self.leg(v["x"], v["armed"], v["s"], self.h, *context)
-        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, lost=lost))
+        x, armed, _, _, found, first, last, lost, _, seen = self.leg(
+            v["x"], v["armed"], v["s"], self.h, *context
+        )
+        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, lost=lost, quantities=seen))
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
@@ -217,7 +219,8 @@ class _Passage:
 
     def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         """Return the quantities at s, with those that the leg until then has added."""
-        return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
+        seen = joined(v["quantities"], leg["quantities"])
+        return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
     def _meet(self) -> Any:
         """Fly to where a row may have crossed; if one has, through the event."""
@@ -229,9 +232,9 @@ class _Passage:
         for _ in range(_NARROWED):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
-        x, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
+        x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, lost=lost))
+        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, lost=lost, quantities=seen))
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
@@ -267,11 +270,11 @@ class _Passage:
         for _ in range(_ROOT_ITERATIONS):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
-        x, armed, y, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
+        x, armed, y, *_, inside, seen = self.leg(v["x"], v["armed"], v["s"], s, *context)
         y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._moved(v, s, x=x, armed=armed, lost=inside)
+        met = self._moved(v, s, x=x, armed=armed, lost=inside, quantities=seen)
         w = self.places.split(self.effect(self.places.join(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]

@@ -77,7 +77,6 @@ class Event:
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Event
     >>> ball = go.Model("ball")
     >>> h, w = ball.state("h", unit="m"), ball.state("w", unit="m/s")
     >>> g = ball.control("g", unit="m/s^2")
@@ -131,7 +130,6 @@ class EventOccurrence:
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Event
     >>> wall = go.ClosedLoop(cart, regulator, events=[Event("half way", q - 0.5, "falling", reset={})])
     >>> (passed,) = wall.simulate([1.0, 0.0], tf=8.0).events
     >>> print(passed.name, f"{passed.before[0]:.6f}")
@@ -173,7 +171,6 @@ class Events:
 
     Attributes
     ----------
-    declared : tuple of Event
     owners : tuple of int
         The event of each row.
     rows : casadi.Function

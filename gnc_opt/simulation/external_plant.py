@@ -50,7 +50,6 @@ class ExternalPlantRun:
 
     Examples
     --------
-    >>> from gnc_opt.simulation import ExternalPlantRun
     >>> flight = ExternalPlantRun(np.array([0.0, 0.1]), np.ones((2, 2)), np.zeros((1, 1)), np.zeros((0, 1)), ())
     >>> print(flight.measured.shape)
     (2, 2)
@@ -90,7 +89,6 @@ def simulate_external_plant(
 
     Examples
     --------
-    >>> from gnc_opt.simulation import simulate_external_plant
     >>> class Sled:
     ...     x = np.array([1.0, 0.0])
     ...     def measure(self, t):

@@ -25,6 +25,7 @@ import casadi as ca
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.event_location import notes_of, passage
+from gnc_opt.simulation.quantities import joined, neutral
 from gnc_opt.simulation.signals import Places, take
 from gnc_opt.simulation.wiring import Wiring
 
@@ -37,7 +38,6 @@ def with_events(step: ControlStep, act: Any) -> Any:
 
     Parameters
     ----------
-    step : ControlStep
     act : casadi.Function
         ``(X, w, C, y, u, z_next) -> (X_next, log, found)``, found: whether a row may have crossed zero.
 
@@ -104,10 +104,10 @@ class _EventfulStep:
         waves, saturated = self.base.actuate(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-        watch = self.base.watch_rows({"armed": armed}, begin)
-        flown = self.base.fly(tick.t, x, waves, new, (begin, end), watch)
+        watch, extremes = self.base.watch_rows({"armed": armed}, begin), self.base.extremes(waves)
+        flown = self.base.fly(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
-        seen += [watch.lost, watch.lost_inside]
+        seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
         way, places = passage(wiring.events, leg, h)
@@ -221,7 +221,7 @@ class _Builder(ControlStep):
         y, sensors = self.sense(x, w["t"], None, w)
         tick = Tick(w["t"], self.h, wiring.dt, 0, self.by_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors}
+        parts |= {"plant": x, **sensors, "quantities": neutral(len(wiring.quantities))}
         parts |= self.first_outputs(tick, w["r"])
         if wiring.events:
             parts |= self.first_record(w["t"], x)
@@ -284,8 +284,10 @@ class _Builder(ControlStep):
             tick = self.tick_of(i, w, new)
             waves, saturated = self.actuate(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
-            watch = self.watch_rows(new, ca.SX(0)) if wiring.events else None
-            new["plant"] = self.fly(tick.t, new["plant"], waves, new, watch=watch)
+            watch, extremes = self.watch_rows(new, ca.SX(0)) if wiring.events else None, self.extremes(waves)
+            watches = (extremes,) if watch is None else (watch, extremes)
+            new["plant"] = self.fly(tick.t, new["plant"], waves, new, watches=watches)
+            new["quantities"] = joined(new["quantities"], extremes.record)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)

@@ -181,7 +181,6 @@ def monte_carlo(
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Normal
     >>> loop = go.ClosedLoop(cart, go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1), dt=0.1)
     >>> asked = {"dispersions": {"initial.q": Normal(0.1)}, "limits": {"q": 0.01}}
     >>> runs = go.monte_carlo(loop, 20, x0=[1, 0], tf=8.0, seed=1, executor="serial", **asked)

@@ -71,7 +71,6 @@ class Logged:
 
     Attributes
     ----------
-    name, unit : str
     times : array (n_times,)
         s; for commands, measurements and applied controls the beginnings of the control steps.
     values : array (size, n_times)

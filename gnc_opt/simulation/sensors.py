@@ -40,7 +40,6 @@ class Noise(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Noise
     >>> block = Noise("rate gyro", 1e-4, on="v")
     """
 
@@ -80,7 +79,6 @@ class Bias(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Bias
     >>> block = Bias("offset", 0.01, on="q")
     """
 
@@ -113,7 +111,6 @@ class RandomWalk(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import RandomWalk
     >>> block = RandomWalk("drift", 1e-4, on="q")
     """
 
@@ -145,7 +142,6 @@ class Scale(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Scale
     >>> block = Scale("wrong gauge", 1.02, on="q")
     """
 
@@ -169,7 +165,6 @@ class Sampling(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Sampling
     >>> block = Sampling("slow camera", 1.0, on="q")
     """
 
@@ -201,7 +196,6 @@ class SensorDelay(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import SensorDelay
     >>> block = SensorDelay("bus", 0.2, on="q")
     """
 

@@ -58,7 +58,6 @@ class Link:
 
     Attributes
     ----------
-    block : Block
     on : tuple of str
         Names of the signals it takes.
     size : int

@@ -88,7 +88,6 @@ class StepSelection:
 
     Attributes
     ----------
-    plant : Model
     step : float
         Minor step, s.
     asked : float

@@ -44,7 +44,6 @@ class NonNegativeAllocation(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import NonNegativeAllocation
     >>> block = NonNegativeAllocation("nozzles", [[1.0, -1.0]], to="thrusts", unit="m/s^2", on="a")
     """
 
@@ -107,7 +106,6 @@ class ThrusterSet:
     --------
     Four thrusters in a plane that push a body along x and turn it about z:
 
-    >>> from gnc_opt.simulation import ThrusterSet
     >>> positions = [[0, 0, 0, 0], [1, -1, 1, -1], [0, 0, 0, 0]]
     >>> thrusters = ThrusterSet(positions, [[1, 1, -1, -1], [0, 0, 0, 0], [0, 0, 0, 0]])
     >>> print(thrusters.effects[[0, 5]])  # force along x and torque about z of each

@@ -21,6 +21,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
+from gnc_opt.simulation.quantities import Quantities, Quantity
 from gnc_opt.simulation.signals import Kinds, Link, chain, kinds
 
 
@@ -97,16 +98,12 @@ class Wiring:
 
     Attributes
     ----------
-    plant : Model
-    controller : Controller
-    actuators, sensors, disturbances : tuple of Link
     dt : float
         Control step, s.
     minor_steps : int
         Parts of a control step.
     divergence_limits : array (n_states,)
         Size of the plant's states beyond which a run has diverged.
-    events : Events
     """
 
     plant: Model
@@ -118,6 +115,7 @@ class Wiring:
     minor_steps: int
     divergence_limits: Array
     events: Events
+    quantities: Quantities
 
     @property
     def h(self) -> float:
@@ -181,12 +179,13 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The blocks of a loop, in the order in which the signal passes them, and its events."""
+    """The blocks of a loop, in the order in which the signal passes them, its events and quantities."""
 
     actuators: tuple[Block, ...]
     sensors: tuple[Block, ...]
     disturbances: tuple[Disturbance, ...]
     events: tuple[Event, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
 
 
 def wire(
@@ -218,7 +217,7 @@ def wire(
         n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
     }
     pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
-    events = Events.of(plant, blocks.events)
+    events, quantities = Events.of(plant, blocks.events), Quantities.of(plant, blocks.quantities)
     wiring = Wiring(
         plant,
         controller,
@@ -229,6 +228,7 @@ def wire(
         minor_steps,
         divergence_limits,
         events,
+        quantities,
     )
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)

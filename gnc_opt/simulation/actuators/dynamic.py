@@ -80,7 +80,6 @@ class Lag(_Following):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Lag
     >>> block = Lag("valve", 0.05, on="a")
     """
 
@@ -123,7 +122,6 @@ class RateLimit(_Following):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import RateLimit
     >>> block = RateLimit("slew", 2.0, on="a")
     """
 
@@ -177,7 +175,6 @@ class Delay(_Following):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Delay
     >>> block = Delay("bus", 0.02, on="a")
     """
 
@@ -230,7 +227,6 @@ class ZeroOrderHold(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import ZeroOrderHold
     >>> block = ZeroOrderHold("slow valve", 0.5, on="a")
     """
 

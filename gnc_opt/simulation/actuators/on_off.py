@@ -33,7 +33,6 @@ class Pwm(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Pwm
     >>> block = Pwm("on-off", 1.0, period=1.0, minimum_on=0.05, on="a")
     """
 
@@ -94,7 +93,6 @@ class SchmittTrigger(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import SchmittTrigger
     >>> block = SchmittTrigger("relay", 1.0, on_level=0.4, off_level=0.1, on="a")
     """
 
@@ -148,7 +146,6 @@ class Pwpf(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Pwpf
     >>> block = Pwpf("modulator", 1.0, on_level=0.45, off_level=0.15, tau=0.1, gain=2.0, on="a")
     """
 

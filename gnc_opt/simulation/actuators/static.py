@@ -24,7 +24,6 @@ class Saturation(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Saturation
     >>> block = Saturation("limit", -1.0, 1.0, on="a")
     """
 
@@ -61,7 +60,6 @@ class ScaleFactor(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import ScaleFactor
     >>> block = ScaleFactor("weak motor", 0.9, bias=0.01, on="a")
     """
 
@@ -93,7 +91,6 @@ class Deadband(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Deadband
     >>> block = Deadband("valve", 0.01, on="a")
     """
 
@@ -120,7 +117,6 @@ class Quantisation(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import Quantisation
     >>> block = Quantisation("steps", 0.01, on="a")
     """
 
@@ -147,7 +143,6 @@ class MinimumImpulse(Block):
 
     Examples
     --------
-    >>> from gnc_opt.simulation import MinimumImpulse
     >>> block = MinimumImpulse("least pulse", 0.02, on="a")
     """
 
