@@ -47,7 +47,6 @@ class Scatter:
 
     Attributes
     ----------
-    sources : Sources
     by_parameters : array (n, n_parameters)
         Derivatives.
     noise : sequence of arrays (n, n)

@@ -50,7 +50,6 @@ class InnovationTest(Strict):
     Examples
     --------
     >>> from gnc_opt.estimation import Measurement
-    >>> from gnc_opt.analysis import consistency
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-4)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> gauge = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf).innovations["q"]
@@ -94,7 +93,6 @@ class Consistency(Strict, Printed):
     Examples
     --------
     >>> from gnc_opt.estimation import Measurement
-    >>> from gnc_opt.analysis import consistency
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> result = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
@@ -164,7 +162,6 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     Examples
     --------
     >>> from gnc_opt.estimation import Measurement
-    >>> from gnc_opt.analysis import consistency
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
     >>> flown = filtered.simulate([1.05, 0.01], tf=8.0)

@@ -61,7 +61,6 @@ class IntervalEstimate:
 
     Examples
     --------
-    >>> from gnc_opt.analysis import correlations
     >>> share = correlations(campaign, "max(overshoot)").ranks["initial.q"]
     >>> print(share.low <= share.value <= share.high)
     True
@@ -93,7 +92,6 @@ class SobolIndices(Printed):
 
     Examples
     --------
-    >>> from gnc_opt.analysis import sobol_indices
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
     >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
@@ -158,7 +156,6 @@ def sobol_indices(
 
     Examples
     --------
-    >>> from gnc_opt.analysis import sobol_indices
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
     >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(max(shares.total, key=lambda name: shares.total[name].value))
@@ -268,7 +265,6 @@ class Correlations(Printed):
 
     Examples
     --------
-    >>> from gnc_opt.analysis import correlations
     >>> strongest = next(iter(correlations(campaign, "max(overshoot)").ranks))
     >>> print(strongest)
     initial.q
@@ -312,7 +308,6 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
 
     Examples
     --------
-    >>> from gnc_opt.analysis import correlations
     >>> print(correlations(campaign, "max(overshoot)"))
     rank correlation with 'max(overshoot)', 20 runs, intervals 95 %
       initial.q  0.932 (0.829 to 0.974)

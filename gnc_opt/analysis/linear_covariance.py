@@ -175,7 +175,6 @@ class PlantModes:
 
     Parameters
     ----------
-    linearization : Linearization
     asked : float
         Error of the modes per minor step, see `steps_for_modes`.
     """

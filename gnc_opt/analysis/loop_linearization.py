@@ -70,7 +70,6 @@ class Linearization:
 
     Parameters
     ----------
-    flight : Flight
     wiring : Wiring
         Of the loop.
     columns : sequence of int

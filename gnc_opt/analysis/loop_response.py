@@ -82,7 +82,6 @@ class LoopResponse(Strict):
 
     Examples
     --------
-    >>> from gnc_opt.analysis import loop_response
     >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
     >>> print(f"|S| at 1 rad/s: {abs(response.sensitivity([1.0])).item():.2f}")
     |S| at 1 rad/s: 0.63
@@ -244,7 +243,6 @@ def loop_response(
 
     Examples
     --------
-    >>> from gnc_opt.analysis import loop_response
     >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
     >>> print(response.stable(), f"{response.disk_margins[0]:.2f}")
     True 1.24

@@ -76,7 +76,6 @@ class FailureProbability(Printed):
 
     Examples
     --------
-    >>> from gnc_opt.analysis import failure_probability
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
@@ -145,7 +144,6 @@ def failure_probability(
 
     Examples
     --------
-    >>> from gnc_opt.analysis import failure_probability
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
@@ -256,10 +254,8 @@ def subset_simulation(
         See `Value`.
     size : int
         Number of numbers.
-    limit : float
     count : int
         Runs of a level, a multiple of ten.
-    generator : numpy.random.Generator
     """
     z = generator.standard_normal((size, count))
     y = value(z)

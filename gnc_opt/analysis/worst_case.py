@@ -52,8 +52,6 @@ class WorstCase(Printed):
 
     Examples
     --------
-    >>> from gnc_opt.analysis import worst_case
-    >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
     >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
@@ -108,8 +106,6 @@ def worst_case(
 
     Examples
     --------
-    >>> from gnc_opt.analysis import worst_case
-    >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
     >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
     >>> worst = worst_case(experiment, "max(overshoot)", generations=3)

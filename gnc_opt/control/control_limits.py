@@ -85,7 +85,6 @@ def require_reserve(
 
     Parameters
     ----------
-    reference : Reference
     limits : (lower, upper), optional
         None: no check.
     times : array (n_times,)
@@ -140,7 +139,6 @@ def reference_beyond(
 
     Parameters
     ----------
-    reference : Reference
     places : sequence of int
         Of the limited states among all.
     lower, upper : array (n_limited,)

@@ -240,7 +240,6 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.control import law
     >>> t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
     >>> step = law(t, x, r, z, -x[0] - 2 * x[1], z)
     >>> print(step(0.0, [1.0, 0.5], [], [])[0])
@@ -263,7 +262,6 @@ def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.control import initial_state_function
     >>> t, x, r = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0)
     >>> start = initial_state_function(t, x, r, 3 * x[0])
     >>> print(start(0.0, [1.0, 0.0], []))

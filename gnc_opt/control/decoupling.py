@@ -56,7 +56,6 @@ class Inverse:
 
     Attributes
     ----------
-    matrix : SX
     regular : SX
         1 if E may be inverted, 0 otherwise (also if E is NaN).
     scale : float

@@ -64,7 +64,6 @@ def with_dropout_handling(
 
     Examples
     --------
-    >>> from gnc_opt.control import with_dropout_handling
     >>> careful = with_dropout_handling(regulator, hold=1, safe=[0.0])
     >>> memory = careful.initial_memory(0.0, [1.0, 0.0])
     >>> for x in ([1.0, 0.0], [np.nan, 0.0], [np.nan, 0.0]):  # the last good sample once, then the safe command

@@ -41,7 +41,6 @@ def linear_system(
 
     Parameters
     ----------
-    name : str
     matrices : tuple of four arrays
         A, B, C, D.
     dt : float
@@ -66,10 +65,8 @@ def sampled_system(
 
     Parameters
     ----------
-    name : str
     step : callable
         ``step(t, z, x)`` returns the command and the next memory.
-    dt : float
     memory, measured, commands : Layout
         Of the state z, the input x and the output.
     """
@@ -108,7 +105,6 @@ class ErrorDynamics:
 
     Examples
     --------
-    >>> from gnc_opt.control import ErrorDynamics
     >>> A, B = ErrorDynamics(cart).linearize(0.0, [1.0, 0.0], [0.0])
     >>> print(A.tolist(), B.tolist())
     [[0.0, 1.0], [0.0, 0.0]] [[0.0], [1.0]]

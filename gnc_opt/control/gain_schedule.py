@@ -91,7 +91,6 @@ def design_gain_schedule(
 
     Examples
     --------
-    >>> from gnc_opt.control import design_gain_schedule
     >>> law = design_gain_schedule(cart, [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), Q=1, R=1, dt=0.1)
     >>> u, _ = law(0.0, [1.0, 0.5])
     >>> print(np.round(u, 3))

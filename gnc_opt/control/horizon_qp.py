@@ -129,7 +129,6 @@ class Horizon:
 
     Attributes
     ----------
-    rows : Rows
     matrices : list of lists
         A - B K, B L^-T, K and L^-T of each step, DM or MX.
     scale : array (n_errors,)

@@ -41,8 +41,6 @@ class Pair:
 
     Attributes
     ----------
-    model : Model
-    t, x, u, x_ref, u_ref : SX
     f, f_ref : SX
         dx/dt of either; the parameters have the model's values.
     """
@@ -106,7 +104,6 @@ class OutputErrors:
 
     Attributes
     ----------
-    pair : Pair
     labels : tuple of str
         One per component.
     chains : tuple of SX
@@ -154,7 +151,6 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.control import lie_derivative
     >>> print(lie_derivative(cart, q, 2))
     a
     """
@@ -179,7 +175,6 @@ def relative_degrees(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.
 
     Examples
     --------
-    >>> from gnc_opt.control import relative_degrees
     >>> print(relative_degrees(cart, "q", [0.0, 0.0]))
     {'q': 2}
     """
@@ -201,7 +196,6 @@ def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0
 
     Examples
     --------
-    >>> from gnc_opt.control import decoupling_matrix
     >>> print(decoupling_matrix(cart, "q", [0.0, 0.0]))
     [[1.]]
     """
@@ -233,7 +227,6 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
 
     Examples
     --------
-    >>> from gnc_opt.control import output_errors
     >>> errors = output_errors(cart, go.Reference(solution), "q")
     >>> print(errors.degrees)
     (2,)
@@ -379,7 +372,6 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     --------
     Where q + 2 v stays at zero, q goes on by dq/dt = -q / 2:
 
-    >>> from gnc_opt.control import output_errors, zero_dynamics
     >>> errors = output_errors(cart, go.Reference(solution), {"mixed": q + 2 * v})
     >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth:.3f}")
     -0.500

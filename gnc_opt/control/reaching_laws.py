@@ -46,7 +46,6 @@ class Sign:
 
     Examples
     --------
-    >>> from gnc_opt.control import Sign
     >>> print([float(Sign()(s)) for s in (-0.5, 0.0, 0.5)])
     [-1.0, 0.0, 1.0]
     """
@@ -89,7 +88,6 @@ class SaturationLayer(_Layer):
 
     Examples
     --------
-    >>> from gnc_opt.control import SaturationLayer
     >>> print([float(SaturationLayer(0.1)(s)) for s in (-0.5, 0.05, 0.5)])
     [-1.0, 0.5, 1.0]
     """
@@ -109,7 +107,6 @@ class TanhLayer(_Layer):
 
     Examples
     --------
-    >>> from gnc_opt.control import TanhLayer
     >>> print([f"{float(TanhLayer(0.1)(s)):.4f}" for s in (-0.5, 0.05, 0.5)])
     ['-0.9999', '0.4621', '0.9999']
     """
@@ -154,7 +151,6 @@ class ConstantRate(_Relay):
 
     Examples
     --------
-    >>> from gnc_opt.control import ConstantRate
     >>> law = ConstantRate(0.5)
     """
 
@@ -186,7 +182,6 @@ class ExponentialRate(_Relay):
 
     Examples
     --------
-    >>> from gnc_opt.control import ExponentialRate
     >>> law = ExponentialRate(0.5, 2.0)
     """
 
@@ -222,7 +217,6 @@ class PowerRate:
 
     Examples
     --------
-    >>> from gnc_opt.control import PowerRate
     >>> law = PowerRate(0.5, 0.5)
     """
 
@@ -280,7 +274,6 @@ class SuperTwisting:
 
     Examples
     --------
-    >>> from gnc_opt.control import Sign, SuperTwisting
     >>> law = go.design_sliding_mode(
     ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, reaching=SuperTwisting(1.5, 1.1), boundary=Sign(),
     ...     bound=0.2, dt=0.01,

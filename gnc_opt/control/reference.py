@@ -346,7 +346,6 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> from gnc_opt.control import trim
     >>> lift = go.Model("lift")
     >>> h, w = lift.state("h", unit="m"), lift.state("w", unit="m/s")
     >>> thrust = lift.control("thrust", unit="N")

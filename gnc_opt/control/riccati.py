@@ -66,7 +66,6 @@ class Mode:
 
     Attributes
     ----------
-    eigenvalue : complex
     states : tuple of str
         Those with a large share in it.
     rank_gap : float

@@ -260,8 +260,6 @@ class Switching:
 
     Attributes
     ----------
-    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
-    boundary : Sign, SaturationLayer or TanhLayer
     bounds : array (n_surfaces,)
         Largest disturbances of ds/dt; for `SuperTwisting` their largest rates.
     dt : float or None

@@ -59,7 +59,6 @@ def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: f
 
     Parameters
     ----------
-    k1, k2 : float
     s, z : float
         First values; z includes the disturbance.
     bound : float

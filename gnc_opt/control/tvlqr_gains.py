@@ -42,13 +42,7 @@ _CHECKS = np.concatenate([[-1 + 1e-6], 0.5 * (_POINTS[1:] + _POINTS[:-1]), [1 - 
 
 
 class LinearizationTable:
-    """A (n, n) and B (n, m) of the errors along a reference; on a jump, the values after it.
-
-    Parameters
-    ----------
-    deviation : Deviation
-    reference : Reference
-    """
+    """A (n, n) and B (n, m) of the errors along a reference; on a jump, the values after it."""
 
     def __init__(self, deviation: ErrorDynamics, reference: Reference) -> None:
         self.deviation, self.reference = deviation, reference

@@ -33,10 +33,8 @@ class Channel:
 
     Attributes
     ----------
-    measurement : Measurement
     variable : Variable
         What is measured.
-    space : Space
     period, delay : int
         Control steps.
     """
@@ -72,14 +70,11 @@ class AugmentedModel:
 
     Parameters
     ----------
-    model : Model
-    measurements : sequence of Measurement
     dt : float
         Control step, s.
 
     Attributes
     ----------
-    channels : tuple of Channel
     states, errors : Layout
         Of all that is estimated, and of the errors.
     space : Space

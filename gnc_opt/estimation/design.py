@@ -73,7 +73,6 @@ def design_ekf(
 
     Examples
     --------
-    >>> from gnc_opt.estimation import Measurement
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> x, memory = ekf(0.0, [1.05], [0.0])
     >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
@@ -118,7 +117,6 @@ def design_ukf(
 
     Examples
     --------
-    >>> from gnc_opt.estimation import Measurement
     >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
     >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ukf), sensors=loop.sensors)
     >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
@@ -143,12 +141,8 @@ class FilterDesign:
 
     Attributes
     ----------
-    augmented : AugmentedModel
-    name : str
     dt, t0 : float
         Control step and time of the first one, s.
-    limits : Authority or None
-    substeps, hold : int
     sigma0, noise : array (n_errors,)
         Of all that is estimated: first standard deviations, and densities of the noise.
     """

@@ -25,7 +25,6 @@ class Space:
 
     Attributes
     ----------
-    size, errors : int
     difference : callable
         ``difference(x, x_ref) -> e`` of SX columns.
     retraction : callable

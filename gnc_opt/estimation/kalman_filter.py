@@ -70,7 +70,6 @@ class Tally:
 
     Parameters
     ----------
-    memory : Layout
     z : casadi SX (n_memory, 1)
 
     Attributes
@@ -130,7 +129,6 @@ class Filter:
         ``(t, y, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory.
     predict : casadi.Function
         ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
-    memory : Layout
     pattern : casadi.Sparsity
         Of the lower triangle of P, column by column, in the memory.
     """

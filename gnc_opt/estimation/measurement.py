@@ -40,7 +40,6 @@ class FilterOptions:
 
     Examples
     --------
-    >>> from gnc_opt.estimation import FilterOptions, Measurement
     >>> options = FilterOptions(substeps=2, hold=10, name="navigation")
     >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
     >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
@@ -69,7 +68,6 @@ class UnscentedOptions(FilterOptions):
 
     Examples
     --------
-    >>> from gnc_opt.estimation import Measurement, UnscentedOptions
     >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
     >>> options = UnscentedOptions(kappa=1.0)  # 3 - n of two errors
     >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
@@ -119,7 +117,6 @@ class Measurement:
 
     Examples
     --------
-    >>> from gnc_opt.estimation import Measurement
     >>> camera = Measurement("q", 0.01, period=1.0, delay=0.2, bias=0.05, gate=0.9999)
     """
 

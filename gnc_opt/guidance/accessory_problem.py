@@ -52,10 +52,6 @@ class SmoothPlan:
 
     Attributes
     ----------
-    solution : Solution
-    problem : Problem
-    leg : PhaseSolution
-    functions : PhaseFunctions
     reference : Reference
         The flight as it was planned; after its end, at rest or with the last control held.
     given : bool array (n_states,)

@@ -51,8 +51,6 @@ class Prediction:
 
     Attributes
     ----------
-    plan : SwitchingPlan
-    ending : RegulatedEnd
     steps : int
         Runge-Kutta steps per arc.
     """

@@ -210,7 +210,6 @@ class GuidanceOptions:
 
     Examples
     --------
-    >>> from gnc_opt.guidance import GuidanceOptions
     >>> options = GuidanceOptions(reserve=0.0, corrections=2)
     >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=1.0, last=0.5, options=options)
     >>> print(guided.explain()["last part"])

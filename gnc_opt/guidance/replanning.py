@@ -191,7 +191,6 @@ class Replanner:
 
     Examples
     --------
-    >>> from gnc_opt.guidance import Replanner
     >>> planner = Replanner(lambda: go.Resolver(solution), every=0.5, latency=0.1, last=0.5)
     >>> led = go.ClosedLoop(cart, go.feedforward(go.Reference(solution)), replanner=planner, dt=0.1)
     >>> print(f"{led.simulate([1.1, 0.0], tf=2.5).replans[0].final_time:.3f}")

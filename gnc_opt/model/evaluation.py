@@ -90,7 +90,6 @@ class Operations:
     ----------
     rows : int
         Of the output.
-    registers : int
     steps : tuple of (operation, place of its result, what it is given)
         A place is a register, or a row of the output; given are registers, a number, or an argument and its row.
     """
@@ -215,7 +214,6 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
 
     Parameters
     ----------
-    function : casadi.Function
     n : int
         Evaluations.
     *arguments : array (rows,) or (rows, n)

@@ -169,7 +169,6 @@ class NormNodes:
 
         Parameters
         ----------
-        expression : casadi.SX
         norm : casadi.SX
             >= 0.
         instead : mapping

@@ -90,8 +90,6 @@ def carried(
         Initial state.
     span : tuple of two floats
         Where to begin and to end, the later one.
-    tolerance : Tolerance
-    budget : Budget
 
     Raises
     ------
@@ -272,7 +270,6 @@ def integrate(
         Initial state.
     span : tuple of two floats
         Where to begin and to end; the latter may be the earlier.
-    tolerance : Tolerance
     budget : Budget
         May be shared by several calls.
     stop : callable, optional

@@ -31,7 +31,6 @@ class TableUse:
 
     Attributes
     ----------
-    table : Table
     arguments : casadi.SX
         The column of arguments, one per axis.
     comparisons : casadi.SX

@@ -26,8 +26,6 @@ def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) 
 
     Parameters
     ----------
-    path : Path
-    needed : iterable of str
     others : iterable of str
         Optional columns; all other columns are ignored.
 
@@ -153,7 +151,6 @@ def named(
 
     Parameters
     ----------
-    layout : Layout
     values : array (layout.size, n)
     prefix : str
         Put before each name.

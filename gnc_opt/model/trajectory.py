@@ -20,7 +20,6 @@ class TrajectoryPhase:
 
     Attributes
     ----------
-    name : str
     model : Model
         With the values of its parameters on this trajectory.
     initial_time, final_time : float

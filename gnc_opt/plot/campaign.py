@@ -144,7 +144,6 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_dispersion
     >>> puck = go.Model("puck")
     >>> r, u = puck.state("r", 2, unit="m"), puck.control("u", 2, unit="m/s")
     >>> puck.ode({r: u})
@@ -221,7 +220,6 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_distributions
     >>> figure = plot_distributions(campaign, ["q", "max(overshoot)"])
     """
     chosen = list(names) if names is not None else list(campaign.limits) or list(shown_measures(campaign))
@@ -315,7 +313,6 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_envelope
     >>> figure = plot_envelope(campaign, "overshoot", levels=(0.1, 0.5, 0.9))
     """
     found = campaign.envelope(name, levels)

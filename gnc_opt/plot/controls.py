@@ -95,7 +95,6 @@ def plot_controls(
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_controls
     >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
     2
     """

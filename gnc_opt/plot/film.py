@@ -70,7 +70,6 @@ def save_film(
 
     Examples
     --------
-    >>> from gnc_opt.plot import View, save_film
     >>> film = save_film(solution, "cart.gif", View(position=("q", "v")), seconds=0.2, rate=10.0)
     >>> print(film.name)
     cart.gif

@@ -37,7 +37,6 @@ def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:
     Examples
     --------
     >>> from gnc_opt.analysis import loop_response
-    >>> from gnc_opt.plot import plot_bode
     >>> figure = plot_bode(loop_response(loop, x0=[1.0, 0.0], tf=8.0))
     """
     label, omega = _command(response, command), response.frequencies
@@ -77,7 +76,6 @@ def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
     Examples
     --------
     >>> from gnc_opt.analysis import loop_response
-    >>> from gnc_opt.plot import plot_nyquist
     >>> figure = plot_nyquist(loop_response(loop, x0=[1.0, 0.0], tf=8.0))
     """
     label, omega = _command(response, command), response.frequencies
@@ -118,7 +116,6 @@ def plot_sensitivity(response: LoopResponse) -> Figure:
     Examples
     --------
     >>> from gnc_opt.analysis import loop_response
-    >>> from gnc_opt.plot import plot_sensitivity
     >>> figure = plot_sensitivity(loop_response(loop, x0=[1.0, 0.0], tf=8.0))
     """
     omega = response.frequencies
@@ -154,7 +151,6 @@ def plot_margins(response: LoopResponse) -> Figure:
     Examples
     --------
     >>> from gnc_opt.analysis import loop_response
-    >>> from gnc_opt.plot import plot_margins
     >>> figure = plot_margins(loop_response(loop, x0=[1.0, 0.0], tf=8.0, at=[0.0, 2.0, 4.0]))
     """
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)

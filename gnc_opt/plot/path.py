@@ -48,7 +48,6 @@ def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: 
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_curves
     >>> t = np.linspace(0.0, 2.0, 50)
     >>> figure = plot_curves(t, 0.5 * solution.state("v")(t) ** 2, ["kinetic"], "energy, J/kg")
     """
@@ -100,7 +99,6 @@ def plot_path(
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_path
     >>> angle = np.linspace(0.0, 6.0, 60)
     >>> figure = plot_path(np.array([np.cos(angle), np.sin(angle), 0.1 * angle]))
     """

@@ -42,7 +42,6 @@ def plot_verdict(verdict: Verdict) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_verdict
     >>> figure = plot_verdict(go.verify(solution))
     """
     with style():
@@ -130,7 +129,6 @@ def plot_refinement(history: History) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_refinement
     >>> figure = plot_refinement(solution.history)
     """
     phases = list(history.passes[0].meshes)

@@ -31,7 +31,6 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_run_states
     >>> figure = plot_run_states(run, ["q"])
     """
 
@@ -67,7 +66,6 @@ def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_run_errors
     >>> figure = plot_run_errors(run)
     """
     return _axes(
@@ -92,7 +90,6 @@ def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_run_controls
     >>> figure = plot_run_controls(run)
     """
 

@@ -41,7 +41,6 @@ def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, 
     ----------
     shown : mapping of str to Solution or Run
         By the name to choose it by; the first is shown first. Of ten or more the tube of dispersion is shown, too.
-    view : View
     regular : mapping of str to bool, optional
         Which of them did as they should: others do not count for the tube and may fly out of the picture.
 

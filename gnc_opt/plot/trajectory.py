@@ -77,7 +77,6 @@ def plot_states(
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_states
     >>> print(len(plot_states(solution).axes))  # one for each state
     2
     """
@@ -125,7 +124,6 @@ def plot_costates(
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_costates
     >>> print(len(plot_costates(solution, ["v"]).axes))
     1
     """
@@ -168,7 +166,6 @@ def plot_hamiltonian(
 
     Examples
     --------
-    >>> from gnc_opt.plot import plot_hamiltonian
     >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
     time (s)
     """

@@ -43,7 +43,6 @@ class Thruster:
 
     Examples
     --------
-    >>> from gnc_opt.plot import Thruster, View
     >>> main = Thruster("F_B[0]", direction=(1, 0, 0), position=(-0.4, 0, 0))
     >>> view = View("r_L", attitude="q_BL", force={"main": main})
     """
@@ -83,7 +82,6 @@ class View:
 
     Examples
     --------
-    >>> from gnc_opt.plot import Thruster, View
     >>> view = View("q", force={"main": Thruster("a", (0, 0, 1))})
     """
 

@@ -88,7 +88,6 @@ def us76(altitude: ArrayLike) -> tuple[Array, Array, Array, Array]:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import us76
     >>> print(*(np.round(value, 4) for value in us76(11000.0)))
     216.7735 22699.9607 0.3648 295.1537
     """
@@ -132,7 +131,6 @@ def air_temperature(altitude: Any) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import air_temperature
     >>> print(f"{air_temperature(11000.0):.2f} K")
     216.77 K
     """
@@ -149,7 +147,6 @@ def speed_of_sound(altitude: Any) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import speed_of_sound
     >>> print(f"{speed_of_sound(0.0):.1f} m/s")
     340.3 m/s
     """
@@ -168,7 +165,6 @@ def air_density(altitude: Any) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import air_density
     >>> print(f"{air_density(0.0):.3f} kg/m^3")
     1.225 kg/m^3
     """
@@ -201,7 +197,6 @@ def altitude(r: Vector, radius: Any = RADIUS_EARTH, flattening: Any = FLATTENING
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import altitude
     >>> print(altitude([6778137.0, 0.0, 0.0]))
     400000.0
     """
@@ -221,7 +216,6 @@ def air_velocity(r: Vector, v: Vector, rate: Any = RATE_EARTH) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import air_velocity
     >>> print(np.round(air_velocity([6778137.0, 0.0, 0.0], [0.0, 7668.6, 0.0]), 1) + 0.0)
     [   0.  7174.3    0. ]
     """
@@ -244,7 +238,6 @@ def drag_acceleration(velocity: Vector, density: Any, area_per_mass: Any, coeffi
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import drag_acceleration
     >>> print(f"{drag_acceleration([0.0, 7500.0, 0.0], 1e-12, 0.01)[1]:.4e} m/s^2")
     -6.1875e-07 m/s^2
     """

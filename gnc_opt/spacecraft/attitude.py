@@ -95,7 +95,6 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_rate
     >>> print(mrp_rate([0.0, 0.0, 0.0], [0.4, 0.0, 0.0]))
     [0.1 0.  0. ]
     """
@@ -115,7 +114,6 @@ def mrp_shadow(sigma_BL: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_shadow
     >>> print(mrp_shadow([0.5, 0.0, 0.0]) + 0.0)
     [-2.  0.  0.]
     """
@@ -144,7 +142,6 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_difference
     >>> print(mrp_difference([0.1, 0.0, 0.0], [0.1, 0.0, 0.0]))
     [0. 0. 0.]
     """
@@ -178,7 +175,6 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_retraction
     >>> print(mrp_retraction([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]))
     [0.1 0.  0. ]
     """
@@ -196,7 +192,6 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_to_quaternion
     >>> print(mrp_to_quaternion([1.0, 0.0, 0.0]))  # half a turn about x
     [0. 1. 0. 0.]
     """
@@ -243,7 +238,6 @@ def mrp_short(sigma_BL: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_short
     >>> print(mrp_short([2.0, 0.0, 0.0]) + 0.0)
     [-0.5  0.   0. ]
     """
@@ -262,7 +256,6 @@ def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_to_rotation
     >>> print(np.round(np.degrees(mrp_to_rotation([0.0, np.tan(np.pi / 8), 0.0]).magnitude()), 6))
     90.0
     """
@@ -280,7 +273,6 @@ def mrp_to_euler(sigma_BL: ArrayLike, sequence: str = "YXZ") -> Array:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import mrp_to_euler
     >>> print(np.round(np.degrees(mrp_to_euler([0.0, np.tan(np.pi / 8), 0.0])), 6) + 0.0)
     [90.  0.  0.]
     """

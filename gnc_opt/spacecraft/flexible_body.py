@@ -65,7 +65,6 @@ class FlexibleBody:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import FlexibleBody
     >>> panel = FlexibleBody([100.0, 90.0, 80.0], [[6.0], [0.0], [0.0]], [1.2], [0.005])
     >>> print(np.round(panel.free_frequencies(), 6))  # 1.2 / sqrt(1 - 6^2 / 100)
     [1.5]

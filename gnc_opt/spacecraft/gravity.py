@@ -55,7 +55,6 @@ def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import point_mass_gravity
     >>> print(np.round(point_mass_gravity([6378137.0, 0.0, 0.0]), 4) + 0.0)
     [-9.7983  0.      0.    ]
     """
@@ -75,7 +74,6 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import j2_gravity
     >>> print(np.round(j2_gravity([0.0, 0.0, 6378137.0]), 4) + 0.0)  # above a pole
     [0.     0.     0.0318]
     """
@@ -97,7 +95,6 @@ def gravity_potential(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import gravity_potential
     >>> print(f"{gravity_potential([7e6, 0.0, 0.0], j2=0.0):.6e}")
     -5.694292e+07
     """
@@ -120,7 +117,6 @@ def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Ve
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import gravity_gradient_torque
     >>> print(np.round(gravity_gradient_torque(np.diag([1.0, 2.0, 4.0]), [7e6, 0.0, 0.0]), 9) + 0.0)
     [0. 0. 0.]
     """
@@ -141,7 +137,6 @@ def orbital_energy(r: Vector, v: Vector, **gravity: Any) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import orbital_energy
     >>> print(f"{orbital_energy([7e6, 0.0, 0.0], [0.0, 7546.05, 0.0], j2=0.0):.4e}")
     -2.8471e+07
     """
@@ -158,7 +153,6 @@ def angular_momentum_about_axis(r: Vector, v: Vector) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import angular_momentum_about_axis
     >>> print(angular_momentum_about_axis([7e6, 0.0, 0.0], [0.0, 7500.0, 0.0]))
     52500000000.0
     """

@@ -68,7 +68,6 @@ def quaternion_conjugate(q: Quaternion) -> Quaternion:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_conjugate
     >>> print(quaternion_conjugate([0.6, 0.8, 0.0, 0.0]) + 0.0)
     [ 0.6 -0.8  0.   0. ]
     """
@@ -85,7 +84,6 @@ def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_to_dcm
     >>> print(quaternion_to_dcm([1.0, 0.0, 0.0, 0.0]))
     [[1. 0. 0.]
      [0. 1. 0.]
@@ -112,7 +110,6 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_rate
     >>> print(quaternion_rate([1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0]) + 0.0)
     [0.  0.1 0.  0. ]
     """
@@ -132,7 +129,6 @@ def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_error
     >>> print(np.round(quaternion_error([0.6, 0.8, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]), 12) + 0.0)
     [1. 0. 0. 0.]
     """
@@ -154,7 +150,6 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_difference
     >>> print(np.round(quaternion_difference([0.6, 0.8, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]), 12) + 0.0)
     [0. 0. 0.]
     """
@@ -177,7 +172,6 @@ def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_retraction
     >>> print(quaternion_retraction([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
     [1. 0. 0. 0.]
     """
@@ -201,7 +195,6 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_angle
     >>> print(np.round(np.degrees(quaternion_angle([0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])), 6))
     180.0
     """
@@ -219,7 +212,6 @@ def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_to_rotation
     >>> print(np.round(quaternion_to_rotation([0.0, 1.0, 0.0, 0.0]).as_rotvec(), 6) + 0.0)
     [3.141593 0.       0.      ]
     """
@@ -238,7 +230,6 @@ def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import quaternion_from_euler
     >>> print(np.round(quaternion_from_euler([np.pi / 2, 0.0, 0.0], "ZYX"), 6) + 0.0)
     [0.707107 0.       0.       0.707107]
     """

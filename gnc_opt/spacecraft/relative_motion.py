@@ -104,7 +104,6 @@ def lvlh_rate(n: Any) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import lvlh_rate
     >>> print(lvlh_rate(0.001))
     [ 0.    -0.001  0.   ]
     """
@@ -125,7 +124,6 @@ def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import hill_acceleration
     >>> print(hill_acceleration([0.0, 10.0, 0.0], [0.0, 0.0, 0.0], 0.001))
     [ 0.e+00 -1.e-05  0.e+00]
     """
@@ -148,7 +146,6 @@ def relative_acceleration(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import relative_acceleration
     >>> print(np.round(relative_acceleration([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 7e6, 0.001), 6)[0])  # Coriolis
     0.002
     """
@@ -188,7 +185,6 @@ def differential_j2(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import differential_j2
     >>> print(differential_j2([0.0, 0.0, 0.0], 7e6, np.eye(3)))  # at the leader itself
     [0. 0. 0.]
     """
@@ -209,7 +205,6 @@ def radial_frame(r: Vector, v: Vector) -> Matrix:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import radial_frame
     >>> print(radial_frame([7e6, 0.0, 0.0], [0.0, 7500.0, 0.0]))
     [[1. 0. 0.]
      [0. 1. 0.]
@@ -232,7 +227,6 @@ def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import radial_frame_rate
     >>> print(radial_frame_rate([7e6, 0.0, 0.0], [0.0, 7000.0, 0.0], [-8.1, 0.0, 0.0]))
     [0.    0.    0.001]
     """
@@ -256,7 +250,6 @@ def relative_from_inertial(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import MU_EARTH, relative_from_inertial
     >>> r, speed = 7e6, np.sqrt(MU_EARTH / 7e6)
     >>> down = np.array([-MU_EARTH / r**2, 0.0, 0.0])
     >>> leader = np.array([r, 0, 0]), np.array([0, speed, 0])
@@ -288,7 +281,6 @@ def inertial_from_relative(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import MU_EARTH, inertial_from_relative
     >>> r, speed = 7e6, np.sqrt(MU_EARTH / 7e6)
     >>> down = np.array([-MU_EARTH / r**2, 0.0, 0.0])
     >>> leader = np.array([r, 0, 0]), np.array([0, speed, 0])

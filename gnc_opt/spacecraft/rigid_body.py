@@ -78,7 +78,6 @@ def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi /
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import wheel_pyramid
     >>> print(np.round(np.linalg.norm(wheel_pyramid(), axis=0), 12))  # a unit vector per wheel
     [1. 1. 1. 1.]
     """
@@ -103,7 +102,6 @@ def array_momentum(axes: ArrayLike, momenta: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import array_momentum, wheel_pyramid
     >>> print(np.round(array_momentum(wheel_pyramid(), [1.0, 1.0, 1.0, 1.0]), 4) + 0.0)
     [0.     0.     2.3094]
     """
@@ -132,7 +130,6 @@ def wheel_body_acceleration(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import wheel_body_acceleration
     >>> inertia, axes = [10.0, 8.0, 6.0], np.eye(3)
     >>> spinning = {"momenta": np.array([0.0, 0.0, 2.0]), "torques": np.zeros(3)}
     >>> rate = np.array([0.01, 0.0, 0.0])
@@ -160,7 +157,6 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import total_momentum, wheel_pyramid
     >>> print(np.round(total_momentum(np.eye(3), wheel_pyramid(), [0.0, 0.0, 0.1], [0.0] * 4), 4))
     [0.  0.  0.1]
     """
@@ -189,7 +185,6 @@ def angular_acceleration(inertia: Any, omega_BI_B: Vector, torque_B: Vector) -> 
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import angular_acceleration
     >>> print(angular_acceleration(np.eye(3), [0.1, 0.2, 0.0], [1.0, 0.0, 0.0]) + 0.0)
     [1. 0. 0.]
     """
@@ -215,7 +210,6 @@ def relative_angular_acceleration(
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import relative_angular_acceleration
     >>> print(relative_angular_acceleration(np.eye(3), [0.0] * 3, [0.0, 0.001, 0.0], [1.0, 2.0, 3.0]))
     [1. 2. 3.]
     """
@@ -237,7 +231,6 @@ def angular_momentum(inertia: Any, omega_B: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import angular_momentum
     >>> print(angular_momentum(np.diag([1.0, 2.0, 4.0]), [0.1, 0.2, 0.3]))
     [0.1 0.4 1.2]
     """
@@ -258,7 +251,6 @@ def divide_by_inertia(inertia: Any, torque_B: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import divide_by_inertia
     >>> print(divide_by_inertia(np.diag([1.0, 2.0, 4.0]), [1.0, 1.0, 1.0]))
     [1.   0.5  0.25]
     """

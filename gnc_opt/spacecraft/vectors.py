@@ -33,7 +33,6 @@ def stack(components: Sequence[Any]) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import stack
     >>> print(stack([1.0, 2.0]))
     [1. 2.]
     """
@@ -51,7 +50,6 @@ def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import stack_rows
     >>> print(stack_rows([[1.0, 2.0], [3.0, 4.0]]))
     [[1. 2.]
      [3. 4.]]
@@ -71,7 +69,6 @@ def dot(a: Vector, b: Vector) -> Any:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import dot
     >>> print(dot([1.0, 2.0, 3.0], [1.0, 1.0, 1.0]))
     6.0
     """
@@ -87,7 +84,6 @@ def cross(a: Vector, b: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import cross
     >>> print(cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     [0. 0. 1.]
     """
@@ -106,7 +102,6 @@ def scale(factor: Any, a: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import scale
     >>> print(scale(2.0, [1.0, 2.0, 3.0]))
     [2. 4. 6.]
     """
@@ -123,7 +118,6 @@ def apply(matrix: Matrix, a: Vector) -> Vector:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import apply
     >>> print(apply(np.diag([1.0, 2.0, 3.0]), [1.0, 1.0, 1.0]))
     [1. 2. 3.]
     """
@@ -142,7 +136,6 @@ def transpose(matrix: Matrix) -> Matrix:
 
     Examples
     --------
-    >>> from gnc_opt.spacecraft import transpose
     >>> print(transpose([[1.0, 2.0], [3.0, 4.0]]))
     [[1. 3.]
      [2. 4.]]

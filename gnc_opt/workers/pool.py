@@ -60,7 +60,6 @@ class Done(Generic[Item, Answer]):
 
     Examples
     --------
-    >>> from gnc_opt.workers import Shared, WorkerPool
     >>> def shares(whole, item):
     ...     return whole / item
     >>> with WorkerPool(Shared.picklable(6, "the whole", ""), "serial", "shares()") as pool:
@@ -102,7 +101,6 @@ class WorkerPool(Generic[Object]):
 
     Examples
     --------
-    >>> from gnc_opt.workers import Shared, WorkerPool
     >>> with WorkerPool(Shared.picklable(10, "the base", ""), "serial", "powers()") as pool:
     ...     powers = pool.run(pow, [1, 2, 3], show=lambda done: print(done.item, done.answer))
     1 10

@@ -43,7 +43,6 @@ class Shared(Generic[Object]):
 
     Examples
     --------
-    >>> from gnc_opt.workers import Shared
     >>> shared = Shared.picklable([1.0, 2.0], "the table", "give numbers")
     """
 

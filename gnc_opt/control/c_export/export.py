@@ -90,7 +90,6 @@ class CCodeOptions:
 
     Examples
     --------
-    >>> from gnc_opt.control import CCodeOptions
     >>> code = go.export_c(regulator, "small", options=CCodeOptions(precision="float32"))
     >>> print(code.table_bytes)
     12
@@ -309,10 +308,8 @@ class FlightFiles:
 
     Attributes
     ----------
-    form : FlightLaw
     start, step : casadi.Function
         Its functions as scalar operations.
-    table : FlightTable
     prefix : str
         Of every C identifier.
     dt : float

@@ -44,7 +44,6 @@ class NlpProblem:
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.planning.nlp import NlpProblem
     >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     >>> rosenbrock = NlpProblem(x, p, (1 - x[0]) ** 2 + p * (x[1] - x[0] ** 2) ** 2, ca.SX(0, 1))
     >>> print(rosenbrock.n_variables, rosenbrock.n_constraints, rosenbrock.n_parameters)

@@ -73,7 +73,6 @@ class PointBlock:
 
     Attributes
     ----------
-    function : PointFunction
     variables : int array (n_z, n_points)
         Z: which program variable feeds each argument; indices >= the number of variables mean constants.
     data : casadi.MX (n_d, n_points)
@@ -101,7 +100,6 @@ class SeparableProgram:
     ----------
     linear : scipy.sparse.coo_array (n_rows, n_variables)
         C.
-    blocks : tuple of PointBlock
     """
 
     linear: Any

@@ -63,7 +63,6 @@ class NlpPoint:
 
     Examples
     --------
-    >>> from gnc_opt.planning.nlp import NlpPoint
     >>> point = NlpPoint(x0=[1.0, 1.0], lbx=0.0, ubx=np.inf, lbg=1.0, ubg=1.0, p=[])
     >>> print(point.way)
     cold
@@ -126,7 +125,6 @@ class NlpResult:
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
     >>> x = ca.SX.sym("x", 2)
     >>> nearest = NlpProblem(x, ca.SX(0, 1), ca.sumsqr(x), x[0] + x[1])  # of a line to the origin
     >>> result = NlpSolver(nearest).solve(NlpPoint(x0=0.0, lbx=-1.0, ubx=1.0, lbg=1.0, ubg=1.0, p=[]))
@@ -173,7 +171,6 @@ class NlpSolver:
     Examples
     --------
     >>> import casadi as ca
-    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
     >>> x, p = ca.SX.sym("x"), ca.SX.sym("p")
     >>> solver = NlpSolver(NlpProblem(x, p, (x - p) ** 2, ca.SX(0, 1)))
     >>> for wanted in (0.5, 2.0):

@@ -153,7 +153,6 @@ def status_from_stats(stats: Mapping[str, object]) -> Status:
 
     Examples
     --------
-    >>> from gnc_opt.planning.nlp import status_from_stats
     >>> print(status_from_stats({"return_status": "Infeasible_Problem_Detected"}).value)
     infeasible
     """

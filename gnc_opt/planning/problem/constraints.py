@@ -19,7 +19,6 @@ class Constraint:
 
     Attributes
     ----------
-    name : str
     expression : casadi.SX (size, 1)
     interval : Interval
         Required limits.

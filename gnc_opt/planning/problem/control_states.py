@@ -1,15 +1,17 @@
-r"""Controls as states of a phase: with limits of their rates, or as polynomials; the share of a phase that has passed.
+"""Controls as states of a phase: with limits of their rates, or as polynomials; the share of a phase that has passed.
 
-A control a with a limited rate is a state with :math:`\dot a = r` and the control r. A polynomial of degree n over the
+A control a with a limited rate is a state with :math:`\\dot a = r` and the control r. A polynomial of degree n over the
 phase is a state with constant coefficients c and, in Legendre polynomials of the fraction :math:`\tau` of the phase,
 
 .. math::
 
-    \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
+    \\dot a = 2 \\dot\tau \\sum_{k=1}^n c_k P_k'(2 \tau - 1), \\qquad \\dot c = 0.
 
-The fraction follows :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, which makes s the inverse of the
+The fraction follows :math:`\\dot\tau = s, \\dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, which makes s the inverse of the
 duration, whether that is fixed or free. All of these have costates, as other states do. A link hands a control with a
 limited rate over, as any state; polynomials and the fraction begin anew in each phase.
+
+Bounds that are functions of time are path constraints, one for each end of a range.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from numpy.polynomial import legendre
 
 from gnc_opt.arguments import read_integer, read_name
 from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.model.variables import Symbol, Variable, as_expression
 
 FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
 """Names of the states that tell the share of the phase that has passed, and its rate, 1/s."""
@@ -135,3 +138,47 @@ def _new(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
                 f"{leg.where} needs the name '{name}', which its model has as {layout.kind}: rename that."
             )
     return Symbol(Variable(read_name(name, f"variable of {leg.where}", ProblemError), size, unit))
+
+
+def constant_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ranges with None for the ends that are functions of time, which become path constraints of a phase.
+
+    Path constraints of earlier ranges of the same names are removed.
+
+    Raises
+    ------
+    ProblemError
+        A function has the wrong size or foreign symbols, or is no end of a range (lower, upper).
+    """
+    constant = dict(ranges)
+    for name, value in ranges.items():
+        for end in ("lower", "upper"):
+            leg.drop_path(f"{end} bound of {name}")
+        if _is_function(value):
+            raise ProblemError(
+                f"the bounds of '{name}' in {leg.where} are one function: write (lower, upper), or use path()."
+            )
+        if isinstance(value, tuple) and len(value) == 2:
+            constant[name] = tuple(None if _is_function(end) else end for end in value)
+            for end, limit in zip(("lower", "upper"), value, strict=True):
+                if _is_function(limit):
+                    _limit(leg, name, end, limit)
+    return constant
+
+
+def _is_function(end: Any) -> bool:
+    return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
+
+
+def _limit(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
+    """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
+    model, what = leg.model, f"the {end} bound of '{name}' in {leg.where}"
+    composed = model.composed_controls.get(name)
+    if isinstance(composed, VectorControl):
+        bounded = model.symbol(composed.magnitude)
+    else:
+        bounded = model.symbol(name) if composed is None else model.output_expression(name)
+    value = as_expression(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
+    if value.shape[0] not in (1, bounded.shape[0]):
+        raise ProblemError(f"{what} has {value.shape[0]} components: give 1 or {bounded.shape[0]}.")
+    leg.path(f"{end} bound of {name}", bounded - value, **{end: 0.0})

@@ -32,8 +32,6 @@ class OutsideTable:
 
     Attributes
     ----------
-    table : Table
-    phase : str
     axis : int
         From 0.
     value : float

@@ -107,7 +107,6 @@ class Interval:
 
     Examples
     --------
-    >>> from gnc_opt.planning.problem import Interval
     >>> print(Interval(np.array([0.0, 2.0]), np.array([1.0, 2.0])).fixed)
     [False  True]
     """

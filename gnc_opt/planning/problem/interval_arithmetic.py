@@ -154,7 +154,6 @@ class Domain:
     ----------
     symbols : tuple of casadi.SX
         Columns.
-    boxes : tuple of Interval
     stated : tuple of Interval
         Without what is only presumed of states.
     """

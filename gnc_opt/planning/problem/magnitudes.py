@@ -31,7 +31,6 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
 
     Parameters
     ----------
-    leg : Phase
     times : array (n_times,)
         s.
     start : PhaseStart

@@ -1,13 +1,10 @@
-"""Phase: one model over one span of time, with its boundary values, bounds and constraints.
-
-The numbers of a phase, apart from what it is made of.
-"""
+"""Phase: one model over one span of time, with its boundary values, bounds and constraints."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import casadi as ca
@@ -20,12 +17,15 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_magnitudes
-from gnc_opt.planning.problem.angles import Turns
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth, read_kinds
-from gnc_opt.planning.problem.bounds_over_time import constant_ranges
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
-from gnc_opt.planning.problem.control_states import fraction_of, limit_rates, make_polynomials
-from gnc_opt.planning.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
+from gnc_opt.planning.problem.control_states import (
+    constant_ranges,
+    fraction_of,
+    limit_rates,
+    make_polynomials,
+)
+from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import (
     Interval,
     by_name,
@@ -38,63 +38,7 @@ from gnc_opt.planning.problem.interval import (
     read_interval,
     without_negative_parts,
 )
-from gnc_opt.planning.problem.restatement import Restatement
-
-
-@dataclass(frozen=True)
-class PhaseGuess:
-    """The user's guess of the trajectory: values by name and their times."""
-
-    time: Array | None = None
-    values: Mapping[str, GuessValue] = field(default_factory=dict)
-
-    def joined(
-        self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
-    ) -> PhaseGuess:
-        """Return the guess that others, with their times, have joined; see `Phase.guess`.
-
-        Parameters
-        ----------
-        time : array (n_times,), optional
-        values : mapping of str to GuessValue
-        sizes : mapping of str to int
-            Numbers of components by name, of all values.
-        where : str
-            For messages.
-        """
-        times = self.time if time is None else read_guess_times(time, where)
-        older = self.time if time is not None and values else None  # times of what is joined
-        merged, ends = {**self.values, **values}, np.array([0.0, 1.0])
-        for name, value in (merged if older is None else values).items():
-            if not callable(value):  # those must wait until the phase's times are known
-                sample_guess(value, sizes[name], ends, ends, times, f"the guess of '{name}' in {where}")
-        if older is not None and times is not None:
-            kept = {name: value for name, value in self.values.items() if name not in values}
-            merged, times = on_shared_times(kept, older, values, times)
-        return PhaseGuess(times, merged)
-
-
-@dataclass(frozen=True)
-class PhaseNumbers:
-    """The numbers of a phase; they may change without a new transcription.
-
-    Attributes
-    ----------
-    turns : Turns, optional
-        Angles that have lost their bounds, which left out no direction.
-    """
-
-    initial_time: Interval | None
-    final_time: Interval | None
-    duration: Interval
-    initial: Interval
-    final: Interval
-    states: Interval
-    controls: Interval
-    guess: PhaseGuess = PhaseGuess()
-    scales: Mapping[str, Array] = field(default_factory=dict)
-    arcs: Held | None = None
-    turns: Turns | None = None
+from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement, read_duration
 
 
 class Owner(Protocol):
@@ -110,14 +54,6 @@ class Owner(Protocol):
     def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
     def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
-
-
-def read_duration(duration: Any, where: str) -> Interval:
-    """Return the range of a phase's duration (s), which is positive; ``None`` is any."""
-    given = read_interval(duration, 1, f"the duration of {where}")
-    if given.upper[0] <= 0:
-        raise ProblemError(f"the duration of {where} is at most {given.upper[0]:g} s: give a positive one.")
-    return Interval(np.maximum(given.lower, 0.0), given.upper)
 
 
 _STATEMENTS = (

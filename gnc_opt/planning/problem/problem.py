@@ -36,7 +36,8 @@ from gnc_opt.planning.problem.expressions import (
 from gnc_opt.planning.problem.guess.initial_guess import note_told_ends
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, read_interval, read_range
-from gnc_opt.planning.problem.phase import Phase, read_duration
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import read_duration
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.text import heading, table
 

@@ -30,7 +30,6 @@ class ConstraintOrder:
 
     Attributes
     ----------
-    label : str
     order : int or None
         q; 0 if a control enters the constraint itself, None if none appears up to `STATE_CONSTRAINT_MAX_ORDER`.
     derivatives : tuple of casadi.SX

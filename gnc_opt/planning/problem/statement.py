@@ -26,10 +26,6 @@ class Statement(Strict):
 
     Attributes
     ----------
-    name : str
-    phases : dict of Phase
-    constraints : dict of Constraint
-    cost : casadi.SX or None
     sense : float
         1 to minimise the cost, -1 to maximise it.
     stated_cost_unit : str

@@ -121,7 +121,6 @@ class _Part:
 
     Parameters
     ----------
-    leg : Phase
     states : array (n_states,) of bool
     integrals : array (n_integrals,) of bool
         Those that the cost and the end conditions that are left need.

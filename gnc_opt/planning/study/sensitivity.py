@@ -58,11 +58,9 @@ class PhaseSensitivity:
 
     Attributes
     ----------
-    name : str
     initial_time, final_time : float or array (n_components,)
     switching_times : array (n_movable,) or (n_components, n_movable)
         Of the movable mesh boundaries, which are the switch times of a solution with optimised structure.
-    states, controls : mapping of SignalSensitivity
     """
 
     name: str

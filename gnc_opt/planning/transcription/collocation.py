@@ -36,9 +36,6 @@ class PhaseCollocation:
 
     Attributes
     ----------
-    scheme : {"LG", "LGR", "LGL"}
-    mesh : Mesh
-    n_states, n_controls, n_paths : int
     first_variable, first_row : int
         Where the phase starts in the vector of variables and of constraint rows.
     """

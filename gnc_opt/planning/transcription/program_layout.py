@@ -30,7 +30,6 @@ class PhasePart:
 
     Attributes
     ----------
-    collocation : PhaseCollocation
     times : int array (n_arcs + 1,)
         Places of initial time, movable mesh boundaries and final time in the extended variables; >= n_variables
         where fixed.
@@ -44,22 +43,14 @@ class PhasePart:
 class Numbering:
     """The places and names of all variables and rows of a problem on given meshes.
 
-    Parameters
-    ----------
-    problem : Problem
-    meshes : mapping from phase name to Mesh
-    scheme : {"LG", "LGR", "LGL"}
-
     Attributes
     ----------
-    parts : mapping from phase name to PhasePart
     parameter_places, integral_places : int array
         Places of the free parameters, and of those integrals that are variables.
     constraint_rows : int array
         Rows of the boundary constraints.
     junctions : list of (phase, Junction, int array)
         Where state constraints meet their limits, with the rows of each.
-    n_variables, n_constraints : int
 
     Notes
     -----

@@ -64,12 +64,6 @@ CACHED_PROGRAMS = 8
 class Transcription(Numbering):
     """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
 
-    Parameters
-    ----------
-    problem : Problem
-    meshes : mapping from phase name to Mesh
-    scheme : {"LG", "LGR", "LGL"}
-
     Attributes
     ----------
     built : dict

@@ -158,9 +158,6 @@ def balanced(
 
     Parameters
     ----------
-    leg : Phase
-    vector : VectorControl
-    time : float
     x, rate : array (n_states,)
     u : array (n_controls,)
         The other controls.

@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import is_affine, ranges_of
 from gnc_opt.planning.problem.magnitudes import SAMPLES
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.restatement import Restatement
+from gnc_opt.planning.problem.phase_data import Restatement
 from gnc_opt.planning.problem.statement import Statement
 
 P = TypeVar("P", bound=Statement)
@@ -50,7 +50,6 @@ class AlgebraicForm:
         Of the control.
     constraint : str
         Name of the equality.
-    residual : casadi.SX
     rate : casadi.SX
         Time derivative of the variable.
     ends : dict of str to dict

@@ -31,9 +31,9 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phas
 from gnc_opt.planning.problem.guess.values import GuessValue
 from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
-from gnc_opt.planning.problem.phase import Phase, PhaseGuess
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
-from gnc_opt.planning.problem.restatement import Restatement
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -44,10 +44,8 @@ class Extremum:
 
     Attributes
     ----------
-    node : casadi.SX
     sense : int
         1 if it is the largest of its pieces and less of it is better, -1 if it is the least and more is better.
-    pieces : list of casadi.SX
     """
 
     node: Any
@@ -199,10 +197,8 @@ def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[
 
     Parameters
     ----------
-    expression : casadi.SX
     ignored : frozenset of int
         Hashes of nodes that are left alone: those of tables.
-    domain : Domain
     """
     found: dict[int, Any] = {}
     seen: set[int] = set()
@@ -341,8 +337,6 @@ class EndForm:
 
     Attributes
     ----------
-    cost : casadi.SX
-    constraints : dict of Constraint
     parameters : dict of (Symbol, float)
         Those in place of kinks, and the least that they may be.
     texts : tuple of str

@@ -10,8 +10,8 @@ from typing import Any
 
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.phase import Phase, PhaseNumbers
-from gnc_opt.planning.problem.restatement import Restatement
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement
 
 
 def taken_names(model: Model) -> frozenset[str]:
@@ -42,10 +42,7 @@ class PhaseForm:
 
     Attributes
     ----------
-    model : Model
-    paths : dict of Constraint
     integrands : dict of (symbol, expression)
-    restatement : Restatement
     """
 
     model: Model

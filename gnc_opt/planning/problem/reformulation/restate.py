@@ -19,7 +19,8 @@ from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import Domain
-from gnc_opt.planning.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import PhaseGuess, PhaseNumbers
 from gnc_opt.planning.problem.reformulation.algebraic import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,

@@ -30,6 +30,7 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import Restatement
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     Pieces,
@@ -44,7 +45,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
 from gnc_opt.planning.problem.reformulation.vector_norms import stated_controls
-from gnc_opt.planning.problem.restatement import Restatement
 from gnc_opt.planning.problem.statement import Statement
 from gnc_opt.tolerances import EQUAL
 
@@ -55,14 +55,12 @@ class Bend:
 
     Attributes
     ----------
-    node : casadi.SX
     sense : int
         1 if it is convex, -1 if it is concave.
     base, factor : casadi.SX
         Its value is ``base + factor (slope u + offset + sum of rise_k max(u - corner_k, 0))``.
     place : int
         Of the control.
-    slope, offset : float
     corners, rises : tuple of float
         In order; rises are positive.
     """
@@ -85,14 +83,12 @@ class Bend:
 
         Parameters
         ----------
-        node : casadi.SX
         sense : int
             1 if it is the largest of the pieces, -1 if it is the least.
         found : list of casadi.SX
             The pieces.
         controls : mapping
             Symbols of the controls in question by their places.
-        domain : Domain
         """
         gaps = ca.vertcat(*(sense * (e - found[0]) for e in found))
         for place, u in controls.items():
@@ -279,12 +275,7 @@ def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class SplitForm(PhaseForm):
-    """A phase with split controls in place of some controls.
-
-    Attributes
-    ----------
-    controls : tuple of SplitControl
-    """
+    """A phase with split controls in place of some controls."""
 
     controls: tuple[SplitControl, ...]
 

@@ -29,8 +29,8 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_data import Restatement
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name, taken_names
-from gnc_opt.planning.problem.restatement import Restatement
 from gnc_opt.tolerances import EQUAL
 
 Places: TypeAlias = tuple[int, ...]
@@ -295,8 +295,6 @@ class Form(PhaseForm):
 
     Attributes
     ----------
-    vector : Vector
-    control : VectorControl
     rest : Symbol or None
         Remainder of controls that were split.
     product : casadi.SX
@@ -437,7 +435,6 @@ class _Limits:
     ----------
     kept : list of Row
         The others.
-    range : tuple of float
     magnitude : Symbol or None
         The control that is the norm's largest value and can take its place.
     most_only : bool
