@@ -205,12 +205,6 @@ def test_exit_code_of_a_problem_without_solution(
     assert json.loads(target.read_text())["violations"]
 
 
-def test_quiet_tells_why_there_is_no_solution(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("solve", cart, "--set", "far=100", "--quiet") == 3
-    told = capsys.readouterr()
-    assert not told.out and told.err.startswith("gnc-opt: no solution of 'cart'") and "infeasible" in told.err
-
-
 @pytest.mark.parametrize(
     ("asked", "tol", "check", "work"),
     [((), 1e-8, True, 60.0), (("--tol", "1e-6", "--fast", "--limit", "5"), 1e-6, False, 5.0)],
@@ -234,7 +228,7 @@ def test_exit_code_of_an_interrupted_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The solver hands back the iterate; anywhere else Ctrl-C is a KeyboardInterrupt."""
-    from gnc_opt.planning.nlp import NlpSolver
+    from testing.internals import NlpSolver
 
     original = NlpSolver.solve
 
@@ -350,11 +344,6 @@ def test_what_casadi_refuses_gets_a_remedy(
     (tmp_path / "refused.py").write_text(head + line)
     assert run("check", tmp_path / "refused.py") == 2
     assert remedy in complaint(capsys)
-
-
-def test_folder_instead_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("check", tmp_path) == 2
-    assert "is a folder without __init__.py" in complaint(capsys)
 
 
 def test_report_into_a_file_is_refused_before_solving(
@@ -478,11 +467,6 @@ def test_a_package_is_a_problem_whatever_the_current_folder_is(
         assert file.module is sys.modules[f"{package.parent.name}.cow"]
 
 
-def test_the_current_folder_may_be_the_package(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(package)
-    assert load_problem_file(".").mesh == "4x3"
-
-
 @pytest.mark.parametrize("named", ["cow", "cow.py"])
 def test_program_solves_a_package_from_another_folder(package: Path, tmp_path: Path, named: str) -> None:
     elsewhere = tmp_path / "elsewhere"
@@ -494,13 +478,6 @@ def test_program_solves_a_package_from_another_folder(package: Path, tmp_path: P
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert re.search(r"objective 0\.5000000\d* ", done.stdout)
-
-
-def test_random_starts_build_a_package_in_other_processes(
-    package: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("multistart", package, "--n", "2", "--no-refine") == 0
-    assert "package" in capsys.readouterr().out
 
 
 def test_an_existing_file_goes_before_a_package_of_its_name(package: Path) -> None:
@@ -516,40 +493,6 @@ def test_errors_in_a_package_name_its_file_and_line(
     assert f"{package}/model.py, line 11: ZeroDivisionError" in complaint(capsys)
 
 
-def test_package_hidden_by_another_module_of_its_name(tmp_path: Path) -> None:
-    (tmp_path / "json").mkdir()
-    (tmp_path / "json" / "__init__.py").write_text("def build(): ...")
-    with pytest.raises(
-        ProblemFileError, match=r"hidden by another module named 'json' \(.*\): rename the folder"
-    ):
-        load_problem_file(tmp_path / "json")
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("def buld(): ...", "has no function build() that returns the Problem: did you mean 'buld'?"),
-        ("\nimport nothing_of_this_name", "__init__.py, line 2: ModuleNotFoundError"),
-        ("def build(:\n", "__init__.py, line 1: SyntaxError"),
-        ("raise SystemExit(7)", "the package ends the program (exit code 7)"),
-    ],
-)
-def test_bad_packages_are_one_sentence(
-    package: Path, capsys: pytest.CaptureFixture[str], content: str, words: str
-) -> None:
-    (package / "__init__.py").write_text(content)
-    assert run("check", package) == 2
-    assert words in complaint(capsys)
-
-
-def test_file_named_like_a_library_does_not_replace_it(tmp_path: Path) -> None:
-    import json as library
-
-    (tmp_path / "json.py").write_text("def build(): ...")
-    load_problem_file(tmp_path / "json.py")
-    assert sys.modules["json"] is library
-
-
 # --- program ------------------------------------------------------------------------------------------
 
 
@@ -558,13 +501,6 @@ def test_installed_program_knows_its_version() -> None:
         [sys.executable, "-m", "gnc_opt.cli", "--version"], capture_output=True, text=True, check=True
     )
     assert re.fullmatch(r"gnc-opt \d+\.\d+\.\d+\S*\n", done.stdout)
-
-
-def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("solve", "--help") == 0
-    out = capsys.readouterr().out
-    for code in cli.ExitCode:
-        assert re.search(rf"^  {int(code)} ", out, re.MULTILINE)
 
 
 def test_who_reads_no_further_ends_it_quietly() -> None:

@@ -5,12 +5,12 @@ import matplotlib.animation
 import numpy as np
 import pytest
 from PIL import Image
+from testing.internals import new_figure
 
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.plot import Thruster, View, save_film
 from gnc_opt.plot import film as film_module
-from gnc_opt.plot.style import new_figure
 from gnc_opt.plot.view import motion, span
 from gnc_opt.spacecraft import mrp_rate
 
@@ -190,31 +190,6 @@ def test_what_cannot_be_filmed_is_told(solution, tmp_path, monkeypatch):
 def test_views_that_cannot_be_meant_are_refused_where_they_are_written(wrong, message):
     with pytest.raises(go.ArgumentError, match=message):
         View(**wrong)
-
-
-def test_components_in_another_order():
-    """A quaternion with its scalar part last is named component by component."""
-    model = go.Model("turn")
-    p = model.state("p", 4)
-    u = model.control("u", unit="N")
-    model.ode({p: RATE / 2 * ca.vertcat(p[3], p[2], -p[1], -p[0]) + 0 * u})  # about the first axis
-    problem = go.Problem("turn")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=2.0)
-    leg.initial(p=[0, 0, 0, 1])
-    leg.bounds(u=(-3, -2))
-    problem.minimize(leg.integral(u, "push"))
-    pair = {"pair": Thruster("u", (0, 0, 5), (0, 0, -1))}
-    solution = go.solve(problem, mesh="3x4", tol=None)
-    seen = sampled(solution, View(attitude=("p[3]", "p[0]", "p[1]", "p[2]"), force=pair), 5)
-    angle = RATE * seen.times
-    z_of_body = np.stack([0 * angle, -np.sin(angle), np.cos(angle)])
-    assert np.allclose(seen.dcm_BL[0], [[1.0] * 5, [0.0] * 5, [0.0] * 5], atol=1e-6)
-    assert np.allclose(seen.dcm_BL[2], z_of_body, atol=1e-6)
-    assert not seen.position.any()
-    # u is negative: it pushes along -z from the other side, at full strength
-    assert np.allclose(seen.plumes["pair"].force(seen.dcm_BL), -z_of_body, atol=1e-6)
-    assert np.allclose(seen.plumes["pair"].root(seen.dcm_BL), z_of_body, atol=1e-6)
 
 
 def test_nothing_is_left_of_a_film_that_breaks_off(solution, tmp_path, monkeypatch):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +12,17 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.planning import Mesh
-from gnc_opt.planning.solution.history import RefinementIteration
 from gnc_opt.plot import (
     plot_controls,
     plot_costates,
     plot_curves,
     plot_hamiltonian,
     plot_path,
-    plot_refinement,
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.axes import sample, zero_crossings
+from gnc_opt.plot.axes import sample
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
-from gnc_opt.plot.trajectory import _hamiltonian_legend
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +61,6 @@ def test_states_show_every_component_of_every_phase(cart: go.Solution) -> None:
         np.asarray(cart.state("r", "out")(t))[0],
         atol=1e-3,  # linear between samples
     )
-
-
-def test_states_of_one_phase_with_own_labels(cart: go.Solution) -> None:
-    figure = plot_states(cart, ["v"], phase="back", labels={"v": ("along", "across")})
-    (ax,) = figure.axes
-    assert ax.get_xlim() == (2.0, 5.0)
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["along", "across"]
 
 
 def test_a_bound_is_drawn_only_where_it_is_in_view(cart: go.Solution) -> None:
@@ -123,23 +110,6 @@ def test_rounding_errors_of_an_interior_control_are_neither_marked_nor_magnified
     assert top - bottom > 10 * np.ptp(noise)
 
 
-def test_controls_without_bounds_have_no_signs_of_the_switching_function() -> None:
-    """A loose solve leaves it at 1e-3 of the Hamiltonian, to either side of zero."""
-    model = go.Model("boat")
-    x, y, way = model.state("x"), model.state("y"), model.control("way")
-    model.ode({x: ca.cos(way) - y, y: ca.sin(way)})
-    problem = go.Problem("home")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 20.0))
-    leg.initial(x=3.0, y=-1.0)
-    leg.final(x=0.0, y=0.0)
-    problem.minimize(leg.final_time)
-    loose = go.solve(problem, mesh="4x3", tol=None, options=go.SolverOptions(tolerance=1e-2))
-    assert np.ptp(np.sign(loose.switching_function("way", np.linspace(0.1, 3.5, 99)))) == 2
-    for ax in plot_controls(loose).axes:
-        assert not dotted_lines(ax)
-
-
 def dotted_lines(ax: Any) -> list[float]:
     return [float(line.get_xdata()[0]) for line in ax.get_lines() if line.get_linestyle() == ":"]
 
@@ -163,13 +133,6 @@ def test_hamiltonian_shows_its_band_and_the_expected_value(cart: go.Solution) ->
     assert texts[-1] == "expected, −1"
     bottom, top = ax.get_ylim()
     assert bottom < -1.0 < top
-
-
-def test_a_band_that_no_digit_shows_is_told_by_its_width() -> None:
-    _, band, _ = _hamiltonian_legend(-1.0 - 1e-12, -1.0 + 1e-12, None)
-    assert band.get_label() == "band of these, −1 ± 1e−12"
-    _, band, _ = _hamiltonian_legend(-1.5, -1.0, None)
-    assert band.get_label() == "band of these, −1.5 to −1"
 
 
 def test_unknown_names_are_refused(cart: go.Solution) -> None:
@@ -216,12 +179,6 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
     assert np.isnan(values[0, 3]) and t.size == 8
 
 
-def test_zero_crossings_are_interpolated() -> None:
-    t = np.linspace(0.0, 4.0, 5)
-    np.testing.assert_allclose(zero_crossings(t, t - 1.25), [1.25])
-    assert zero_crossings(t, t + 1.0).size == 0
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -238,49 +195,6 @@ def test_zero_crossings_are_interpolated() -> None:
 )
 def test_typesetting(text: str, expected: str) -> None:
     assert text == expected
-
-
-def refinement(*solved: bool) -> go.History:
-    """A history of one pass per argument, on ever finer meshes of one phase."""
-    passes = []
-    for i, ok in enumerate(solved):
-        mesh = Mesh.uniform(2 + i, 3)
-        passes.append(
-            RefinementIteration({"leg": mesh}, {"leg": mesh.breaks}, 10.0**-i, "", 1.0, ok, 5, 0.1, "-")
-        )
-    return go.History(go.RefinementStatus.FAILED, 1e-9, tuple(passes), 0, "")
-
-
-def test_a_single_pass_has_whole_numbers_at_its_axes() -> None:
-    errors, meshes, _ = plot_refinement(refinement(True)).axes
-    low, high = sorted(meshes.get_ylim())
-    assert [tick for tick in meshes.get_yticks() if low <= tick <= high] == [0.0]
-    low, high = errors.get_xlim()
-    assert [tick for tick in errors.get_xticks() if low <= tick <= high] == [6.0]
-
-
-@pytest.mark.parametrize("passes", [1, 12])
-def test_degrees_beside_few_passes_are_told_without_overlap(passes: int) -> None:
-    mesh = Mesh.uniform(9, 3)
-    mesh = replace(mesh, degrees=tuple(range(3, 12)))
-    one = RefinementIteration({"leg": mesh}, {"leg": mesh.breaks}, 1.0, "", 1.0, True, 5, 0.1, "-")
-    figure = plot_refinement(go.History(go.RefinementStatus.FAILED, 1e-9, (one,) * passes, 0, ""))
-    figure.draw_without_rendering()
-    degrees = figure.axes[-1]
-    low, high = degrees.get_ylim()
-    told = [text for text in degrees.get_yticklabels() if low <= text.get_position()[1] <= high]
-    places = sorted((box.y0, box.y1) for box in (text.get_window_extent() for text in told))
-    assert len(told) >= 2 and all(below[1] <= above[0] for below, above in itertools.pairwise(places))
-
-
-def test_passes_that_were_not_solved_are_crossed_out() -> None:
-    figure = plot_refinement(refinement(True, False, True))
-    crosses = [line for line in figure.axes[0].get_lines() if line.get_marker() == "x"]
-    assert [list(line.get_xydata()[:, 0]) for line in crosses] == [[9.0]]
-    assert "not solved" in [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "not solved" not in [
-        t.get_text() for t in plot_refinement(refinement(True)).legends[0].get_texts()
-    ]
 
 
 def test_controls_of_a_problem_without_any_are_refused() -> None:

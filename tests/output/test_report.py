@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from testing.internals import verdict_text
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
@@ -19,7 +20,6 @@ from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.verdict_table import verdict_text
 
 VERDICT = Verdict(
     "cart",
@@ -157,35 +157,11 @@ def test_summary_of_a_failed_solve_names_remedy_and_constraints(failed: go.Solut
     assert failed.violations[0].name in text
 
 
-def test_summary_states_the_payoff_as_stated() -> None:
-    text = summary(go.solve(cart(maximise=True), mesh="10x3", tol=None))
-    assert re.match(r"cart: solved \(optimal\), objective -2(\.0+\d*)? s ± \S+ \(maximised\)", text)
-
-
 def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
     twin = dataclasses.replace(good, problem=None)
     vars(twin)["quality"] = dataclasses.replace(good.quality, propagation_error=float("inf"))
     assert "integration of the applied control stops" in summary(twin)
     assert summary_dict(twin)["propagation_error"] is None
-
-
-def test_only_the_worst_overshoots_are_listed() -> None:
-    model = go.Model("three carts")
-    q, v, a = model.state("q", 5), model.state("v", 5), model.control("a", 5)
-    model.ode({q: v, v: a})
-    problem = go.Problem("carts")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
-    leg.initial(q=[1.0, 1.1, 1.2, 1.3, 1.4], v=np.zeros(5))
-    leg.final(q=np.zeros(5), v=np.zeros(5))
-    leg.bounds(a=([-1.0, -1.1, -1.2, -1.3, -1.4], [1.0, 1.1, 1.2, 1.3, 1.4]))
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem, mesh="5x3", tol=None)
-    over = overshooting_controls(solution.phase())
-    assert len(over) == 5
-    relative = [amount / (2.0 + 0.2 * int(label[2])) for label, amount in over.items()]
-    assert relative == sorted(relative, reverse=True)
-    assert re.search(r"\((a\[\d\] by \S+, ){2}a\[\d\] by \S+ and 2 more\)", summary(solution))
 
 
 # --- JSON ---------------------------------------------------------------------------------------------
@@ -217,17 +193,6 @@ def test_json_of_a_failed_solve(failed: go.Solution) -> None:
     assert told["verdict"] is None
     assert told["solved"] is False
     assert told["violations"][0]["name"] == failed.violations[0].name
-
-
-def test_json_of_numbers_that_are_not_finite(failed: go.Solution) -> None:
-    worse = dataclasses.replace(
-        failed,
-        objective=float("nan"),
-        violations=(dataclasses.replace(failed.violations[0], amount=float("inf")),),
-    )
-    told = summary_dict(worse)
-    json.dumps(told, allow_nan=False)
-    assert told["objective"] is None and told["violations"][0]["amount"] is None
 
 
 # --- verdict ------------------------------------------------------------------------------------------
@@ -276,10 +241,6 @@ def test_meter_on_a_terminal_ends_with_the_last_iteration() -> None:
     assert text.count("iteration") < 100
 
 
-def test_meter_without_iterations_is_silent() -> None:
-    assert run_meter(terminal=False, iterations=0) == ""
-
-
 def test_meter_closes_when_the_solve_breaks() -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, color_system=None)
@@ -301,7 +262,7 @@ def test_solve_shows_progress_on_standard_error(capsys: pytest.CaptureFixture[st
 
 
 def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
-    from gnc_opt.plot.style import new_figure
+    from testing.internals import new_figure
 
     def figures(solution: go.Solution, directory: Path) -> list[Any]:
         own = directory / "own.txt"
@@ -329,27 +290,11 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
     assert go.load(folder / "solution.npz").objective == smeared.objective
 
 
-@pytest.mark.parametrize("make", [lambda f: f, lambda f: {"mine": f}, lambda f: [f], lambda f: None])
-def test_problem_figures_may_come_in_several_forms(good: go.Solution, tmp_path: Path, make: Any) -> None:
-    from gnc_opt.plot.style import new_figure
-    from gnc_opt.report.report import _own_figures
-
-    paths = _own_figures(tmp_path, make(new_figure(1.0)))
-    assert [p.name for p in paths] == sorted(p.name for p in tmp_path.iterdir())
-    assert len(paths) == (make(0) is not None)
-
-
 def test_report_of_a_failed_solve_has_no_verdict(failed: go.Solution, tmp_path: Path) -> None:
     paths = write_report(failed, None, tmp_path)
     assert "verdict.svg" not in [path.name for path in paths]
     text = paths[0].read_text(encoding="utf-8")
     assert "optimality" not in text.partition("</table>")[0] and escape(failed.status.remedy) in text
-
-
-def test_report_of_a_loaded_solution_has_no_hamiltonian(good: go.Solution, tmp_path: Path) -> None:
-    loaded = go.load(good.save(tmp_path / "a.npz"))
-    names = [path.name for path in write_report(loaded, None, tmp_path / "report")]
-    assert "hamiltonian.svg" not in names and "costates.svg" in names
 
 
 def test_report_into_a_file_is_refused(good: go.Solution, tmp_path: Path) -> None:

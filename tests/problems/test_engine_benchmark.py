@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.validation import engine, engine_page
-from benchmarks.validation.engine import Case, Row
+from benchmarks.validation.engine import Case
 from benchmarks.validation.reference_collocation import collocate, radau
 from gnc_opt.problem_file import example, examples
 
@@ -58,28 +57,6 @@ def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: 
     assert late.note == "stopped at the limit of CPU time" and not late.right
     assert right.right and right.ok and right.minimum
     assert right.true is not None and right.true < 1e-8
-
-
-def test_what_was_lost_and_gained_is_named(tmp_path: Path) -> None:
-    before = Row(
-        "set", "a", right=True, ok=True, cpu_s=1.0, objective=2.0, reference=2.0, tolerance=1e-3, true=0.0
-    )
-    other = Row(
-        "set", "b", right=False, ok=True, cpu_s=1.0, objective=1.0, reference=2.0, tolerance=1e-3, true=1.0
-    )
-    now = [replace(before, ok=False, objective=2.0001, cpu_s=3.0), replace(other, right=True)]
-    engine.write_rows(tmp_path / "rows.json", [before, other])
-    lines = list(engine.changes(now, engine.read_rows(tmp_path / "rows.json")))
-    assert lines[0] == "gained right: b" and "lost ok: a" in lines
-    assert any("objective of a changed by +5.0e-05" in line for line in lines)
-    assert lines[-1] == "CPU all: 2.0 s before, 4.0 s now, ratio 2.00"
-    assert "1 wrong and ok" in next(iter(engine.sums([before, other])))
-
-
-def test_estimates_are_compared_only_where_the_true_error_is_known() -> None:
-    row = Row("set", "a", reference=1.0, tolerance=1e-6, true=1e-4, estimated=3e-4)
-    assert row.estimate_ratio == pytest.approx(3.0)
-    assert replace(row, true=1e-8).estimate_ratio is None
 
 
 def test_the_page_shows_every_realistic_problem() -> None:

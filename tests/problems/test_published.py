@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +11,9 @@ from rich.console import Console
 
 import gnc_opt as go
 from benchmarks.validation import rendezvous_minima
-from benchmarks.validation.published import runner
 from benchmarks.validation.published.comparison import Claim, Row, Value, compare, known, printed
-from benchmarks.validation.published.pareto import Front, Point, certified, front_rows
-from benchmarks.validation.published.runner import SYSTEMS, count, main, table, table_rows
+from benchmarks.validation.published.pareto import certified
+from benchmarks.validation.published.runner import SYSTEMS, table_rows
 from benchmarks.validation.published.tracked import Rivals, dispersed_rows
 from benchmarks.validation.rendezvous_minima import GlobalOutcome
 from gnc_opt.simulation import Uniform
@@ -100,41 +97,6 @@ def test_no_mark_contradicts_its_reason() -> None:
 # --- the tables -----------------------------------------------------------------------------------------
 
 
-def test_values_have_to_be_those_of_the_data() -> None:
-    data = [{"quantity": "a"}, {"quantity": "b"}]
-    with pytest.raises(ValueError, match="row 2 is 'b' in the data and 'c' computed"):
-        compare(data, [Value("a", 1.0), Value("c", 1.0)])
-    with pytest.raises(ValueError, match="row 2 is 'b' in the data and 'nothing' computed"):
-        compare(data, [Value("a", 1.0)])
-
-
-def test_table_shows_both_counts_and_what_contradicts_its_reason() -> None:
-    rows = [RIGHT, row(2.0, published="1.0"), row(1.0, reason=WHY), row(2.0, independent=1, absolute=0.1)]
-    console = Console(width=200, highlight=False, file=io.StringIO())
-    console.print(table("title", rows))
-    _, _, right, unexplained, needless, _ = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    assert "differs -57.8 % (allowed 0.058 %)" in right and "agrees -0.0274 % (allowed 1 %)" in right
-    assert "NO REASON" in unexplained and "NO DIFFERENCE" in needless
-    assert count([RIGHT, row(1.0, published="1.0"), rows[3]]) == (
-        "1 of 2 agree with the publication, 1 differ for stated reasons; "
-        "1 of 2 agree with the independent computation; FAIL: a"
-    )
-
-
-def test_main_writes_the_rows_and_fails_with_one_of_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out, bad = tmp_path / "out.json", row(np.inf, independent=1, absolute=0.1)
-    for rows, code in (([RIGHT], 0), ([RIGHT, bad], 1)):
-        monkeypatch.setattr(runner, "table_rows", lambda name, rows=rows: rows)
-        assert main(["rendezvous", "--json", str(out)]) == code
-    told = json.loads(out.read_text(encoding="utf-8"))["rendezvous"]
-    assert told["failed"] == ["a"] and [r["ours"] for r in told["rows"]] == [[72.85], [None]]
-    assert "1 of 2 agree with the independent computation" in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["moon"])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_every_row_passes(system: str) -> None:
@@ -173,21 +135,6 @@ def test_points_of_a_front_are_solved_verified_and_in_the_order_of_time() -> Non
     points = certified((2.0, 1.0), lambda t: go.solve(push(t)), lambda s: (s.phase().final_time, s.objective))
     assert [point.time for point in points] == [1.0, 2.0] and all(point.certified for point in points)
     assert [point.cost for point in points] == pytest.approx([12.0, 1.5], rel=1e-9)
-
-
-def test_excess_over_the_front_and_rows_that_fail() -> None:
-    """A power law is met exactly between its points, too; beyond its ends the last one counts."""
-    points = (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True))
-    halves = Front("effort (N m s^2)", points, (2.0, 12.0), "law")
-    assert halves.excess == pytest.approx(3.0) and all(r.passes for r in front_rows(halves))
-    for time, cost in ((2.5, 8 / 2.5), (8.0, 2.0), (0.5, 8.0)):
-        assert Front("", points, (time, cost), "").excess == pytest.approx(1.0)
-    doubtful = Front("", (*points[:2], Point(4.0, 2.0, False, "bounds")), (2.0, 12.0), "law")
-    (failed,) = (r for r in front_rows(doubtful) if not r.passes)
-    assert failed.quantity.startswith("front, 4 s") and failed.note == "bounds"
-    rising = Front("", (*points, Point(5.0, 2.1, True)), (2.0, 12.0), "law")
-    beaten = Front("", points, (2.0, 3.9), "law")
-    assert [[r.passes for r in front_rows(front)].count(False) for front in (rising, beaten)] == [1, 1]
 
 
 def still(gain: float) -> go.ClosedLoop:

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from testing.flows import flow
 
-from gnc_opt.errors import ModelError
 from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 MU = 3.986004418e14
@@ -53,15 +52,6 @@ def test_free_swing_keeps_energy_and_momentum(method, length, drift, theta):
     assert np.degrees(y[2, -1]) == pytest.approx(theta, abs=1e-3)
 
 
-def test_sample_values():
-    here = TetherMotion(R0, 0.0, ORBITAL, np.radians(30), 0.0)
-    found = PAIR.accelerations(here, 100.0, 0.1)
-    assert found.r == pytest.approx(0.04318828392, rel=1e-8)
-    assert found.alpha == pytest.approx(2.26606124e-8, rel=1e-8)
-    assert found.theta == pytest.approx(-1.166626992e-3, rel=1e-8)
-    assert PAIR.tension(here, 100.0, 0.1) == pytest.approx(23.23105381, rel=1e-8)
-
-
 def test_first_order_gravity_is_close_to_the_truth_under_thrust():
     start = np.array([R0, 0.0, np.radians(30), 0.0, ORBITAL, 0.0])
     truth, model = (
@@ -94,10 +84,3 @@ def test_symbols_and_numbers_agree():
         f = ca.Function("f", symbols, list(method(TetherMotion(*symbols[:5]), *symbols[5:])))
         expected = method(TetherMotion(*values[:5]), *values[5:])
         np.testing.assert_allclose([float(v) for v in f(*values)], expected, rtol=1e-9)
-
-
-def test_impossible_pairs_are_refused():
-    with pytest.raises(ModelError, match="leader_mass"):
-        TetheredPair(0.0, 1.0, 1.0, 1.0)
-    with pytest.raises(ModelError, match="length"):
-        TetheredPair(1.0, 1.0, 1.0, -5.0)

@@ -11,14 +11,18 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import PhaseSolution, Solution, Status
-from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
-from gnc_opt.planning.problem.interval import Interval, free
-from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import piecewise
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.transcription.quadrature import collocation_rule
-from gnc_opt.planning.transcription.scheme import Scheme
+from testing.internals import (
+    Interval,
+    PhaseFunctions,
+    PhaseSamples,
+    PiecewisePolynomial,
+    Scheme,
+    Statistics,
+    collocation_rule,
+    free,
+    phase_functions,
+)
 
 Signal = Callable[[Array, int], Any]
 """Rows at times (m,) of a segment."""

@@ -1,44 +1,24 @@
-"""What the tests of bad input share: a decorator that states the expected error, and healthy problems."""
+"""Assertions on the errors for bad input, and correct problems to make mistakes in."""
 
 from __future__ import annotations
 
-import functools
-import linecache
-import traceback
-from collections.abc import Callable
+import contextlib
+from collections.abc import Iterator
 
 import pytest
 
 import gnc_opt as go
 
-WRONG = "# wrong"
-"""Marks the line of a test at which the error must be raised."""
-
 LONGEST = 420
 """A message is one sentence: no more characters than this."""
 
 
-def mistake(
-    error: type[go.GncOptError], *fragments: str
-) -> Callable[[Callable[[], object]], Callable[[], None]]:
-    """Make a script with one wrong line into a test.
-
-    The script must raise ``error`` at the line marked ``# wrong``, and the message must hold all fragments,
-    be one sentence on one line, and end with a remedy or a question.
-    """
-
-    def decorate(script: Callable[[], object]) -> Callable[[], None]:
-        @functools.wraps(script)
-        def test() -> None:
-            with pytest.raises(error) as caught:
-                script()
-            line = last_line(caught.value, script.__code__.co_filename)
-            assert WRONG in line, f"raised at: {line}"
-            assert_clear(str(caught.value), *fragments)
-
-        return test
-
-    return decorate
+@contextlib.contextmanager
+def refused(error: type[go.GncOptError], *fragments: str) -> Iterator[None]:
+    """Check that the block raises ``error``, and that its message holds all fragments and is clear."""
+    with pytest.raises(error) as caught:
+        yield
+    assert_clear(str(caught.value), *fragments)
 
 
 def assert_clear(message: str, *fragments: str) -> None:
@@ -48,12 +28,6 @@ def assert_clear(message: str, *fragments: str) -> None:
     assert "\n" not in message and len(message) <= LONGEST, message
     assert message.endswith((".", "?")), message
     assert ":" in message or "," in message, f"no remedy: {message}"
-
-
-def last_line(error: BaseException, file: str) -> str:
-    """Return the innermost line of a file that an error came through."""
-    lines = [f.lineno or 0 for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
-    return linecache.getline(file, lines[-1])
 
 
 def cart() -> go.Model:

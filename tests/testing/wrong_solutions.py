@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
-from gnc_opt.planning.transcription.scheme import Scheme
+from testing.internals import Interval, PiecewisePolynomial, Scheme
 
 Array = NDArray[np.float64]
 Piece = Literal["x", "u", "lam"]

@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -16,7 +15,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -100,26 +99,6 @@ def test_where_the_work_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     for kind in ("own", "processes"):
         assert os.getpid() not in {pid for pid, _, _ in found[kind]}
     assert {limit for _, _, limit in found["own"]} == {"1"}  # the processes share the processors already
-
-
-class Turnstile:
-    """Counts how many are inside at once."""
-
-    def __init__(self) -> None:
-        self.inside = self.most = 0
-
-    def enter(self, item: int) -> None:
-        self.inside += 1
-        self.most = max(self.most, self.inside)
-        time.sleep(0.005)
-        self.inside -= 1
-
-
-def test_threads_take_turns() -> None:
-    turnstile = Turnstile()
-    with ThreadPoolExecutor(4) as given, workers(given, turnstile) as force:
-        force.run(Turnstile.enter, range(12), ignore)
-    assert turnstile.most == 1
 
 
 def test_show_may_end_the_run(tmp_path: Path) -> None:
@@ -290,18 +269,6 @@ def _die_once(flag: str, item: int) -> int:
     return item
 
 
-def test_after_many_deaths_in_a_row_no_more_are_tried() -> None:
-    deadly = set(range(pool.MOST_CRASHES + 5))
-    with workers(value=deadly) as force:
-        done = force.run(survive, [range(i, i + 1) for i in range(len(deadly))], ignore)
-    words = [str(each.error) for each in done]
-    assert (
-        words
-        == ["its process died"] * pool.MOST_CRASHES
-        + [f"not tried: the {pool.MOST_CRASHES} before it killed their process"] * 5
-    )
-
-
 def test_what_a_broken_executor_leaves_is_done_by_processes_of_our_own() -> None:
     with ProcessPoolExecutor(1) as given, workers(given, {9}) as force:
         done = force.run(survive, BATCHES, ignore, halves)
@@ -403,41 +370,6 @@ def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatc
     assert [each.answer for each in done] == [0, 10, 20]
 
 
-class Headless(Deserted):
-    """A cluster whose scheduler dies with the first task: that never ends, and no other is taken."""
-
-    def __init__(self, known: dict[str, Any], status: str) -> None:
-        self._client = self  # type: ignore[assignment]
-        self.known, self.status, self.taken = known, status, 0
-
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        self.taken += 1
-        if self.taken > 1:
-            raise RuntimeError("the client is closed")
-        return Future()
-
-    def scheduler_info(self) -> dict[str, Any]:
-        return self.known
-
-
-@pytest.mark.parametrize(("known", "status"), [({}, "running"), ({"workers": {"one": {}}}, "closed")])
-def test_a_cluster_without_a_scheduler_is_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], status: str
-) -> None:
-    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
-    with workers(Headless(known, status)) as force:
-        done = force.run(times, range(3), ignore)
-    assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
-
-
-def test_an_executor_that_refuses_a_task_for_another_reason_says_so() -> None:
-    with (
-        workers(Headless({"workers": {"one": {}}}, "running")) as force,
-        pytest.raises(RuntimeError, match="closed"),
-    ):
-        force.run(times, range(3), ignore)
-
-
 class Counting(Executor):
     """Does every task a little later; counts what it holds meanwhile."""
 
@@ -495,56 +427,9 @@ def test_ctrl_c_keeps_what_is_done(kind: str) -> None:
     assert not multiprocessing.active_children()
 
 
-class Late(Executor):
-    """Has all answers when it gets the last task."""
-
-    def __init__(self, last: int) -> None:
-        self.last = last
-        self.tasks: list[tuple[Future[Any], Any]] = []
-
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.tasks.append((future, partial(fn, *args, **kwargs)))
-        if len(self.tasks) == self.last:
-            for waiting, task in self.tasks:
-                waiting.set_result(task())
-        return future
-
-
-def test_ctrl_c_keeps_answers_that_nobody_has_looked_at() -> None:
-    with workers(Late(3)) as force:
-        done = force.run(times, range(3), lambda each: signal.raise_signal(signal.SIGINT))
-    assert force.interrupted and [each.answer for each in done] == [0, 10, 20]
-
-
-def test_ctrl_c_keeps_the_error_that_is_being_shown() -> None:
-    def show(done: Done[int, int]) -> None:
-        if done.error is not None:
-            signal.raise_signal(signal.SIGINT)
-
-    with workers("serial") as force:
-        done = force.run(times, range(9), show)
-    assert [each.item for each in done] == [0, 1, 2, 3] and isinstance(done[3].error, ValueError)
-
-
 def _slowly(pause: float, number: int, item: int) -> int:
     time.sleep(pause)
     return number * item
-
-
-@pytest.mark.parametrize("kind", ["serial", "own"])
-def test_a_task_that_obeys_ctrl_c_ends_the_run(kind: str) -> None:
-    with executor(kind) as given, workers(given) as force:
-        done = force.run(_interrupted_at, range(40), ignore)
-    assert force.interrupted and len(done) < 40
-    assert all(each.error is None and each.item != 3 for each in done)
-
-
-def _interrupted_at(number: int, item: int) -> int:
-    if item == 3:
-        raise KeyboardInterrupt
-    time.sleep(0.005)
-    return item
 
 
 def test_ctrl_c_is_the_parents_business() -> None:
@@ -572,33 +457,3 @@ def test_ctrl_c_ends_workers_whatever_they_are_at(ctrl_c_when: Any, tmp_path: Pa
 def _endless(at_work: Path, number: int, item: int) -> int:
     (at_work / str(os.getpid())).touch()
     return _slowly(1000.0, number, item)
-
-
-def test_deaths_can_be_sent_home() -> None:
-    error = pickle.loads(pickle.dumps(WorkerDied("its process died")))
-    assert isinstance(error, WorkerDied) and str(error) == "its process died"
-
-
-def half_an_answer(path: str, item: int) -> None:
-    """Write the beginning of an answer, as a process that is killed while it answers."""
-    frame = sys._getframe()
-    while "result_queue" not in frame.f_locals:
-        assert frame.f_back is not None
-        frame = frame.f_back
-    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"only so much")
-    Path(path).touch()
-    threading.Event().wait()
-
-
-def test_who_is_killed_while_it_answers_keeps_nobody_waiting(tmp_path: Path) -> None:
-    begun = tmp_path / "begun"
-    own = processes.OwnProcesses(Shared.picklable(str(begun), "the path", "give a path"))
-    own.renew(2)
-    answer = own.submit(half_an_answer, 1)
-    while not begun.exists():
-        time.sleep(0.01)
-    ending = threading.Thread(target=own.end, kwargs={"at_once": True}, daemon=True)
-    ending.start()
-    ending.join(timeout=60)
-    assert not ending.is_alive() and not multiprocessing.active_children()
-    assert isinstance(answer.exception(timeout=0), BrokenExecutor)

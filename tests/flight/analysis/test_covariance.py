@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import Dispersion
 from testing.sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
@@ -26,7 +27,6 @@ from gnc_opt.simulation import (
     Uniform,
     UniformInBall,
 )
-from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, quaternion_difference, quaternion_rate
 
 STEPS = 60

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 from testing.controller_steps import step_through
 
-from gnc_opt.control import Reference, decoupling_matrix, design_feedback_linearization
-from gnc_opt.errors import DesignError, UnknownNameError
+from gnc_opt.control import (
+    Reference,
+    decoupling_matrix,
+    design_feedback_linearization,
+    output_errors,
+)
+from gnc_opt.control.feedback_linearization import _gain, _sampling_facts
+from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 from gnc_opt.spacecraft import quaternion_angle, quaternion_difference, quaternion_from_euler, quaternion_rate
 
@@ -216,21 +224,6 @@ def test_hopeless_designs_are_refused_with_numbers():
         )
 
 
-def test_authority_is_compared_with_the_feedforward():
-    model = Model("cart")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: a})
-    reference = Reference.from_functions(model, lambda t: [2 * t], lambda _: [2.0], 0.0, 1.0)
-    controller = design_feedback_linearization(
-        model, reference, outputs="v", poles=[-1.0], limits=(-3.0, 3.0)
-    )
-    assert controller.explain()["control authority margin"] == pytest.approx(1.0)
-    with pytest.raises(
-        DesignError, match=r"control 'a' needs 2 at t = 0 s, but its limits are -1\.5 and 1\.5"
-    ):
-        design_feedback_linearization(model, reference, outputs="v", poles=[-1.0], limits=(-1.5, 1.5))
-
-
 def test_authority_is_compared_on_both_sides_of_a_jump():
     """The feedforward climbs to 0.995 and drops there: between two looks, and before the jump's own value."""
     model = Model("cart")
@@ -254,3 +247,53 @@ def test_authority_is_compared_on_both_sides_of_a_jump():
     assert reserve(0.997) == pytest.approx(0.002, rel=1e-5)
     with pytest.raises(DesignError, match=r"control 'a' needs 0\.995 at t = 0\.995 s"):
         reserve(0.993)
+
+
+def chains(degrees, labels=("a", "b")):
+    return SimpleNamespace(degrees=degrees, labels=labels, size=len(degrees))
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ((None, None, None, None), "one choice of dynamics"),
+        (([-1.0, -2.0], [1.0, 2.0], None, None), "one choice"),
+        (([-1.0], None, None, None), "give 2 poles, not 1"),
+        (([-1.0, 2.0], None, None, None), "would not decay"),
+        (([-1.0 + 1j, -1.0], None, None, None), "not in conjugate pairs"),
+        (({"a": [-1.0, -2.0]}, None, None, None), "output 'b' has no poles"),
+        ((None, [1.0], None, None), "give 2 gains, not 1"),
+        ((None, [0.0, 1.0], None, None), "would not decay"),
+        ((None, None, 1.0, None), "needs both weights"),
+        ((None, None, np.eye(3), 1.0), r"weight Q has the shape \(3, 3\)"),
+        ((None, None, 1.0, -np.eye(2)), "R"),
+    ],
+)
+def test_dynamics_that_are_none_are_refused(choice, message):
+    with pytest.raises((ArgumentError, DesignError), match=message):
+        _gain(chains((2, 2)), *choice)
+
+
+def cart(**units) -> Model:
+    model = Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="N")
+    model.ode({q: v, v: a})
+    model.output("twice", 2 * q, unit=units.get("unit", "m"))
+    return model
+
+
+def climbing(tail="hold"):
+    return Reference.from_functions(cart(), lambda t: [t, 1.0], lambda t: [0.25], 0.0, 2.0, tail=tail)
+
+
+def test_steps_too_long_for_the_poles_of_a_chain_are_refused():
+    """e'' = -k1 e - k2 e' held over dt: the spectral radius of the sampled double integrator."""
+    errors = output_errors(cart(), climbing(), "q")
+    gain = np.array([[4.0, 4.0]])
+    a, b = np.array([[1.0, 0.4], [0.0, 1.0]]), np.array([[0.08], [0.4]])
+    (fact,) = _sampling_facts(errors, gain, 0.4)
+    assert fact.value == pytest.approx(np.max(np.abs(np.linalg.eigvals(a - b @ gain)))) and fact.value < 1
+    assert _sampling_facts(errors, gain, None) == []
+    with pytest.raises(DesignError, match=r"control steps of 1\.1 s are too long"):
+        _sampling_facts(errors, gain, 1.1)

@@ -3,6 +3,7 @@
 import re
 import subprocess
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -20,12 +21,22 @@ from testing.c_compiler import (
     sanitized,
     scalar_operations,
 )
+from testing.internals import Rows
 
 import gnc_opt as go
-from gnc_opt.control import Controller, DesignReport, export_c, initial_state_function, law
-from gnc_opt.control.c_export.c_writer import c_statements
+from gnc_opt.control import (
+    Controller,
+    DesignReport,
+    design_lqr,
+    export_c,
+    initial_state_function,
+    law,
+)
+from gnc_opt.control.c_export.c_writer import DOUBLE, c_statements, wrapped
+from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix
+from gnc_opt.control.c_export.schedule_table import flight_table
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model import Layout, Variable
+from gnc_opt.model import Layout, Model, Variable
 
 
 @needs_compiler
@@ -199,3 +210,92 @@ def test_header_tells_operations_and_stack(tmp_path):
     declared = [int(n) for n in re.findall(r"double (?:w|r|z_next)\[(\d+)\];", code.source.read_text())]
     stack = int(re.search(r"TVLQR_STACK (\d+)", code.header.read_text())[1])
     assert max(declared) * 8 < stack <= sum(declared) * 8
+
+
+INF = np.inf
+
+
+def crane() -> Model:
+    """The control acts by the cosine of the angle."""
+    model = Model("crane")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a * ca.cos(q)})
+    return model
+
+
+def rows(change=None, states=(), errors=(), lower=(), upper=(), price=()):
+    return Rows(
+        np.array([-1.0, -2.0]),
+        np.array([1.0, 4.0]),
+        change,
+        states,
+        errors,
+        np.array(lower),
+        np.array(upper),
+        np.array(price),
+    )
+
+
+def test_constants_and_texts_of_c():
+    assert [DOUBLE(v) for v in (np.nan, INF, -INF, 0.1, -2)] == [
+        "NAN",
+        "INFINITY",
+        "-INFINITY",
+        "0.1",
+        "-2.0",
+    ]
+    assert (
+        _identifier("My law 2 (x)") == "my_law_2__x"
+        and _identifier("2nd") == "law_2nd"
+        and _identifier("ä!") == "law_"
+    )
+    assert _plain("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
+    assert wrapped(["1"] * 3) == "1, 1, 1" and wrapped(["1"] * 40).count("\n") >= 1
+    assert _entries(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
+        "[0] r[0], m",
+        "[1] r[1], m",
+        "[2] n, -",
+    ]
+    for act in (
+        lambda: DOUBLE.entry(INF),
+        lambda: _read_prefix("math"),
+        lambda: _read_prefix("Math"),
+        lambda: _read_prefix("a b"),
+    ):
+        with pytest.raises(ArgumentError):
+            act()
+    assert _read_prefix("law") == "law"
+
+
+def scheduled(rows, signals=1, span=(0.0, 1.0)):
+    return SimpleNamespace(name="c", signals=SimpleNamespace(size=signals), span=span, schedule=rows)
+
+
+def test_the_rows_of_a_schedule_in_c():
+    """From the beginning of the span in steps to its end, and the row that is good from there on."""
+
+    def table(law, dt, span=None):
+        return flight_table(law, dt, span)
+
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
+    assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :]), 0.25)
+    assert found.rows.ravel() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert table(scheduled(None, 0), 0.1).rows.shape == (1, 0)
+    assert table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0)).rows.shape == (1, 1)
+    for wrong, span, message in (
+        (scheduled(lambda t, dt: t[None, :]), None, "still changes by"),
+        (scheduled(lambda t, dt: 0 * t[None, :], span=None), None, "does not tell"),
+        (scheduled(lambda t, dt: 0 * t[None, :]), (1.0, 0.0), "t_0 <= t_f"),
+        (scheduled(lambda t, dt: 0 * t[None, :]), (0.0, INF), "finite"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            table(wrong, 0.1, span)
+
+
+def test_a_memory_of_another_size_is_refused() -> None:
+    """CasADi would take one number for all of it."""
+    cart = crane()
+    regulator = design_lqr(cart, [0.0, 0.0], Q=1, R=1, dt=0.1)
+    with pytest.raises(ArgumentError, match="memory given to 'LQR' has 1 entries, not"):
+        regulator(0.0, [1.0, 0.0], [1.0])

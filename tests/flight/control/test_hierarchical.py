@@ -18,7 +18,6 @@ from gnc_opt.control import (
 from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
-from problems.tethered_formation.tether import TetheredPair, TetherMotion
 
 OMEGA2, A, B = 2.000331e-3, 0.199867, 0.142653
 """Swing frequency squared (1/s^2); response of the leader to the thrust angle, direct and through its force (m/s^2)."""
@@ -129,93 +128,6 @@ def test_a_surface_of_relative_degree_one_needs_no_second_level():
     assert list(controller.explain()["relative degrees"]) == [1]
     run = step_through(controller, model, [0.0, 0.0, 0.2, 0.0], dt=0.01, tf=30.0)
     assert np.max(np.abs(run.x[:, -1])) < 1e-3
-
-
-LEADER, R0 = TetheredPair(leader_mass=500, follower_mass=200, tether_mass=1, length=100), 7e6
-LIMIT = np.pi / 9
-
-
-def orbiting() -> Model:
-    """The pair with gravity to first order; the thrust angle stops at +-20 deg. Angles alpha relative to a circle."""
-    model = Model("orbiting pair")
-    r, r_rate, alpha, alpha_rate = (model.state(n) for n in ("r", "r_rate", "alpha", "alpha_rate"))
-    theta, theta_rate, gamma = model.state("theta"), model.state("theta_rate"), model.state("gamma")
-    rate = model.control("rate")
-    acceleration = LEADER.accelerations(TetherMotion(r, r_rate, alpha_rate, theta, theta_rate), 100.0, gamma)
-    model.ode(
-        {
-            r: r_rate,
-            r_rate: acceleration.r,
-            alpha: alpha_rate,
-            alpha_rate: acceleration.alpha,
-            theta: theta_rate,
-            theta_rate: acceleration.theta,
-            gamma: rate,
-        }
-    )
-    return model
-
-
-def test_swing_of_the_orbiting_pair_is_damped_while_the_leader_keeps_its_orbit():
-    """Jia & Meng with a boundary layer instead of MPC: |theta| < 1 deg after 150 s, the radial error shrinks."""
-    model = orbiting()
-    n0 = np.sqrt(LEADER.mu / R0**3)
-    dt, n = 0.1, 2000
-    pulled = _reference(model, [R0, 0, 0, n0, 0, 0, 0], 200.0)
-    controller = design_hierarchical_sliding_mode(
-        model,
-        pulled,
-        outputs=["theta", "r", "alpha"],
-        slopes=[0.35, 0.01, 0.01],
-        weights=[1.0, -0.06, 500.0],
-        slope=1.0,
-        reaching=ConstantRate(1.0),
-        boundary=SaturationLayer(2.0),
-        dt=dt,
-        growth=1e-4,  # along the orbit, which the thrust angle cannot hold, errors grow by 1.3e-5 per second
-    )
-    start = np.array([R0, 0, 0, n0, np.radians(30), 0, 0])
-    errors = hierarchical_errors(
-        model, pulled, ["theta", "r", "alpha"], [0.35, 0.01, 0.01], [1.0, -0.06, 500.0]
-    )
-    g = errors.pair.function(errors.chains[0], errors.decoupling)(0.0, start, [0.0], pulled.x(0.0), [0.0])
-    assert g[0].full()[:, 0] == pytest.approx([0.183263143, -0.002484890], rel=1e-3)
-    assert float(g[1]) == pytest.approx(-0.012864378, rel=1e-6)
-
-    rows = controller.schedule(dt * np.arange(n), dt)
-    x, z, log = start, controller.initial_memory(0.0, start), []
-    step = _plant_step(model, dt)
-    for k in range(n):
-        u, z = (m.full()[:, 0] for m in controller.step(k * dt, x, rows[:, k], z))
-        v = np.clip(np.clip(u, -0.1, 0.1), (-LIMIT - x[6]) / dt, (LIMIT - x[6]) / dt)
-        x = step(x, v).full()[:, 0]
-        log.append(x)
-    flown, times = np.array(log).T, dt * np.arange(1, n + 1)
-    swing = np.degrees(flown[4])
-    assert np.max(np.abs(flown[6])) <= LIMIT * (1 + 1e-12)
-    assert -np.min(swing) == pytest.approx(12.01, abs=1.0)
-    assert np.max(np.abs(swing[times > 150])) < 1.0
-    assert flown[0, -1] - pulled.x(200.0)[0] == pytest.approx(-8.64, abs=1.0)
-
-
-def _plant_step(model: Model, dt: float):
-    x, v = ca.SX.sym("x", 7), ca.SX.sym("v")
-    f, p = model.function, []
-    k1 = f(0, x, v, p)
-    k2 = f(0, x + dt / 2 * k1, v, p)
-    k3 = f(0, x + dt / 2 * k2, v, p)
-    k4 = f(0, x + dt * k3, v, p)
-    return ca.Function("step", [x, v], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-
-
-def _reference(model: Model, start, tf: float) -> Reference:
-    """The pair without swing and with the thrust along the orbit, integrated from the leader's own state."""
-    grid = np.linspace(0.0, tf, 2001)
-    states = _plant_step(model, grid[1]).mapaccum(2000)(start, np.zeros(2000)).full()
-    states = np.column_stack([start, states])
-    return Reference.from_functions(
-        model, lambda t: [np.interp(t, grid, row) for row in states], lambda _: [0.0], 0.0, tf
-    )
 
 
 def test_mistakes_are_named():

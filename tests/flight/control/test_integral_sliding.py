@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
-from testing import formation
 from testing.controller_steps import step_through
 
 from gnc_opt.control import (
@@ -16,10 +13,8 @@ from gnc_opt.control import (
     Reference,
     SaturationLayer,
     Sign,
-    SuperTwisting,
     design_integral_sliding_mode,
     design_lqr,
-    design_tvlqr,
 )
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
@@ -87,22 +82,6 @@ def test_the_nominal_motion_is_invariant_to_disturbances_below_the_gain_only():
     assert np.max(np.abs(robust.x[0] - none.x[0])) < 0.01
     assert np.max(np.abs(alone.x[0] - none.x[0])) > 0.3
     assert np.max(np.abs(beyond.x[0] - none.x[0])) > 0.3
-
-
-def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
-    variation = []
-    for boundary in (Sign(), SaturationLayer(0.01)):
-        run = step_through(
-            design(boundary=boundary, bound=0.9), cart(), START, dt=DT, tf=20.0, disturbance=disturbed
-        )
-        variation.append(np.sum(np.abs(np.diff(run.u[0]))))
-    assert variation[0] > 100 * variation[1]
-
-
-def test_super_twisting_makes_the_surface_vanish_with_a_continuous_command():
-    controller = design(reaching=SuperTwisting(3.0, 2.0), boundary=Sign(), bound=1.5)
-    run = step_through(controller, cart(), START, dt=DT, tf=8.0, disturbance=disturbed)
-    assert np.max(np.abs(run.memory("s")[0][run.times > 3])) < 1e-3
 
 
 def pendulum() -> Model:
@@ -202,19 +181,6 @@ def test_a_controller_as_nominal_law_equals_its_gain():
     assert "nominal_q_ref" in inside.signals
 
 
-def test_memory_of_the_nominal_law_goes_along():
-    """LQR with integral action inside: undisturbed, the command is that of the inner law."""
-    model = cart()
-    reference = Reference.constant(model, [0, 0])
-    lqr = design_lqr(model, reference, Q=np.eye(2), R=np.eye(1), dt=DT, integral={"q": 1.0})
-    inside = design(nominal=lqr)
-    runs = [step_through(c, model, START, dt=DT, tf=2.0) for c in (inside, lqr)]
-    assert runs[0].u == pytest.approx(runs[1].u, abs=1e-9)
-    assert set(lqr.unbridged.memory.names) == {
-        n.removeprefix("nominal_") for n in inside.memory.names if n.startswith("nominal_")
-    }
-
-
 def test_what_limits_cut_does_not_wind_the_surface_up():
     model, limits = cart(), (-1.0, 1.0)
     options = {"reaching": ConstantRate(0.3), "bound": 0.2}
@@ -244,54 +210,6 @@ def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(bou
         assert 10 * DT < run.times[np.argmax(flags)] - 2.0 < 60 * DT
 
 
-def test_s_that_was_thrown_out_of_its_layer_and_comes_back_is_no_alarm():
-    """As by actuators that are late: eight steps at 6 N throw s out, and it takes forty or more to come back at 1 N."""
-    controller = design()
-    kick = {"disturbance": lambda t: 6.0 * ((t > 2.0) & (t < 2.0 + 8 * DT))[None, :]}
-    run = step_through(controller, cart(), START, dt=DT, tf=6.0, **kick)
-    s = np.abs(run.memory("s")[0])
-    assert np.sum(s > 0.02) > 40 and s[-1] < 0.01  # edge: layer and two steps of the gain
-    assert not run.memory("switching_gain_exceeded").any()
-
-
-def test_formation_keeping_agrees_with_the_published_run():
-    """Imani & Bahrami, Table 1, optimal SMC: 0.06 m and 1.825 m/s; gains and surface of the same paper."""
-    model, plant, dt = formation.hill(), formation.nonlinear(j2=True), 0.5
-    k = gain(model, np.diag([0.2] * 3 + [1e5] * 3), 1e10 * np.eye(3))
-    assert k[0] == pytest.approx([7.94113e-6, -2.35212e-6, 0, 4.99387e-3, 2.15700e-4, 0], rel=1e-5)
-
-    def x(t):
-        return np.concatenate(formation.circle(t)[:2])
-
-    reference = Reference.from_functions(model, x, lambda _: np.zeros(3), 0.0, 2 * formation.PERIOD)
-    controller = design_integral_sliding_mode(
-        model,
-        reference,
-        nominal=k,
-        reaching=ConstantRate(5e-4),
-        boundary=SaturationLayer(1e-3),
-        dt=dt,
-        bound=2e-4,
-        projection="transpose",
-    )
-    assert controller.explain()["sampling limit"] == pytest.approx(4.0)
-    with_rows = dataclasses.replace(  # the reference needs no averages: its control is zero
-        controller, schedule=lambda t, _: np.vstack([*formation.circle(t)[:2], np.zeros((3, t.size))])
-    )
-    run = step_through(with_rows, plant, formation.START, dt=dt, tf=6043.5)
-    position = np.array(
-        [
-            np.interp(formation.PERIOD, run.times, run.x[i] - formation.circle(run.times)[0][i])
-            for i in range(3)
-        ]
-    )
-    assert np.linalg.norm(position) == pytest.approx(0.0613, abs=5e-4)
-    assert np.sum(np.abs(run.u)) * dt == pytest.approx(1.8255, abs=5e-4)
-    s = run.memory("s")
-    assert np.all(s[:, 0] == 0)
-    assert np.max(np.abs(s), axis=1) == pytest.approx([5.7e-6, 2.8e-6, 7.6e-6], abs=1e-7)
-
-
 def test_hopeless_designs_are_refused_with_numbers():
     with pytest.raises(DesignError, match="not less than the gain 1 "):
         design(bound=1.1)
@@ -317,29 +235,3 @@ def test_hopeless_designs_are_refused_with_numbers():
             boundary=Sign(),
             dt=DT,
         )
-
-
-def test_a_time_varying_regulator_along_a_moving_reference_is_made_robust():
-    """Disturbed, the errors are those of the undisturbed TVLQR loop, but for the band of s."""
-    model = cart()
-    reference = Reference.from_functions(
-        model, lambda t: [np.sin(t), np.cos(t)], lambda t: [-2 * np.sin(t)], 0.0, 3.0
-    )
-    dt = 0.01
-    inner = design_tvlqr(model, reference, Q=np.eye(2), R=np.eye(1), terminal=10 * np.eye(2))
-    controller = design_integral_sliding_mode(
-        model,
-        reference,
-        nominal=inner,
-        reaching=ConstantRate(1.0),
-        boundary=SaturationLayer(0.01),
-        dt=dt,
-        bound=0.9,
-    )
-    start = [0.1, 1.0]
-    nominal = step_through(inner, model, start, dt=dt, tf=3.0)
-    robust = step_through(controller, model, start, dt=dt, tf=3.0, disturbance=disturbed)
-    alone = step_through(inner, model, start, dt=dt, tf=3.0, disturbance=disturbed)
-    assert np.max(np.abs(robust.x - nominal.x)) < 0.01
-    assert np.max(np.abs(alone.x - nominal.x)) > 0.1
-    assert np.max(np.abs(robust.memory("s"))) <= 0.009 * 1.001

@@ -85,36 +85,3 @@ def test_stable_critical_zero_dynamics_return_from_afar():
     """eta' = -eta^3: at eta = 20 its slope is -1200 1/s, at the reference 0."""
     run = simulated(-1.0, 20.0, 10.0, 40)
     assert run.outcome.ok and run.states[1, -1] == pytest.approx(20 / np.sqrt(1 + 800 * 10.0), rel=1e-6)
-
-
-def test_a_car_follows_a_reference_that_does_not_rest():
-    """At 10 m/s, from 2 m ahead and 1 m aside."""
-    model = go.Model("car")
-    x, y, heading, v, wheel, pull = (model.state(k) for k in ("x", "y", "heading", "v", "wheel", "pull"))
-    jerk, steer = model.control("jerk"), model.control("steer")
-    turn = {heading: v * ca.tan(wheel), wheel: steer, v: pull, pull: jerk}
-    model.ode({x: v * ca.cos(heading), y: v * ca.sin(heading)} | turn)
-    straight = go.Reference.from_functions(
-        model, lambda t: [10 * t, 0, 0, 10, 0, 0], lambda t: [0, 0], 0.0, 6.0, tail="hold"
-    )
-    law = design_feedback_linearization(model, straight, outputs=["x", "y"], poles=[-1, -1.5, -2], dt=0.05)
-    start = [2.0, -1.0, 0.05, 9.5, 0.0, 0.0]
-    wide, narrow = (
-        go.ClosedLoop(model, law, [Saturation(f"{n} limit", -most, most, on=n) for n, most in limits.items()])
-        for limits in ({"jerk": 20.0, "steer": 1.0}, {"jerk": 0.02, "steer": 0.02})
-    )
-    run = wide.simulate(start, tf=5.9)
-    assert run.outcome.ok and np.max(np.abs(run.errors[:2, -1])) < 0.1
-    assert np.max(np.abs(narrow.simulate(start, tf=5.9).errors[:2, -1])) > 0.5
-
-
-def test_a_long_way_at_the_limits_takes_as_long_as_the_limit_says():
-    """1000 m at 0.5 m/s^2 take 2 sqrt(1000 / 0.5) = 89 s at least, where the poles alone say about 50 s."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    law = design_feedback_linearization(model, [0, 0], outputs="q", poles=[-0.1, -0.1], dt=0.1)
-    run = go.ClosedLoop(model, law, [Saturation("thruster", -0.5, 0.5)]).simulate([1000.0, 0.0], tf=400.0)
-    assert run.saturation_time("a") > 50
-    at_rest = np.abs(run.states[0]) + np.abs(run.states[1]) < 1.0
-    assert run.times[np.argmax(at_rest)] > 89.0 and abs(run.states[0, -1]) < 0.1

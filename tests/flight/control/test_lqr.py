@@ -4,14 +4,19 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
+from testing.internals import sample, zero_order_hold
 
 import gnc_opt as go
-from gnc_opt.control import Reference, bryson, design_lqr
+from gnc_opt.control import (
+    Reference,
+    bryson,
+    design_lqr,
+)
 from gnc_opt.control.loop_margins import margins
 from gnc_opt.control.riccati import steady, unreached
-from gnc_opt.control.sampled_data import sample, sample_along, zero_order_hold
+from gnc_opt.control.sampled_data import sample_along
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 
 ORBIT_RATE = np.sqrt(398600.0 / 7171.0**3)
@@ -23,6 +28,7 @@ def cart() -> go.Model:
     q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
     a = model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
+    model.output("twice", 2 * q, unit="m")
     return model
 
 
@@ -75,52 +81,11 @@ def test_wheel_gains_equal_the_closed_form_in_quaternion_errors():
     assert np.round([k[0, 3], k[0, 0], k[2, 2]], 4).tolist() == [0.2608, 2.5091, 2.4566]
 
 
-def test_wheel_gains_do_not_depend_on_the_attitude_of_rest():
-    model, half = wheels((4.0, 4.0, 4.0)), 0.35
-    turned = [0, 0, 0, 0, np.sin(half), 0, np.cos(half)]
-    weights = {"Q": {"omega": 13131, "q": 170}, "R": 2500}
-    k, k_turned = (gain(design_lqr(model, x, **weights)) for x in ([0] * 6 + [1], turned))
-    assert np.allclose(k, k_turned, atol=1e-12)
-
-
 def test_double_integrator_gains_equal_the_closed_form():
     k = gain(design_lqr(cart(), [0, 0], Q=0.1, R=100))
     root = np.sqrt(0.001)
     assert np.allclose(k, [[root, np.sqrt(root**2 + 2 * root)]], rtol=1e-14)
     assert np.round(k, 7).tolist() == [[0.0316228, 0.2534671]]
-
-
-def test_formation_gains_and_poles_equal_the_published_digits():
-    controller = design_lqr(formation(), np.zeros(6), Q={"r": 0.2, "v": 1e5}, R=1e10)
-    printed = np.array(
-        [
-            [7.94113e-6, -2.35212e-6, 0, 4.99387e-3, 2.15700e-4, 0],
-            [2.90541e-6, 3.80362e-6, 0, 2.15700e-4, 4.29625e-3, 0],
-            [0, 0, 3.51998e-6, 0, 0, 4.12795e-3],
-        ]
-    )
-    half_digit = np.where(
-        printed == 0, 1e-15, 0.5 * 10.0 ** (np.floor(np.log10(np.abs(printed) + 1e-99)) - 5)
-    )
-    assert np.all(np.abs(gain(controller) - printed) <= half_digit * (1 + 1e-9))
-    poles = np.asarray(controller.explain()["closed-loop poles"])
-    known = [-1.25818e-3 + 4.36e-6j, -2.06397e-3 + 5.83886e-4j, -3.38688e-3 + 2.03344e-3j]
-    for pole in known:
-        assert np.min(np.abs(poles - pole)) < 8e-9
-        assert np.min(np.abs(poles - np.conj(pole))) < 8e-9
-
-
-def test_a_moving_reference_with_constant_linear_dynamics_is_followed():
-    model, n = formation(), ORBIT_RATE
-
-    def circle(t):
-        c, s, f = np.cos(n * t), np.sin(n * t), 500 * np.sqrt(3)
-        return [500 * c, -1000 * s, f * c, -500 * n * s, -1000 * n * c, -f * n * s]
-
-    reference = Reference.from_functions(model, circle, lambda t: np.zeros(3), 0.0, 6000.0)
-    controller = design_lqr(model, reference, Q={"r": 0.2, "v": 1e5}, R=1e10)
-    u, _ = controller(0.0, [300, -200, 500, 0, 0, 0], dt=1.0)
-    assert np.allclose(u, [0.000894, -0.003125, 0.001288], atol=6e-7)  # formation sheet, at the start
 
 
 # --- sampling -----------------------------------------------------------------------------------------
@@ -268,18 +233,6 @@ def test_integral_of_an_output_with_feedthrough_is_refused():
 # --- margins ------------------------------------------------------------------------------------------
 
 
-def test_margins_of_a_known_loop():
-    # L = 4 / (s (s + 1) (s + 2)): phase crossover at sqrt 2, |L| = 2/3 there
-    a = np.array([[0, 1, 0], [0, 0, 1], [0, -2, -3.0]])
-    found = margins(a, np.array([[0], [0], [1.0]]), np.array([[4.0, 0, 0]]))
-    assert found.gain_up[0] == pytest.approx(1.5, rel=1e-9)
-    assert found.gain_down[0] == 0
-    w = np.sqrt(np.roots([1, 5, 4, -16]).real.max())  # |L| = 1
-    phase = np.pi / 2 - np.arctan(w) - np.arctan(w / 2)
-    assert found.phase[0] == pytest.approx(phase, rel=1e-9)
-    assert found.delay[0] == pytest.approx(phase / w, rel=1e-9)
-
-
 def test_delay_margin_is_where_the_loop_becomes_unstable():
     controller = design_lqr(cart(), [0, 0], Q=1, R=1)
     k, delay = gain(controller)[0], float(np.asarray(controller.explain()["delay margin"])[0])
@@ -320,15 +273,6 @@ def test_delay_margin_of_a_loop_with_three_crossovers_is_the_least_of_theirs():
     assert np.argmin(delays) != 0
     assert found.delay[0] == pytest.approx(delays.min(), rel=1e-3)
     assert found.phase[0] == pytest.approx(phases.min(), rel=1e-2)
-
-
-@pytest.mark.parametrize("dt", [None, 0.01])
-def test_damping_of_the_poles_is_their_cosine(dt):
-    """The double integrator with Q = diag(1, 0), R = 1 has the Butterworth poles: damping 1 / sqrt 2."""
-    facts = design_lqr(cart(), [0, 0], Q=np.diag([1.0, 0.0]), R=1.0, dt=dt).explain()
-    assert facts["damping"] == pytest.approx([np.sqrt(0.5)] * 2, rel=1e-2 if dt else 1e-9)
-    assert np.isrealobj(facts["damping"])
-    assert facts["closed-loop poles"].real == pytest.approx([-np.sqrt(0.5)] * 2, rel=1e-2 if dt else 1e-9)
 
 
 def test_the_regulator_has_the_margins_that_theory_promises():
@@ -393,20 +337,6 @@ def test_margins_of_a_loop_with_negative_sampled_poles_do_not_depend_on_the_unit
 
     lag = bisect(lambda lag: 1.0 if stable(lag) else -1.0, 0.0, 1.0, xtol=1e-12)
     assert found.phase == pytest.approx([lag], rel=1e-8)
-
-
-def test_a_deadbeat_loop_has_margins():
-    """L = 1 / (z - 1), the closed pole at 0: |L| = 1 at omega dt = pi / 3, where the phase is -120 deg."""
-    found = margins(np.eye(1), np.eye(1), np.eye(1), 5e5)
-    assert found.gain_up == pytest.approx([2.0], rel=1e-9)
-    assert found.phase == pytest.approx([np.pi / 3], rel=1e-9)
-    assert found.delay == pytest.approx([5e5], rel=1e-9)
-
-
-def test_disk_margin_of_a_single_loop():
-    # L = 1/s: S = s/(s+1), |S - 1/2| = 1/2 at every frequency: the whole right half plane
-    found = margins(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
-    assert found.disk == pytest.approx(2.0, rel=1e-12)
 
 
 # --- weights and refusals -----------------------------------------------------------------------------
@@ -529,3 +459,67 @@ def test_a_step_in_which_an_unstable_plant_overflows_is_refused(recwarn):
     with pytest.raises(DesignError, match=r"100000 s.*shorter"):
         go.design_tvlqr(model, Reference.constant(model, [0, 0]), Q=[1, 1], R=[1], dt=1e5)
     assert not recwarn.list
+
+
+def climbing(tail="hold"):
+    return Reference.from_functions(cart(), lambda t: [t, 1.0], lambda t: [0.25], 0.0, 2.0, tail=tail)
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+@pytest.mark.parametrize("limits", [None, (-1.0, 2.0)])
+@pytest.mark.parametrize(("name", "factor"), [("q", 1.0), ("twice", 2.0)])
+def test_a_regulator_with_an_integral_is_its_formula(dt, limits, name, factor):
+    """u = u_ff - K e - K_i z, z grows by dt times the error, set back by what the limits cut."""
+    law = design_lqr(cart(), climbing(), Q=[2.0, 1.0], R=0.5, dt=dt, integral={name: 0.3}, limits=limits)
+    gain = np.asarray(law.explain()["gain"])
+    assert gain.shape == (1, 3) and law.memory.names[0] == f"integral_{name}"
+    assert law.memory.variables[0].unit == "m s"
+    step, x, z = 0.1, np.array([3.0, -0.5]), 0.7
+    e = x - [0.4, 1.0]
+    u = 0.25 - gain[0, :2] @ e - gain[0, 2] * z
+    cut = 0.0 if limits is None else u - np.clip(u, *limits)
+    memory = law.initial_memory(0.4, x, step)
+    assert memory[0] == 0.0
+    memory[0] = z
+    found, after = law(0.4, x, memory, dt=step)
+    assert found == pytest.approx([u]) and after[0] == pytest.approx(
+        z + step * factor * e[0] + cut / gain[0, 2]
+    )
+    assert law.span == (0.0, 2.0) and law.dt == dt
+    facts = {f.name for f in law.explain()}
+    assert ("sampled poles" in facts) is (dt is not None) and ("control authority margin" in facts) is (
+        limits is not None
+    )
+
+
+def test_the_gain_of_a_regulator_is_optimal_for_the_held_plant_with_its_integral():
+    """The discrete Riccati equation of (e, z) with plant and cost sampled exactly; poles are told as rates."""
+    dt = 0.1
+    law = design_lqr(cart(), climbing(), Q=[2.0, 1.0], R=0.5, dt=dt, integral={"q": 0.3})
+    a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+    held = sample(a, b, np.diag([2.0, 1.0]), np.array([[0.5]]), np.zeros((2, 1)), dt)
+    wide_a = np.block([[held.a, np.zeros((2, 1))], [dt * np.array([[1.0, 0.0]]), np.eye(1)]])
+    wide_b, wide_n = np.vstack([held.b, [[0.0]]]), np.vstack([held.n, [[0.0]]])
+    wide_q = np.block([[held.q, np.zeros((2, 1))], [np.zeros((1, 2)), dt * 0.3 * np.eye(1)]])
+    p = solve_discrete_are(wide_a, wide_b, wide_q, held.r, s=wide_n)
+    gain = np.linalg.solve(held.r + wide_b.T @ p @ wide_b, wide_b.T @ p @ wide_a + wide_n.T)
+    assert law.explain()["gain"] == pytest.approx(gain, rel=1e-8)
+    z = np.linalg.eigvals(wide_a - wide_b @ gain)
+    assert np.sort(np.abs(law.explain()["sampled poles"])) == pytest.approx(np.sort(np.abs(z)))
+    rates = np.asarray(law.explain()["closed-loop poles"])
+    assert np.sort_complex(np.exp(dt * rates)) == pytest.approx(np.sort_complex(z.astype(complex)))
+    assert law.explain()["damping"] == pytest.approx(-rates.real / np.abs(rates))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"integral": {"z": 1.0}}, "no state or output 'z'"),
+        ({"integral": {"q": 0.0}}, "the weight of 'integral_q' is 0"),
+        ({"integral": {"q": [1.0, 2.0]}}, "weight of the integral of 'q'"),
+        ({"dt": -1.0}, "control step dt"),
+    ],
+)
+def test_integrals_that_are_none_are_refused(options, message):
+    with pytest.raises((ArgumentError, DesignError, UnknownNameError), match=message):
+        design_lqr(cart(), climbing(), Q=1.0, R=1.0, **options)

@@ -1,18 +1,22 @@
 """Model predictive control: the regulator where no limit is met, optimality where one is, and failing safely."""
 
-import warnings
-
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import LinearConstraint, minimize
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
+from testing.internals import sample, zero_order_hold
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control import Reference, design_lqr, design_mpc, design_tvlqr
-from gnc_opt.control.riccati import steady
-from gnc_opt.control.sampled_data import sample
-from gnc_opt.errors import ArgumentError, DesignError, ProblemWarning, UnknownNameError
+from gnc_opt.control import (
+    Reference,
+    design_lqr,
+    design_mpc,
+    design_tvlqr,
+)
+from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
+from gnc_opt.model import Model
 
 
 def test_a_state_is_a_reference_that_rests():
@@ -76,44 +80,6 @@ def test_terminal_weight_of_ones_own():
 # --- with limits --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("previous", "expected"), [(0.0, -0.4), (-0.9, -1.0), (0.9, 0.5)])
-def test_with_limits_the_first_command_is_that_of_an_independent_optimisation(previous, expected):
-    """The same programme, written in controls and states and solved by scipy."""
-    steps = 8
-    s = sample(
-        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
-    )
-    p = steady(s.a, s.b, s.q, s.r, s.n, ("q", "v"), sampled=True).cost
-    x_0 = np.array([2.0, 0.6])
-
-    def cost(v):
-        e, total = x_0, 0.0
-        for u in v:
-            total += e @ s.q @ e + s.r[0, 0] * u**2 + 2 * (e @ s.n)[0] * u
-            e = s.a @ e + s.b[:, 0] * u
-        return total + e @ p @ e
-
-    before = previous * np.eye(steps)[0]
-    rates = LinearConstraint(np.eye(steps) - np.eye(steps, k=-1), before - 0.4, before + 0.4)
-    best = minimize(
-        cost,
-        np.full(steps, previous),
-        bounds=[(-1, 1)] * steps,
-        constraints=rates,
-        method="SLSQP",
-        options={"ftol": 1e-14, "maxiter": 500},
-    )
-    controller = tracker(horizon=steps * DT, rate_limits=4.0)
-    z = controller.initial_memory(0.0, x_0)
-    z[controller.memory.slice("previous_command")] = previous
-    u, z = controller(0.0, x_0, z)
-    assert u[0] == pytest.approx(best.x[0], abs=1e-6)
-    assert u[0] == pytest.approx(expected, abs=1e-9)
-    assert z[0] == u[0]
-    # the limits matter: in later steps the plan meets that of the control
-    assert np.max(np.abs(best.x)) > 0.99
-
-
 def test_limits_of_control_rate_and_state_are_kept():
     controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, np.inf)})
     states, commands, z = fly(controller, np.array([3.0, 0.0]), 150)
@@ -152,17 +118,6 @@ def test_programmes_far_outside_soft_limits_are_solved():
             assert u == pytest.approx(expected, abs=1e-6)
 
 
-def test_prediction_avoids_the_overshoot_of_a_clipped_regulator():
-    regulator = design_lqr(cart(), [0, 0], Q=[100, 0], R=0.01, dt=DT)
-    x, clipped = np.array([5.0, 0.0]), []
-    for _ in range(150):
-        x = A @ x + B * np.clip(regulator(0.0, x)[0][0], -1, 1)
-        clipped.append(x[0])
-    states, _, _ = fly(tracker(Q=[100, 0], R=0.01, horizon=4.0), np.array([5.0, 0.0]), 150)
-    assert min(clipped) < -0.5
-    assert states[:, 0].min() > 0.3 * min(clipped)
-
-
 def test_upcoming_change_of_the_reference_is_anticipated():
     model = cart()
     step = Reference.from_functions(
@@ -174,19 +129,6 @@ def test_upcoming_change_of_the_reference_is_anticipated():
 
 
 # --- inside CasADi, and when it fails -----------------------------------------------------------------
-
-
-def test_many_steps_are_one_function():
-    controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, 0.5)})
-    x, z = ca.MX.sym("x", 2), ca.MX.sym("z", controller.memory.size)
-    u, z_next = controller.step(0.0, x, controller.signal(0.0), z)
-    x_next = ca.DM(A) @ x + ca.DM(B) * u
-    loop = ca.Function("loop", [ca.vertcat(x, z)], [ca.vertcat(x_next, z_next), u]).mapaccum(60)
-    start = np.array([3.0, 0.0])
-    path, commands = loop(ca.vertcat(start, controller.initial_memory(0.0, start)))
-    states, expected, _ = fly(controller, start, 60)
-    assert np.allclose(commands.full()[0], expected, atol=1e-12)
-    assert np.allclose(path.full()[:2].T, states, atol=1e-12)
 
 
 def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
@@ -324,17 +266,131 @@ def test_limits_that_exclude_the_feedforward_are_refused():
         tracker(limits=(0.1, 0.2))
 
 
-def test_limits_of_states_that_exclude_the_reference_are_told():
-    """v = -sin t is slowest at t = pi / 2; where it only touches its limit nothing is said."""
-    model, reference = pendulum()
-    options = {"Q": 1, "R": 1, "horizon": 1.0, "dt": DT, "limits": (-9, 9)}
-    for hard in ([], ["v"]):
-        with pytest.warns(ProblemWarning, match=r"beyond the limits of v: 0\.0999.* \(at t = 1\.5\d s"):
-            law = design_mpc(model, reference, **options, state_limits={"v": (-0.9, 0.9)}, hard=hard)
-        told = law.explain()
-        assert told["reference beyond the limits of v"] == pytest.approx(0.1, abs=1e-3)
-    for least in (-np.inf, -1.0, -1.0 + 1e-8):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            within = design_mpc(model, reference, **options, state_limits={"v": (least, 0.5)}).explain()
-        assert not [fact for fact in within if "beyond" in fact.name]
+def axis() -> Model:
+    model = Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="N")
+    model.ode({q: v, v: a})
+    model.output("twice", 2 * q, unit="m")
+    return model
+
+
+def climbing(tail="hold"):
+    return Reference.from_functions(axis(), lambda t: [t, 1.0], lambda t: [0.25], 0.0, 2.0, tail=tail)
+
+
+def predictive(**changes):
+    options = {"Q": [2.0, 1.0], "R": 0.5, "horizon": 0.6, "dt": 0.2, "limits": (-2.0, 3.0)} | changes
+    return design_mpc(axis(), climbing(), **options)
+
+
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
+def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solver):
+    """Against a general solver on the same three steps, with the cost to go at their end."""
+    law = predictive(limits=(-1.0, 1.5), rate_limits=3.0, solver=solver)
+    a, b = zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 0.2)
+    held = sample(
+        np.array([[0.0, 1.0], [0.0, 0.0]]),
+        np.array([[0.0], [1.0]]),
+        np.diag([2.0, 1.0]),
+        np.array([[0.5]]),
+        np.zeros((2, 1)),
+        0.2,
+    )
+    p = solve_discrete_are(held.a, held.b, held.q, held.r, s=held.n)
+    x, before = np.array([1.4, 0.6]), 0.25
+    z = law.initial_memory(0.4, x)
+    assert z[0] == pytest.approx(before)
+
+    def cost(v):
+        e, total = x - [0.4, 1.0], 0.0
+        for k in range(3):
+            total += e @ held.q @ e + held.r[0, 0] * v[k] ** 2 + 2 * (held.n[:, 0] @ e) * v[k]
+            e = a @ e + b[:, 0] * v[k]
+        return total + e @ p @ e
+
+    def steps(v):
+        return np.diff([before, *(v + 0.25)])
+
+    best = minimize(
+        cost,
+        np.zeros(3),
+        bounds=[(-1.25, 1.25)] * 3,
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 200},
+        constraints=[
+            {"type": "ineq", "fun": lambda v: 0.6 - steps(v)},
+            {"type": "ineq", "fun": lambda v: 0.6 + steps(v)},
+        ],
+    )
+    u, after = law(0.4, x, z)
+    assert u == pytest.approx([best.x[0] + 0.25], abs=1e-5) and u[0] == pytest.approx(before - 0.6, abs=1e-6)
+    assert after[0] == pytest.approx(u[0]) and after[law.memory.slice("qp_failed")].tolist() == [0.0]
+
+
+def swinging() -> tuple[Model, Reference]:
+    """A pendulum that is swung along cos t, so that A and B change with time; two controls."""
+    model = Model("pendulum")
+    q, w = model.state("q"), model.state("w")
+    u, c = model.control("u"), model.control("c")
+    model.ode({q: w + 0.1 * c, w: -4 * ca.sin(q) + u * ca.cos(q)})
+    return model, Reference.from_functions(
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [0.3, 0.0], 0.0, 3.0
+    )
+
+
+def test_a_horizon_over_dynamics_that_change_takes_them_from_its_schedule():
+    """Without a limit in reach the time-varying regulator; with limits the programme, by a general solver."""
+    model, reference = swinging()
+    options = {"Q": [3.0, 1.0], "R": [0.5, 1.0], "horizon": 0.6, "dt": 0.2}
+    free = design_mpc(model, reference, limits=(-99.0, 99.0), **options)
+    regulator = design_tvlqr(model, reference, Q=[3.0, 1.0], R=[0.5, 1.0], dt=0.2)
+    x = np.array([0.5, 0.9])
+    for t in (0.0, 0.4, 2.6):
+        assert free(t, x)[0] == pytest.approx(regulator(t, x)[0], rel=1e-6)
+    names = {v.name: v.size for v in free.signals.variables}
+    assert names == {
+        "q_ref": 1,
+        "w_ref": 1,
+        "u_ff": 1,
+        "c_ff": 1,
+        "horizon_ff": 4,
+        "horizon_A": 12,
+        "horizon_F": 12,
+        "horizon_K": 12,
+        "horizon_G": 12,
+    }
+    assert free.explain()["dynamics along the horizon"] == "from the schedule"
+
+    tight = design_mpc(model, reference, limits=([-1.0, -0.5], [2.0, 0.5]), **options)
+    gains, t = regulator.schedule.gains, 0.4
+    steps, p = gains.steps[2:5], gains.P(1.0)
+    ahead = reference.mean_control(t + 0.2 * np.arange(3), 0.2)
+
+    def cost(v):
+        e, total = x - reference.x(t), 0.0
+        for k, s in enumerate(steps):
+            w = v[2 * k : 2 * k + 2] - ahead[:, k]
+            total += e @ s.q @ e + w @ s.r @ w + 2 * e @ s.n @ w
+            e = s.a @ e + s.b @ w
+        return total + e @ p @ e
+
+    best = minimize(
+        cost,
+        np.zeros(6),
+        bounds=[(-1.0, 2.0), (-0.5, 0.5)] * 3,
+        method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 300},
+    )
+    u, after = tight(t, x)
+    assert u == pytest.approx(best.x[:2], abs=1e-4) and np.max(np.abs(u - free(t, x)[0])) > 0.05
+    assert after[tight.memory.slice("qp_failed")].tolist() == [0.0]
+
+
+def test_a_limited_state_is_kept_by_a_soft_row():
+    """v_ref = 1 m/s and at most 1.2 m/s: from 1.5 m/s the command brakes harder than without, and recovers."""
+    free, kept = predictive(), predictive(state_limits={"v": (-np.inf, 1.2)})
+    x = np.array([0.4, 1.5])
+    assert free(0.4, x)[0][0] > -0.9
+    assert kept(0.4, x)[0] == pytest.approx([(1.2 - 1.5) / 0.2 + 0.25], abs=1e-6)  # at 1.2 m/s after one step
+    assert kept(0.4, [0.4, 1.0])[0] == pytest.approx(free(0.4, [0.4, 1.0])[0], abs=1e-6)

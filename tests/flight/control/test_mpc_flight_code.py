@@ -9,7 +9,6 @@ from testing.c_compiler import COMPILER, FLAGS, compiled, needs_compiler, saniti
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control import with_dropout_handling
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation import Measurement
 
@@ -105,25 +104,6 @@ def test_along_a_reference_the_matrices_are_those_of_each_step(tmp_path):
     assert np.mean(np.abs(np.array(commands)) > 0.2999) > 0.2
     assert np.allclose(found, commands, atol=1e-8)
     assert not np.any(told)
-
-
-@needs_compiler
-def test_lost_samples_are_bridged_as_in_python(tmp_path):
-    limited = tracker(rate_limits=5.0, state_limits={"q": (-9.0, 9.0), "v": (-0.5, 0.5)}, hard=["v"])
-    controller = with_dropout_handling(limited, hold=1, safe=0.25)
-    times, states, _, _ = flown(controller, np.array([3.0, 0.0]), 12)
-    states = states.copy()
-    states[10] = [1e20, -1e20]  # no programme there has a solution
-    states[[0, 4, 6, 7, 8], [0, 1, 0, 0, 1]] = [np.nan, np.inf, np.nan, 1e31, -np.inf]
-    z, commands, alarms = None, [], []
-    for t, x in zip(times, states, strict=True):
-        u, z = controller(t, x, z)
-        commands.append(u)
-        alarms.append(z[controller.memory.slice("invalid")])
-    found, told = flown_in_c(controller, tmp_path, times, states, sanitized)
-    assert np.allclose(found, commands, atol=1e-8)
-    assert np.array_equal(told[:, controller.alarms.index("invalid")], np.ravel(alarms))
-    assert found[8, 0] == 0.25
 
 
 @needs_compiler

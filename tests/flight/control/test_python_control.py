@@ -16,7 +16,6 @@ from gnc_opt.analysis import loop_response
 from gnc_opt.control import ErrorDynamics
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import ClosedLoop
-from gnc_opt.spacecraft import quaternion_difference, quaternion_rate
 
 STEP = 0.1
 
@@ -57,34 +56,6 @@ def test_linear_plant(cart: go.Model) -> None:
     assert plant.input_labels == ["F[0]", "F[1]"]
     for s in (1j, 2.0 + 1j):  # r(s) = F / (s (m s + 0.4))
         np.testing.assert_allclose(plant(s)[:2], np.eye(2) / (s * (2.0 * s + 0.4)), rtol=1e-12, atol=1e-15)
-
-
-def test_sampled_plant_holds_its_command(cart: go.Model) -> None:
-    control = python_control()
-    plant = ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2), dt=STEP)
-    held = control.c2d(ErrorDynamics(cart).to_control(0.0, np.zeros(4), np.zeros(2)), STEP, "zoh")
-    assert plant.dt == STEP
-    np.testing.assert_allclose(plant.A, held.A, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(plant.B, held.B, rtol=1e-12, atol=1e-15)
-
-
-def test_outputs_are_linear_in_the_errors(cart: go.Model) -> None:
-    python_control()
-    plant = ErrorDynamics(cart).to_control(0.0, [3.0, 4.0, 0.0, 0.0], np.zeros(2), outputs=["range"])
-    assert plant.output_labels == ["range"]
-    np.testing.assert_allclose(plant.C, [[3 / np.sqrt(26), 4 / np.sqrt(26), 0.0, 0.0]], rtol=1e-12)
-    np.testing.assert_array_equal(plant.D, np.zeros((1, 2)))
-
-
-def test_attitudes_have_three_errors() -> None:
-    python_control()
-    body = go.Model("body")
-    q, omega = body.state("q", 4), body.control("omega", 3, unit="rad/s")
-    body.ode({q: quaternion_rate(q, omega)})
-    body.difference(q, quaternion_difference)
-    plant = ErrorDynamics(body).to_control(0.0, [1.0, 0.0, 0.0, 0.0], np.zeros(3))
-    assert plant.state_labels == ["q[0]", "q[1]", "q[2]"]
-    assert np.linalg.matrix_rank(plant.B) == 3
 
 
 def test_the_law_gives_the_same_commands(cart: go.Model, regulator: go.Controller) -> None:

@@ -6,7 +6,10 @@ import pytest
 from scipy.integrate import quad
 
 import gnc_opt as go
-from gnc_opt.control import Reference, trim
+from gnc_opt.control import (
+    Reference,
+    trim,
+)
 from gnc_opt.errors import ArgumentError
 
 
@@ -131,20 +134,6 @@ def test_functions_that_return_no_numbers_are_refused_where_they_do():
             Reference.from_functions(cart(), lambda t, row=row: row, lambda t: 0.0, 0, 0).x(0.0)
 
 
-def test_steps_with_several_jumps_have_the_mean_of_their_pieces():
-    jumps, levels = np.array([0.31, 0.32, 0.5, 0.77]), np.array([1.0, -2.0, 5.0, 0.5, 3.0])
-    reference = Reference.from_functions(
-        cart(), lambda t: [0, 0], lambda t: [levels[np.searchsorted(jumps, t, "right")]], 0, 1, jumps=jumps
-    )
-    starts, dt = np.array([0.0, 0.3, 0.31, 0.305, 0.45, 0.7, 0.77]), 0.21
-
-    def impulse(t):
-        return np.sum(levels * np.diff(np.clip([0.0, *jumps, 1.0], None, t)))
-
-    expected = [(impulse(t + dt) - impulse(t)) / dt for t in starts]
-    np.testing.assert_allclose(reference.mean_control(starts, dt)[0], expected, rtol=1e-13)
-
-
 def test_phases_are_followed_one_after_the_other():
     ocp = go.Problem("two legs")
     first, second = ocp.phase("first", cart()), ocp.phase("second", cart())
@@ -235,3 +224,12 @@ def test_without_a_tail_a_loop_flies_to_the_very_end(tmp_path):
         go.ClosedLoop(model, law).simulate([0.0, 0.0], tf=1.4)
     with pytest.raises(ArgumentError, match=r"goes on after 1 s, .* tells nothing: .* give it a tail"):
         go.export_c(law, tmp_path)
+
+
+NAN, INF = np.nan, np.inf
+
+
+@pytest.mark.parametrize(("start", "end"), [(2.0, 1.0), (NAN, 1.0), (0.0, INF)])
+def test_a_reference_between_times_that_are_none_is_refused(start, end):
+    with pytest.raises(ArgumentError, match="give increasing times"):
+        Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0], start, end)

@@ -7,7 +7,6 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.errors import ProblemWarning
@@ -65,34 +64,3 @@ def test_a_rate_that_is_not_that_of_the_place_is_told():
             0,
             9,
         )
-
-
-def test_jumps_that_are_named_are_no_residual():
-    """A force that switches, and velocities with kinks there."""
-
-    def x(t):
-        return [t**2 / 2 if t < 1 else t - 0.5, min(t, 1.0)]
-
-    def u(t):
-        return [2 * (GRAVITY + (t < 1))]
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        go.Reference.from_functions(lift(), x, u, 0.0, 2.0, jumps=[1.0])
-
-
-def test_tables_of_an_integrator_count_as_obeying():
-    """Their interpolation is off by more than rounding, and by less than a control loop cares for."""
-    model = go.Model("pendulum")
-    th, w, T = model.state("th"), model.state("w"), model.control("T")
-    model.ode({th: w, w: -np.sin(1.0) * th + T})
-    flown = solve_ivp(
-        lambda t, y: [y[1], -np.sin(1.0) * y[0] + np.cos(3 * t)],
-        (0, 20),
-        [1.0, 0.0],
-        dense_output=True,
-        rtol=1e-6,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        go.Reference.from_functions(model, flown.sol, lambda t: [np.cos(3 * t)], 0, 20)

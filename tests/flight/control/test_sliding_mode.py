@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
-from testing import formation
 from testing.controller_steps import step_through
 
 from gnc_opt.control import (
@@ -20,9 +21,13 @@ from gnc_opt.control import (
     TanhLayer,
     design_sliding_mode,
 )
-from gnc_opt.errors import DesignError
+from gnc_opt.control.sliding_mode import (
+    SlidingOptions,
+    Switching,
+    _coefficients,
+)
+from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
-from gnc_opt.tolerances import LARGEST
 
 DT, SLOPE = 1e-3, 2.0
 START = np.array([1.0, 0.5])
@@ -119,30 +124,6 @@ def test_boundary_layer_bounds_the_steady_error(boundary, law):
     assert stated == pytest.approx(width / SLOPE)
 
 
-def test_a_surface_of_first_order_has_no_poles_to_state():
-    """With relative degree one the surface is the error itself; of order two its pole is at -slope."""
-    model = integrators(1)
-    first = design_sliding_mode(
-        model,
-        Reference.constant(model, [0]),
-        outputs="x0",
-        reaching=ConstantRate(1.0),
-        boundary=Sign(),
-        dt=DT,
-    ).explain()
-    assert not any("surface poles" in fact.name for fact in first.facts)
-    assert design(ConstantRate(1.0), Sign()).explain()["surface poles of x0"] == pytest.approx([-SLOPE])
-
-
-def test_power_rate_stays_in_the_band_that_the_disturbance_leaves_it():
-    law = PowerRate(1.0, 0.5)
-    controller = design(law, SaturationLayer(0.01), bound=0.3)
-    band = controller.explain()["band of s"][0]
-    assert band**0.5 * min(band / 0.01, 1) == pytest.approx(0.3)
-    run = step_through(controller, integrators(), START, dt=DT, tf=12.0, disturbance=constant(0.3))
-    assert surface(run)[-1] == pytest.approx(band, rel=1e-3)
-
-
 def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
     variation = {}
     for boundary in (Sign(), SaturationLayer(0.02), TanhLayer(0.02)):
@@ -181,16 +162,6 @@ def test_a_sampled_relay_stays_in_the_band_of_one_step(push):
     assert facts["chattering band of s"] == pytest.approx([0.35 * DT])
     assert facts["steady error bound"] == pytest.approx([0.35 * DT])
     assert (0.8 * 0.35 * DT if push else 0.0) < late <= 0.35 * DT * (1 + 1e-9)
-
-
-def test_no_steady_error_is_stated_where_none_is_known():
-    """Super-twisting, sampled and disturbed at a rate, has no known band."""
-    options = {"outputs": "x0", "reaching": SuperTwisting(3.0, 2.0), "boundary": Sign(), "dt": DT}
-    still = design_sliding_mode(integrators(1), [0.0], **options).explain()
-    assert still["steady error bound"] == pytest.approx([still["chattering band of s"]])
-    assert still["steady error bound"][0] > 0
-    moved = design_sliding_mode(integrators(1), [0.0], bound=0.5, **options).explain()
-    assert "steady error bound" not in [fact.name for fact in moved.facts]
 
 
 @pytest.mark.parametrize(("k1", "k2"), [(1.5, 1.1), (3.0, 2.0)])
@@ -235,15 +206,6 @@ def test_the_band_of_super_twisting_holds_on_a_ship_under_any_constant_moment(la
         psi, r = psi + told * dt + (r - told) * lag * (1 - decay), told + (r - told) * decay
         tail += [np.max(np.abs(s))] * (k > 2000)
     assert 0.8 * band < max(tail) <= band
-
-
-def test_the_band_of_a_sampled_relay_is_that_of_the_plant_that_moves_on():
-    """From beside zero r' = 0.5 r + u goes (e^(0.5 dt) - 1) / 0.5 beyond, more than dt."""
-    model = Model("unstable")
-    r, u = model.state("r"), model.control("u")
-    model.ode({r: 0.5 * r + u})
-    law = design_sliding_mode(model, [0.0], outputs="r", reaching=ConstantRate(1.0), boundary=Sign(), dt=0.4)
-    assert law.explain()["chattering band of s"] == pytest.approx([np.expm1(0.2) / 0.5], rel=1e-12)
 
 
 def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
@@ -299,19 +261,6 @@ def test_steady_error_bound_with_complex_poles_is_the_integral_of_the_impulse_re
     assert controller.explain()["steady error bound"] == pytest.approx([0.25 / np.tanh(np.pi / 2)], rel=1e-4)
 
 
-def test_super_twisting_law_holds_a_ramp_with_a_continuous_command():
-    """A disturbance that grows at a bounded rate is cancelled exactly, without switching of the command."""
-    controller = design(SuperTwisting(1.5, 1.1), Sign(), bound=0.7)
-    run = step_through(
-        controller, integrators(), START, dt=DT, tf=20.0, disturbance=lambda t: (1 + 0.7 * np.cos(t))[None]
-    )
-    late = run.times > 15
-    assert np.max(np.abs(surface(run)[late])) < 1e-4
-    assert np.max(np.abs(np.diff(run.u[0]))) < 0.1  # a switching law of the same strength jumps by 3.4
-    disturbance = 1 + 0.7 * np.cos(run.times[:-1])
-    assert run.u[0][late[:-1]] == pytest.approx((-disturbance - SLOPE * run.x[1, :-1])[late[:-1]], abs=0.03)
-
-
 def test_an_observer_cancels_what_the_reaching_law_could_not_hold():
     """A disturbance of 2 against a gain of 0.2: with the observer s still ends at zero."""
     observer = SuperTwistingObserver(3.0, 2.0, bound=1.0)
@@ -330,78 +279,6 @@ def test_an_observer_cancels_what_the_reaching_law_could_not_hold():
     assert abs(surface(helped)[-1]) < 2e-3
     estimate = helped.memory("disturbance")[0, -1]
     assert estimate == pytest.approx(2 + np.sin(12.0), abs=0.02)
-
-
-def test_formation_keeping_agrees_with_the_published_run():
-    """Imani & Bahrami, Table 1, SMC: 1.11 m and 2.358 m/s; the law evaluated continuously, Runge-Kutta of 1 s."""
-    model, plant = formation.nonlinear(j2=False), formation.nonlinear(j2=True)
-    reference = formation.formation(model)
-    controller = design_sliding_mode(
-        model,
-        reference,
-        outputs="r",
-        slopes=1e-3,
-        reaching=ConstantRate(0.96),
-        boundary=SaturationLayer(10.0),
-        bound=1e-5,
-        dt=1.0,
-    )
-    facts = controller.explain()
-    assert facts["sampling limit"] == pytest.approx(20.83, abs=0.01)
-    assert facts["dimension of the zero dynamics"] == 0
-    u, z = controller(0.0, formation.START, dt=1.0)
-    assert z[controller.memory.slice("s")] == pytest.approx([-0.2, 0.8397, -0.3660], abs=5e-5)
-    assert u == pytest.approx([0.01769, -0.08165, 0.03474], abs=2e-5)
-
-    n, h = 6043, formation.PERIOD / 6043
-    half = h / 2 * np.arange(2 * n + 1)
-    x_ref, u_ref = reference.x(half), reference.u(half)
-    rows = np.vstack([x_ref, u_ref])
-    z = controller.initial_memory(0.0, formation.START)
-    x, t = ca.SX.sym("x", 7), ca.SX.sym("t")  # the seventh state is Delta-V
-    r = ca.SX.sym("r", 9)
-    u = controller.step(t, x[:6], r, z)[0]
-    rate = ca.Function("rate", [t, x, r], [ca.vertcat(plant.function(t, x[:6], u, []), ca.sum1(ca.fabs(u)))])
-    r3 = ca.SX.sym("r", 27)
-    k1 = rate(t, x, r3[:9])
-    k2 = rate(t + h / 2, x + h / 2 * k1, r3[9:18])
-    k3 = rate(t + h / 2, x + h / 2 * k2, r3[9:18])
-    k4 = rate(t + h, x + h * k3, r3[18:])
-    step = ca.Function("step", [x, t, r3], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-    stacked = np.vstack([rows[:, :-1:2], rows[:, 1::2], rows[:, 2::2]])
-    end = step.mapaccum(n)(np.append(formation.START, 0.0), half[:-1:2], stacked).full()[:, -1]
-    assert np.linalg.norm(end[:3] - x_ref[:3, -1]) == pytest.approx(1.1098, abs=2e-4)
-    assert end[6] == pytest.approx(2.3583, abs=2e-4)
-
-
-def test_a_moving_reference_is_followed_with_its_feedforward():
-    """A pendulum swung through large angles: on the surface from the start, it stays on the reference."""
-    model = Model("pendulum")
-    angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
-    model.ode({angle: rate, rate: -9.81 * ca.sin(angle) + torque})
-
-    def x(t):
-        return [2 * np.sin(t), 2 * np.cos(t)]
-
-    reference = Reference.from_functions(
-        model, x, lambda t: [-2 * np.sin(t) + 9.81 * np.sin(2 * np.sin(t))], 0.0, 6.0
-    )
-    controller = design_sliding_mode(
-        model,
-        reference,
-        outputs="angle",
-        slopes=3.0,
-        reaching=ConstantRate(2.0),
-        boundary=SaturationLayer(0.02),
-        bound=1.5,
-        dt=DT,
-        limits=(-20.0, 20.0),
-    )
-    run = step_through(
-        controller, model, x(0.0), dt=DT, tf=6.0, disturbance=lambda t: 1.5 * np.sin(5 * t)[None]
-    )
-    errors = run.x[0] - 2 * np.sin(run.times)
-    assert np.max(np.abs(errors)) < controller.explain()["steady error bound"][0]
 
 
 def test_reserve_is_what_the_limits_leave_beside_feedforward_and_gain():
@@ -484,16 +361,6 @@ def test_run_time_guards_hold_the_command_and_raise_alarms():
     assert recovered == pytest.approx(controller(2 * DT, [1.1, 0.0])[0])
 
 
-def test_measurements_beyond_the_largest_count_as_lost():
-    controller = singular_design(Reference.constant(swinging(), [1.0, 0.0], [0.0]))
-    count = controller.memory.slice("lost")
-    u, z = controller(0.0, [1.2, 0.1])
-    for v, lost in ((0.9 * LARGEST, 0), (1.1 * LARGEST, 1), (-1.1 * LARGEST, 1), (np.inf, 1)):
-        again, after = controller(DT, [1.2, v], z)
-        assert after[count] == lost
-        assert (again == u) == bool(lost)
-
-
 def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
     """y = x0 - x1 of a double integrator: (1 - p) / p^2 has its zero at +1."""
     model = integrators()
@@ -557,15 +424,63 @@ def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary
         assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two
 
 
-def test_the_reserve_of_super_twisting_claims_no_largest_command():
-    """It asks for k1 |s|^1/2 and more, whatever s; only the feedforward is certain."""
-    model = Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    reserves = {}
-    for law in (SuperTwisting(1.5, 1.1), ConstantRate(0.4)):
-        design = {"outputs": "q", "slopes": 1.0, "reaching": law, "boundary": Sign(), "dt": 0.01}
-        told = design_sliding_mode(model, [0.0, 0.0], **design, limits=(-1.0, 1.0)).explain()
-        line = next(line for line in str(told).splitlines() if "control authority margin" in line)
-        reserves[type(law)] = (told["control authority margin"], "gain" in line)
-    assert reserves == {SuperTwisting: (1.0, False), ConstantRate: (0.6, True)}
+SIGN, SAT, TANH = Sign(), SaturationLayer(0.5), TanhLayer(0.5)
+
+
+def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
+    return Switching(reaching, boundary, np.array(bounds), dt, limits)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "message"),
+    [
+        ([1.0], "1 slopes are given for 2 surfaces"),
+        ([1.0, [-1.0]], "relative degree 3: give lambda, or 2 poles, not 1"),
+        ([1.0, -2.0], "give lambda > 0"),
+        ([1.0, [-1.0, 1.0]], "negative"),
+        ([1.0, [-1 + 1j, -1.0]], "conjugate pairs"),
+        ({}, "'b' has relative degree > 1"),
+        ({"c": 1.0}, "no output 'c'"),
+    ],
+)
+def test_slopes_that_make_no_surface_are_refused(slopes, message):
+    errors = SimpleNamespace(labels=("a", "b"), degrees=(1, 3), size=2)
+    with pytest.raises((DesignError, UnknownNameError), match=message):
+        _coefficients(errors, slopes)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (SlidingOptions(ConstantRate(3.0), "sign"), "the boundary is 'sign'"),
+        (SlidingOptions(SuperTwisting(3.0, 2.0), SIGN), "give dt, in s"),
+        (SlidingOptions(ConstantRate(3.0), SIGN, observer=SuperTwistingObserver(3.0, 2.0)), "give dt, in s"),
+        (SlidingOptions(ConstantRate(3.0), SAT, dt=2 / 6.0), r"gain \* dt / phi = 2 is not below 2"),
+        (SlidingOptions(ConstantRate(3.0), SAT, dt=0.0), "control step dt"),
+        (SlidingOptions(ConstantRate(3.0), SIGN, 3.0), "surface of 'a'"),
+        (SlidingOptions(ConstantRate(3.0), SIGN, limits=(1.0, 1.0)), "no authority"),
+    ],
+)
+def test_switching_that_cannot_be_is_refused(options, message):
+    with pytest.raises((ArgumentError, DesignError), match=message):
+        options.switching(chain_model(), ("a",))
+
+
+def chain_model(extra: float = 0.0) -> Model:
+    """q' = v, v' = 2 a - q, w' = extra w + v."""
+    model = Model("chain")
+    q, v, w = model.state("q"), model.state("v"), model.state("w")
+    a = model.control("a")
+    model.ode({q: v, v: 2 * a - q, w: extra * w + v})
+    model.output("sum", q + 3 * v)
+    return model
+
+
+def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
+    """Without a layer and in continuous time nothing tells how far s may stray; a step of 0.1 s does."""
+    s = ca.SX.sym("s")
+    assert switching(ConstantRate(3.0), SIGN, dt=None).watch(s) == []
+    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).watch(s)
+    outside = ca.substitute(away.after, away.symbol, 0.0)
+    found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
+    assert found == [0.0, 1.0, 0.0, 1.0]

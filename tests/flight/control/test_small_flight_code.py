@@ -1,16 +1,11 @@
 """Flight code made smaller: single precision, with the error that this costs."""
 
-import re
 import shutil
-import subprocess
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from testing.c_compiler import (
-    COMPILER,
-    FLAGS,
     NO_C,
     compiled,
     follower,
@@ -105,18 +100,6 @@ def test_refusals(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(go.GncOptError, match=r"no C compiler \(cc\) is found to compare"):
         go.export_c(law, tmp_path, options=CCodeOptions(samples=good))
-
-
-@needs_compiler
-def test_the_task_of_the_page_compiles(tmp_path):
-    page = (Path(__file__).parents[3] / "docs/control/c_code.md").read_text(encoding="utf-8")
-    task = re.search(r"```c\n(.*?)```", page, re.DOTALL)
-    code = go.export_c(follower(0.1), tmp_path, name="cart", options=CCodeOptions(precision="float32"))
-    board = "double wait_for_next_step(void);\nvoid read_sensors(float *x);\nvoid send_commands(const float *u);\n"
-    (tmp_path / "task.c").write_text(f"{board}void control_task(void);\n{task[1]}")
-    command = [COMPILER, *FLAGS, "-fsyntax-only", str(tmp_path / "task.c")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert code.header.exists() and done.returncode == 0, done.stderr
 
 
 @needs_compiler

@@ -100,15 +100,6 @@ def test_observer_finds_the_unknown_in_finite_time():
     assert np.max(errors[times > 3.0]) < 0.03
 
 
-def test_error_of_the_sampled_observer_is_of_first_order_in_the_step():
-    observer = SuperTwistingObserver(3.0, 4.0, bound=1.0)
-    worst = []
-    for dt in (4e-3, 1e-3):
-        times, estimates = observe(observer, lambda t: np.sin(t), dt, 8.0)
-        worst.append(np.max(np.abs(estimates - np.sin(times))[times > 4.0]))
-    assert 2.5 < worst[0] / worst[1] < 6.0
-
-
 def test_observer_refuses_gains_that_cannot_follow():
     with pytest.raises(DesignError, match="raise k2"):
         SuperTwistingObserver(3.0, 1.0, bound=2.0)

@@ -9,7 +9,6 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.estimation import FilterOptions, Measurement, UnscentedOptions, design_ekf, design_ukf
-from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.error_space import flat
 from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.spacecraft import (
@@ -80,38 +79,6 @@ def test_linear_filters_are_the_textbook_one_to_rounding(design):
     memory = estimator.memory
     assert z[memory.slice("q_nis")] == pytest.approx(nis, rel=1e-12)
     assert z[memory.slice("q_taken")] == 34 and z[memory.slice("twice_taken")] == 40
-
-
-@pytest.mark.parametrize("design", DESIGNS)
-def test_linear_filters_of_plants_that_swing_are_the_textbook_one_to_rounding(design):
-    """A damped spring whose place is told two steps late, and whose speed with a drifting error."""
-    model = go.Model("spring")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - 4 * q - 0.3 * v})
-    sensors = [Measurement("q", 0.05, delay=2 * DT), Measurement("v", 0.1, bias=0.2, bias_walk=0.02)]
-    given = {"sigma0": {"q": 1.0, "v": 2.0}, "process_noise": {"v": 0.3}, "dt": DT}
-    estimator = design(model, [0.5, -0.2], sensors, **given)
-    A, B, density = np.array([[0, 1.0], [-4, -0.3]]), np.array([0, 1.0]), np.diag([0, 0.09])
-    powers = [np.linalg.matrix_power(A, k) / scipy.special.factorial(k) for k in range(5)]
-    moved = sum(DT**k * power for k, power in enumerate(powers))
-    half = sum((DT / 2) ** k * power for k, power in enumerate(powers[:3]))
-    push = sum(DT ** (k + 1) / (k + 1) * power for k, power in enumerate(powers[:4])) @ B
-    # q, v, q one and two steps ago, bias
-    F, Q = np.zeros((5, 5)), np.zeros((5, 5))
-    F[:2, :2], F[2, 0], F[3, 2], F[4, 4] = moved, 1, 1, 1
-    Q[:2, :2] = DT / 6 * (moved @ density @ moved.T + 4 * half @ density @ half.T + density)
-    Q[4, 4] = 0.02**2 * DT
-    other = Kalman([0.5, -0.2, 0.5, 0.5, 0.0], np.diag([1.0, 4.0, 0.0, 0.0, 0.04]))
-    rng, z = np.random.default_rng(2), None
-    for k in range(30):
-        y, u = rng.normal(size=2), rng.normal()
-        if k >= 2:
-            other.update(np.array([[0, 0, 0, 1.0, 0]]), 0.0025, y[:1])
-        other.update(np.array([[0, 1.0, 0, 0, 1]]), 0.01, y[1:])
-        x, z = estimator(k * DT, y, u, z)
-        assert np.allclose(x, other.x[:2], rtol=1e-12, atol=1e-12)
-        other.predict(F, Q, np.r_[push * u, 0, 0, 0])
-    assert np.allclose(estimator.covariance(z), other.P[:2, :2], rtol=1e-11)
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.5])
@@ -375,13 +342,6 @@ def test_a_difference_of_ones_own_closes_the_circle():
 # --- parts --------------------------------------------------------------------------------------------
 
 
-def test_regression_has_the_moments_of_a_square():
-    x, P = ca.SX.sym("x"), ca.SX.sym("P")
-    mean, slope, left = Regression(2.0).fit(lambda s: s**2, flat(1), flat(1), x, P)
-    found = ca.Function("f", [x, P], [mean, slope, left])(0.7, 0.3)
-    assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 1.4, 2 * 0.3**2], rel=1e-14)
-
-
 def test_what_directions_leave_is_added_up_and_that_of_a_transform_grows_with_them():
     """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2, (n + kappa - 1) / 2 times that
     by the unscented transform."""
@@ -508,11 +468,6 @@ def test_measurements_that_cannot_be_meant_are_refused(arguments, message):
         Measurement(*arguments)
 
 
-def test_spread_of_points_is_not_negative():
-    with pytest.raises(go.ArgumentError, match="kappa"):
-        design_ukf(cart(), [0, 0], [Measurement("q", 1)], options=UnscentedOptions(kappa=-1), **CART)
-
-
 @pytest.mark.parametrize(
     ("retraction", "error", "message"),
     [
@@ -547,60 +502,3 @@ def test_what_is_not_seen_is_told():
     assert "steady-state standard deviation" not in [fact.name for fact in told]
     pairs = pairwise(fact.name for fact in told)
     assert ("initial standard deviation", "process noise") in pairs
-
-
-def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():
-    """x' = t^2 x: F = 1 + a h + ... + (a h)^4 / 24 with a = t^2 halfway, and Simpson's rule for the noise."""
-    model = go.Model("moving")
-    x = model.state("x")
-    model.control("u")
-    model.ode({x: model.time**2 * x})
-    model.output("z", x)
-    augmented = AugmentedModel(model, [Measurement("z", 1.0)], 0.1)
-    t, h, density = 1.5, 0.2, 3.0
-    own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
-    found = ca.Function("F", [own, after, u], [*augmented.transition(t, own, after, u, h, ca.SX([density]))])
-    whole, early, late = (float(v) for v in found(1.0, 1.4, 0.0))
-    rate = (t + h / 2) ** 2
-    full = 1 + rate * h + (rate * h) ** 2 / 2 + (rate * h) ** 3 / 6 + (rate * h) ** 4 / 24
-    half = 1 + rate * h / 2 + (rate * h / 2) ** 2 / 2
-    assert whole == pytest.approx(full, rel=1e-14)
-    noise = whole * early * whole + late
-    assert noise == pytest.approx(h / 6 * density * (full**2 + 4 * half**2 + 1), rel=1e-14)
-
-
-def test_the_slope_of_bent_dynamics_is_that_of_the_middle_between_both_ends():
-    """x' = -x^2 from 1 to 0.8: F is the series of exp(a h) with a = -2 * 0.9, the noise weighed by Simpson's rule."""
-    model = go.Model("bent")
-    x = model.state("x")
-    model.control("u")
-    model.ode({x: -(x**2)})
-    augmented = AugmentedModel(model, [Measurement("x", 1.0)], 0.1)
-    own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
-    h, density = 0.25, 2.0
-    step = augmented.transition(0.0, own, after, u, h, ca.SX([density]))
-    whole, early, late = (float(v) for v in ca.Function("F", [own, after, u], [*step])(1.0, 0.8, 0.0))
-    full, half = -1.8 * h, -0.9 * h
-    assert whole == pytest.approx(1 + full + full**2 / 2 + full**3 / 6 + full**4 / 24, rel=1e-14)
-    assert whole == pytest.approx(0.8**2, abs=5e-3)  # x(t) = 1 / (1 + t), dx/dx_0 = x^2
-    middle, noise = 1 + half + half**2 / 2, whole * early * whole + late
-    assert noise == pytest.approx(h / 6 * density * (whole**2 + 4 * middle**2 + 1), rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("times", "counted"),
-    [({}, False), ({"period": DT}, False), ({"period": 2 * DT}, True), ({"delay": DT}, True)],
-)
-def test_samples_are_counted_only_if_not_every_step_brings_one(times, counted):
-    model = go.Model("m")
-    q, a = model.state("q"), model.control("a")
-    model.ode({q: a})
-    (channel,) = AugmentedModel(model, [Measurement("q", 1.0, **times)], DT).channels
-    assert channel.counted is counted
-
-
-def test_a_memory_of_another_size_is_refused():
-    ekf = design_ekf(cart(), [0, 0], [Measurement("q", 1.0)], **CART)
-    for asked in (ekf.estimate, ekf.covariance, lambda z: ekf(0.0, [0.0], [0.0], z)):
-        with pytest.raises(go.ArgumentError, match=f"it has {ekf.memory.size} rows"):
-            asked(np.zeros(3))

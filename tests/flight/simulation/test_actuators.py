@@ -95,35 +95,6 @@ def test_delay_beyond_its_line_is_refused():
 # --- where actuators begin ------------------------------------------------------------------------------
 
 
-def test_lag_begins_where_it_is_told_to():
-    tau, begin = 0.13, -2.0
-    run = fly([Lag("lag", tau, initial=begin)], lambda t: np.ones_like(t))
-    impulse = run.times + tau * (begin - 1) * (1 - np.exp(-run.times / tau))
-    assert run.states[0] == pytest.approx(impulse, abs=1e-14)
-
-
-def test_rate_limit_begins_where_it_is_told_to():
-    run = fly([RateLimit("slew", 3.0, initial=4.0)], lambda t: np.full_like(t, 1.0))
-    assert run.states[0] == pytest.approx(
-        np.where(run.times < 1, 4 * run.times - 1.5 * run.times**2, 1.5 + run.times)
-    )
-
-
-def test_delay_begins_with_what_it_is_told():
-    run = fly([Delay("pipe", 0.25, initial=[0.5, -3.0])], lambda t: np.ones((2, t.size)), size=2)
-    for i, begin in enumerate((0.5, -3.0)):
-        expected = np.where(np.arange(20) < 2, begin, 1.0)
-        expected[2] = 0.5 * (begin + 1)
-        assert run.applied[i] == pytest.approx(expected, abs=1e-12)
-
-
-def test_a_given_beginning_is_a_parameter_of_the_loop():
-    run = fly([Lag("lag", 0.2, initial=1.0)], lambda t: np.zeros_like(t), parameters={"lag.initial": 5.0})
-    assert run.states[0] == pytest.approx(5.0 * 0.2 * (1 - np.exp(-run.times / 0.2)), abs=1e-14)
-    assert "lag.initial" in run.layouts["parameter"]
-    assert "lag.initial" not in fly([Lag("lag", 0.2)], wave).layouts["parameter"]
-
-
 GRAVITY = 9.81
 
 

@@ -168,28 +168,6 @@ def test_balancing_keeps_momenta_flat_without_effect_on_the_body():
     assert np.max(np.abs(runs["torque"].applied)) < np.max(np.abs(runs["none"].applied))
 
 
-@pytest.mark.parametrize("balance", ["torque", "momentum"])
-def test_balancing_of_unlike_wheels_makes_the_largest_as_small_as_it_can_be(balance):
-    """Three wheels along the axes and one askew: along the null vector they do not move alike."""
-    axes = np.hstack([np.eye(3), np.full((3, 1), 1 / np.sqrt(3))])
-    null = np.array([1.0, 1.0, 1.0, -np.sqrt(3)])
-    assert np.allclose(axes @ null, 0)
-
-    def command(t):
-        return np.vstack([0.3 * np.sin(t), 0.2 * np.cos(2 * t), 0.1 + 0 * t])
-
-    plant = wheel_plant(axes)
-    wheels = WheelArray("wheels", axes, balance=balance, momenta="h", to="T_w")
-    law = scheduled(plant, command, commands=Layout("command", (Variable("T_B", 3),)))
-    run = ClosedLoop(plant, law, [wheels], dt=0.1, accuracy=1e-8).simulate(np.zeros(7), tf=5.0)
-    assert axes @ run.applied == pytest.approx(command(run.times[:-1]), abs=1e-12)
-    values = run.applied if balance == "torque" else run.state("h").values[:, 1:]
-    shifts = np.linspace(-2.0, 2.0, 4001)
-    for value in values.T[::5]:
-        least = np.min(np.max(np.abs(value[:, None] + shifts * null[:, None]), axis=0))
-        assert np.max(np.abs(value)) <= least + 1e-12
-
-
 def test_total_momentum_is_conserved():
     plant = wheel_plant()
     commands = Layout("command", (Variable("T_B", 3),))

@@ -19,7 +19,7 @@ from gnc_opt.simulation import (
     Quantisation,
     RunStatus,
 )
-from gnc_opt.simulation.error_estimate import integration_errors
+from gnc_opt.simulation.final_values import integration_errors
 from gnc_opt.simulation.signals import Places
 
 G = 9.81
@@ -97,20 +97,6 @@ def test_a_run_whose_slow_mode_is_unstable_does_not_have_the_growth_of_a_stable_
     assert wrong < run.integration_error < 1000 * wrong
 
 
-def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
-    """A loop closed around an unstable plant: a second flight with its own measurements and commands stays near."""
-    model = go.Model("unstable")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: 3 * ca.sin(x) + u})
-    law = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1)
-    flown = ClosedLoop(model, law, dt=0.1, substeps=2).compile([0.01], tf=20.0)  # exp(60) without feedback
-    P = np.column_stack([flown.nominal, flown.nominal * 30])
-    ending = flown.final(P, [0, 1])
-    finer = ClosedLoop(model, law, dt=0.1, substeps=32).compile([0.01], tf=20.0).final(P, [0, 1])
-    assert np.all(np.abs(ending.states - finer.states)[0] < ending.integration_error)
-    assert np.all(ending.integration_error < 1e-4)
-
-
 def test_quanta_that_turn_are_in_the_printed_error() -> None:
     """Commands in steps: some true ways round one the other way, and the second flights with them."""
     model = go.Model("swing")
@@ -130,47 +116,6 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
     assert 0 < np.sum(turned) < 10
     assert ending.integration_error[turned] == pytest.approx(4 / 3 * wrong[turned], rel=0.01)
     assert [outcome.ok for outcome in ending.outcomes] == [not turn for turn in turned]
-
-
-def test_of_a_turned_quantum_all_is_in_the_printed_error() -> None:
-    """The run's command rounds to a whole step at 1.2 s; the true one, and that of the second flight, to nothing."""
-    model = go.Model("growing")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: 2 * x + u})
-    law, steps = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), Quantisation("steps", 100.0)
-    coarse, fine = (
-        ClosedLoop(model, law, [steps], dt=0.1, substeps=n).compile([0.01], tf=1.3) for n in (2, 40)
-    )
-    edge = np.mean([flown.run(flown.nominal, 0).commands[0, 12] for flown in (coarse, fine)])
-    P = started(coarse, [2 * abs(edge)], "steps.step_size")
-    end, truth = (f.run(P, 0) for f in (coarse, fine))
-    assert truth.applied[0, 12] == 0 != end.applied[0, 12]
-    wrong = abs(end.states[0, -1] - truth.states[0, -1]) / max(1.0, abs(end.states[0, -1]))
-    assert end.integration_error == pytest.approx(4 / 3 * wrong, rel=1e-5)
-
-
-def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
-    """Rounding of 1e6, once below 1e-10 of it, is what an end at 0 is off by: even motion, 12 s."""
-    flown = flight(lambda x, kind=np: [x[1], 0.0 * x[1]], [1.0, 0.0], 12.0, substeps=1)
-    start = [1e6, -1e6 / 12 * (1 + 1e-9)]
-    run = flown.run(started(flown, start), 0)
-    wrong = abs(run.states[0, -1] - (start[0] + 12.0 * start[1]))
-    assert wrong < run.integration_error < 1e-7
-
-
-def test_steps_of_integration_are_those_that_the_nominal_run_needs() -> None:
-    """The second flight changes what is told, not how is flown; and not what is told of the nominal run."""
-    flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 12.0, accuracy=1e-6)
-    run = flown.run(flown.nominal, 0)
-    assert run.outcome.ok and run.integration_error <= 1e-6
-
-
-def test_bits_of_the_estimate_do_not_depend_on_the_way_of_flying(monkeypatch: Any) -> None:
-    monkeypatch.setattr("gnc_opt.simulation.compiled_loop.MIN_EVALUATIONS_TO_COMPILE", 1)
-    flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 2.0, substeps=2)
-    P = started(flown, [1.0, 0.0, 0.0, 0.5])
-    told = [f.final(P[:, None], [0]).integration_error[0] for f in (flown, flown.natively(100))]
-    assert told == [flown.run(P, 0).integration_error] * 2
 
 
 def test_distances_are_relative_and_infinite_where_the_companion_is_lost() -> None:

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 import pickle
-import zlib
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from testing.loops import double_integrator, feedback
+from testing.internals import pass_rate
 
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
+from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import (
     Campaign,
     Choice,
-    ClosedLoop,
     Normal,
     Outcome,
     RandomDirection,
@@ -28,28 +24,11 @@ from gnc_opt.simulation import (
     Uniform,
     UniformInBall,
 )
-from gnc_opt.simulation.campaign_batch import (
-    BATCHES,
-    MOST_PER_BATCH,
-    CampaignTask,
-    Flown,
-    batches,
-    flown_parts,
-    gathered,
-    halves,
-)
-from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
 from gnc_opt.simulation.monte_carlo import (
     Criteria,
-    _refuse_total_loss,
-    _shared,
-    _tally,
-    _with_parameters,
     read_criteria,
 )
-from gnc_opt.simulation.run import Logged, rotation_angle, settling_time
-from gnc_opt.spacecraft import quaternion_product
-from gnc_opt.workers import Done, WorkerDied
+from gnc_opt.simulation.run import Logged
 
 NAN, INF = math.nan, math.inf
 
@@ -62,24 +41,6 @@ VALUES = np.array([[1.0, 3.0, 7.0], [0.0, -1.0, 1.0]])
 
 def logged(held):
     return Logged("s", "m", TIMES, VALUES, held, ("s[0]", "s[1]"))
-
-
-def test_a_state_is_linear_between_its_samples():
-    signal = logged(False)
-    assert signal(2.5).tolist() == [2.0, -0.5] and signal(5.0).tolist() == [7.0, 1.0]
-    assert signal([2.0, 4.0]).tolist() == [[1.0, 5.0], [0.0, 0.0]]
-    assert signal(5.0 + 1e-12).tolist() == [7.0, 1.0]
-    for t in (1.999999, 5.0001, [3.0, 6.0], NAN):
-        with pytest.raises(ArgumentError, match="'s' is logged from 2 s to 5 s"):
-            signal(t)
-
-
-def test_a_command_is_held_to_the_next_one_and_after_the_last():
-    signal = logged(True)
-    assert signal([2.0, 2.999, 3.0, 4.9, 5.0, 99.0]).tolist()[0] == [1, 1, 3, 3, 7, 7]
-    assert signal(3.0 - 1e-10).tolist() == [3.0, -1.0]  # rounding before a step is that step
-    with pytest.raises(ArgumentError, match="logged from 2 s"):
-        signal(1.9)
 
 
 LAYOUTS = {
@@ -166,11 +127,6 @@ def test_outcomes_in_words_and_on_their_way(outcome, text):
     assert flags == (outcome.status is RunStatus.OK, False, False)
 
 
-def test_outcomes_that_left_the_scales():
-    assert Outcome(RunStatus.DIVERGED).diverged and not Outcome(RunStatus.DIVERGED).not_finite
-    assert Outcome(RunStatus.NOT_FINITE).not_finite and not Outcome(RunStatus.NOT_FINITE).ok
-
-
 # --- campaigns --------------------------------------------------------------------------------------------
 
 OUTCOMES = (
@@ -204,12 +160,6 @@ def campaign_by_hand(**changes):
     return Campaign(**(fields | changes))
 
 
-def test_values_by_name():
-    campaign = campaign_by_hand()
-    assert len(campaign) == 4 and campaign.parameter("b.k")[:, 0].tolist() == [4, 8]
-    assert campaign.state("q")[:, 1].tolist() == [10, 11] and campaign.error("q")[:, 0].tolist() == [3, 4]
-
-
 @pytest.mark.parametrize(
     ("name", "values", "unit"),
     [
@@ -227,12 +177,6 @@ def test_measures_and_their_units(name, values, unit):
         values = [min(v, 2 * np.pi - v) for v in values]
     assert found[:3] == pytest.approx(values, rel=1e-12) and np.isnan(found[3])
     assert campaign.unit(name) == unit and campaign.measure(name) is found
-
-
-def test_names_of_all_measures():
-    assert campaign_by_hand().measures == (
-        "q", "a", "own", "effort(u)", "energy(u)", "saturation(f)", "saturation(g)", "variation(f)", "variation(g)",
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -276,18 +220,6 @@ def test_statistics_of_a_campaign():
             act()
 
 
-def test_only_runs_that_are_there_are_flown_again():
-    flown = []
-    flight = SimpleNamespace(run=lambda P, seed: flown.append((P.tolist(), seed)))
-    campaign = campaign_by_hand(flight=flight)
-    campaign.rerun(4)
-    assert flown == [([2, 6, 10], [3, 4])]
-    with pytest.raises(ArgumentError, match="no run 2: its 4 runs"):
-        campaign.rerun(2)
-    with pytest.raises(GncOptError, match="cannot fly"):
-        campaign_by_hand().rerun(4)
-
-
 # --- criteria ---------------------------------------------------------------------------------------------
 
 
@@ -328,135 +260,10 @@ def test_criteria_are_checked_and_applied():
         Criteria(judge={"own": lambda c: np.zeros(3)}).applied(campaign)
 
 
-# --- batches ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("runs", "size"), [(1, 1), (BATCHES, 1), (2 * BATCHES - 1, 1), (3 * BATCHES, 3), (10**5, MOST_PER_BATCH)]
-)
-def test_batches_hold_every_run_once(runs, size):
-    cut = batches(runs)
-    assert [i for batch in cut for i in batch] == list(range(runs))
-    assert {len(batch) for batch in cut[:-1]} <= {size} and len(cut[-1]) <= size
-
-
-def test_halves():
-    assert halves(range(3, 8)) == (range(3, 5), range(5, 8)) and halves(range(3, 4)) == ()
-    assert halves(range(3, 5)) == (range(3, 4), range(4, 5))
-
-
-def test_errors_in_words_and_parts_of_a_batch():
-    assert in_words(ValueError("out of\n  luck")) == "ValueError: out of luck"
-    assert in_words(ValueError("x" * 300)) == "ValueError: " + "x" * 200
-    flown = [Flown(range(2), None, None)]
-    assert flown_parts(Done(range(2), flown)) is flown
-    (died,), (raised,) = (
-        flown_parts(Done(range(2), error=e)) for e in (WorkerDied("died"), ValueError("no"))
-    )
-    assert (died.batch, died.mishap, died.died) == (range(2), "died", True)
-    assert (raised.mishap, raised.died, raised.ending) == ("ValueError: no", False, None)
-    assert not flown[0].died and flown[0].mishap == ""
-
-
-def ending(*oks):
-    return SimpleNamespace(
-        outcomes=[Outcome(RunStatus.OK if ok else RunStatus.CONTROLLER_ALARM) for ok in oks]
-    )
-
-
-def test_progress_counts_runs_and_those_that_failed():
-    parts = [Flown(range(3), None, ending(True, False, True)), Flown(range(3, 5), None, None, "lost")]
-    assert _tally(parts) == (5, 3)
-    assert _tally(parts[:1]) == (3, 1)
-
-
-def test_only_a_total_loss_is_an_error():
-    lost = Flown(range(2), None, None, "its process died", died=True)
-    raised = Flown(range(2), None, None, "ValueError: no")
-    for flown in ([], [lost, Flown(range(1), None, ending(True))], [Flown(range(1), None, ending(False))]):
-        _refuse_total_loss(flown)
-    with pytest.raises(GncOptError, match=r"not one run could be flown \(its process died\).*__name__"):
-        _refuse_total_loss([lost, lost])
-    with pytest.raises(GncOptError, match="simulate") as refused:
-        _refuse_total_loss([raised, lost])
-    assert "__name__" not in str(refused.value)
-
-
-def test_parameters_of_lost_batches_are_drawn_again():
-    def draw(batch):
-        if 7 in batch:
-            raise ValueError("no luck")
-        return np.full((3, len(batch)), 5.0)
-
-    mission = SimpleNamespace(parameters=draw, flight=SimpleNamespace(layout=LAYOUTS["parameter"]))
-    known = Flown(range(2), np.ones((3, 2)), None)
-    found = _with_parameters([known, Flown(range(2, 5), None, None), Flown(range(6, 8), None, None)], mission)
-    assert [np.shape(f.parameters) for f in found] == [(3, 2), (3, 3), (3, 2)]
-    assert np.all(found[0].parameters == 1) and np.all(found[1].parameters == 5)
-    assert np.all(np.isnan(found[2].parameters))
-
-
-def test_what_cannot_travel_is_refused_where_it_would_have_to():
-    mission = SimpleNamespace(cannot=lambda: None)
-    _shared(mission, "serial")
-    for executor in (None, ThreadPoolExecutor(1)):
-        with pytest.raises(GncOptError, match="the campaign cannot be sent"):
-            _shared(mission, executor)
-
-
 # --- dispersions ------------------------------------------------------------------------------------------
 
 
-class Dice:
-    """A generator that draws what it is told."""
-
-    def __init__(self, normal=(), uniform=(), integer=0):
-        self.normal, self.uniform, self.integer = list(normal), list(uniform), integer
-
-    def standard_normal(self, size):
-        return np.array([self.normal.pop(0) for _ in range(size)])
-
-    def random(self, size=None):
-        return self.uniform.pop(0) if size is None else np.array([self.uniform.pop(0) for _ in range(size)])
-
-    def integers(self, high):
-        return min(self.integer, high - 1)
-
-
 TWO = np.array([10.0, -20.0])
-
-
-@pytest.mark.parametrize(
-    ("dispersion", "dice", "drawn"),
-    [
-        (Normal([1, 2], mean=0.5), Dice([1, -1]), [11.5, -21.5]),
-        (Normal(0.1, relative=True), Dice([1, -1]), [11, -18]),
-        (Normal(2.0, truncate=1.0), Dice(uniform=[0.0, 1.0]), [8, -18]),
-        (Normal(2.0, truncate=1.0), Dice(uniform=[0.5, 0.5]), [10, -20]),
-        (Uniform([1, 2], [3, 6]), Dice(uniform=[0.5, 0.25]), [12, -17]),
-        (Uniform(-0.1, 0.1, relative=True), Dice(uniform=[1.0, 0.0]), [11, -18]),
-        (Choice([[1, 2], [3, 4], 5]), Dice(integer=1), [3, 4]),
-        (Choice([[1, 2], [3, 4], 5]), Dice(integer=9), [5, 5]),
-        (RandomDirection(5.0), Dice([3.0, -4.0]), [13, -24]),
-        (RandomDirection(5.0), Dice([0.0, 0.0, 3.0, -4.0]), [13, -24]),
-        (RandomDirection(Uniform(0.0, 10.0)), Dice([3.0, -4.0], [0.5]), [13, -24]),
-        (UniformInBall(5.0), Dice([3.0, -4.0], [0.25]), [11.5, -22]),
-    ],
-)
-def test_draws_by_hand(dispersion, dice, drawn):
-    dispersion.check("x", TWO)
-    assert dispersion.draw(dice, TWO) == pytest.approx(drawn, rel=1e-12)
-
-
-def test_a_turn_by_hand():
-    """About x by a right angle: (1, 0, 0, 0) becomes (1, 1, 0, 0) / sqrt 2, zero parameters tan(pi / 8) of x."""
-    turn = RandomRotation(np.pi / 2)
-    half = np.sqrt(0.5)
-    assert turn.draw(Dice([2.0, 0, 0]), np.array([1.0, 0, 0, 0])) == pytest.approx([half, half, 0, 0])
-    assert turn.draw(Dice([2.0, 0, 0]), np.zeros(3)) == pytest.approx([np.tan(np.pi / 8), 0, 0])
-    first = np.array([half, 0, half, 0])
-    once = turn.draw(Dice([2.0, 0, 0]), first)
-    assert once == pytest.approx(quaternion_product(first, [half, half, 0, 0]))
 
 
 @pytest.mark.parametrize(
@@ -476,20 +283,6 @@ def test_a_turn_by_hand():
 def test_dispersions_that_do_not_fit(dispersion, nominal, message):
     with pytest.raises(ArgumentError, match=message):
         dispersion.check("x", nominal)
-
-
-def test_dispersions_that_fit():
-    Normal(1.0, relative=True).check("x", np.array([0.0, 1.0]))
-    RandomRotation(0.1).check("x", np.array([1.0, 1e-4, 0, 0]))
-    RandomRotation(0.1).check("x", np.array([5.0, 1.0, 0]))
-    (
-        Normal(0.0),
-        Uniform(1.0, 1.0),
-        RandomDirection(0.0),
-        UniformInBall(0.0),
-        RandomRotation(Normal(0.1)),
-        RandomDirection(Uniform(0.0, 1.0)),
-    )
 
 
 @pytest.mark.parametrize(
@@ -512,78 +305,9 @@ def test_dispersions_that_make_no_sense(wrong, message):
 # --- statistics and metrics -------------------------------------------------------------------------------
 
 
-def test_one_and_many_runs():
-    assert pass_rate(0, 1).low == 0.0 and pass_rate(1, 1).rate == 1.0
-    assert percentile([3.0], 0.5).value == 3.0 and percentile([3.0], 0.5).low == -INF
-    assert percentile(np.arange(1, 101.0), 0.07).value == 7.0  # 0.07 * 100 is a little more than 7
-    assert percentile([3.0, 1.0, 2.0], 1e-6).value == 1.0
-    assert share_below_maximum(1, 0.9) == pytest.approx(0.1)
-    wide, narrow = (pass_rate(50, 100, c) for c in (0.99, 0.5))
-    assert wide.low < narrow.low < 0.5 < narrow.high < wide.high and narrow.confidence == 0.5
-    wide, narrow = (percentile(np.arange(100.0), 0.5, c) for c in (0.99, 0.5))
-    assert wide.low < narrow.low < narrow.high < wide.high
-    for wrong in (lambda: pass_rate(1, 0), lambda: pass_rate(-1, 2), lambda: pass_rate(1, 2, 1.0),
-                  lambda: percentile([1.0], 0.0), lambda: share_below_maximum(0)):  # fmt: skip
-        with pytest.raises(ArgumentError):
-            wrong()
-
-
 @pytest.mark.parametrize(
     ("rate", "text"),
     [((1, 2), "50.0 %"), ((1, 100), "1.0 %"), ((1, 1001), "0.100 %"), ((1, 10**7), "0.0000 %")],
 )
 def test_small_shares_have_digits(rate, text):
     assert str(pass_rate(*rate)).split(" (")[0] == text
-
-
-def test_attitudes_of_other_sizes_and_bands_of_none_are_refused():
-    with pytest.raises(ArgumentError, match="5 components"):
-        rotation_angle(np.ones(5), np.ones(5))
-    with pytest.raises(ArgumentError, match="band"):
-        settling_time(np.arange(3.0), np.zeros(3), 0.0)
-
-
-def test_a_campaign_joins_what_was_flown_and_what_was_lost():
-    """Runs 0 and 1 flown, 2 lost with its parameters drawn: a column of not-a-number and a status in its place."""
-    cart = double_integrator()
-    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).compile(
-        [1.0, 0.0], t0=2.0, tf=2.5
-    )
-    mission = CampaignTask(flight, {}, 4)
-    (flown,) = mission.fly(range(2))
-    goal = np.array([0.5, np.nan])
-    lost = Flown(range(2, 3), flight.nominal[:, None], None, "died")
-    campaign = gathered(mission.flight, [flown, lost], seed=mission.seed, asked=7, goal=goal)
-    assert (campaign.seed, campaign.asked, campaign.span) == (4, 7, (2.0, 2.5))
-    assert campaign.indices.tolist() == [0, 1, 2] and not campaign.interrupted
-    assert (
-        campaign.errors[0, :2] == pytest.approx(campaign.states[0, :2] - 0.5)
-        and np.isnan(campaign.errors[1]).all()
-    )
-    assert np.isnan(campaign.states[:, 2]).all() and np.isnan(campaign.integration_error[2])
-    assert [o.status for o in campaign.outcomes] == [RunStatus.OK, RunStatus.OK, RunStatus.LOST]
-    assert campaign.outcomes[2].what == "died" and campaign.parameters.shape == (flight.layout.size, 3)
-    for name, size in (("effort", 1), ("energy", 1), ("saturation_time", 1), ("variation", 1)):
-        assert getattr(campaign, name).shape == (size, 3)
-    empty = gathered(mission.flight, [], seed=mission.seed, asked=7, goal=goal)
-    assert (
-        len(empty) == 0 and empty.errors.shape == (2, 0) and empty.parameters.shape == (flight.layout.size, 0)
-    )
-    assert replace(campaign, limits={"q": 1.0}).passed().tolist() == [True, True, False]
-
-
-def test_a_batch_that_raises_is_flown_in_halves():
-    cart = double_integrator()
-    flight = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1, substeps=1).compile([1.0, 0.0], tf=0.2)
-
-    class Unlucky(Normal):
-        def draw(self, generator, nominal):
-            if abs(generator.random() - first) < 1e-12:
-                raise ValueError("no luck")
-            return nominal
-
-    sequence = np.random.SeedSequence([9, 5], spawn_key=(zlib.crc32(b"plant.m"),))
-    first = np.random.Generator(np.random.Philox(sequence)).random()
-    parts = CampaignTask(flight, {"plant.m": Unlucky(1.0)}, 9).fly(range(3, 8))
-    assert [list(p.batch) for p in parts] == [[3, 4], [5], [6, 7]]
-    assert [p.ending is None for p in parts] == [False, True, False] and "no luck" in parts[1].mishap

@@ -15,7 +15,7 @@ from testing.loops import double_integrator, feedback
 
 import gnc_opt.simulation.campaign_batch as mission_module
 from gnc_opt.errors import GncOptError
-from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Normal, Quantity, Saturation, monte_carlo
+from gnc_opt.simulation import Campaign, ClosedLoop, Noise, Normal, Saturation, monte_carlo
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Campaign) if field.type in ("Array", "Any"))
 """All numbers of a campaign."""
@@ -64,35 +64,6 @@ def test_a_campaign_grows_and_flies_only_what_is_missing(tmp_path, whole, flown)
     assert flown == list(range(20, 60))
     flown.clear()
     assert same(fly(33, checkpoint=tmp_path / "a" / "b"), fly(33)) and flown == list(range(33))
-
-
-def test_of_a_batch_that_is_stored_so_many_runs_are_taken_as_asked_for(tmp_path, monkeypatch):
-    """All that is kept of them, of their events and of their way, too."""
-    monkeypatch.setattr(mission_module, "BATCHES", 1)
-    plant = double_integrator()
-    law, q, v = feedback(plant, [[1.0, 1.6]]), plant.symbol("q"), plant.symbol("v")
-    seen = ClosedLoop(
-        plant, law, events=Event("near", q - 0.5, reset={}), quantities=Quantity("speed", v), dt=0.1
-    )
-    fly(6, seen, checkpoint=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 1
-    few = fly(4, seen, checkpoint=tmp_path)
-    assert same(few, fly(4, seen)) and few.event_counts.shape == (1, 4) and few.samples.shape[2] == 4
-
-
-def test_what_is_stored_is_flown_in_smaller_batches(tmp_path, monkeypatch):
-    """So that a campaign that is killed has lost little; without a folder batches are as large as they may be."""
-    monkeypatch.setattr(mission_module, "BATCHES", 2)
-    monkeypatch.setattr(sys.modules["gnc_opt.simulation.monte_carlo"], "MOST_PER_FILE", 3)
-    sizes, fly_batch = [], mission_module.CampaignTask.fly
-    monkeypatch.setattr(
-        mission_module.CampaignTask,
-        "fly",
-        lambda self, batch: sizes.append(len(batch)) or fly_batch(self, batch),
-    )
-    fly(12, tf=0.5)
-    fly(12, tf=0.5, checkpoint=tmp_path)
-    assert sizes == [6, 6, 3, 3, 3, 3]
 
 
 def test_gaps_are_filled(tmp_path, whole, flown):

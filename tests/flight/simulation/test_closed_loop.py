@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete
 from testing.loops import controller, double_integrator, feedback, scheduled
 
 from gnc_opt.control import Reference, design_lqr, feedforward
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
+from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import (
     Bias,
@@ -21,7 +21,6 @@ from gnc_opt.simulation import (
     Noise,
     PiecewiseConstantNoise,
     Quantisation,
-    Run,
     RunStatus,
     Saturation,
     SensorOutage,
@@ -65,17 +64,6 @@ def test_linear_loop_equals_the_exact_discrete_solution():
     for k in range(101):
         assert run.states[:, k] == pytest.approx(x, abs=1e-12)
         x = (ad - bd @ gain) @ x
-
-
-def test_each_minor_step_count_gives_the_same_physics():
-    plant, *_ = linear_plant()
-    runs = [
-        ClosedLoop(plant, feedback(plant, [[1.2, 0.8]]), dt=0.2, minor_steps=m, accuracy=1e-10).simulate(
-            [1.0, 0.0], tf=4.0
-        )
-        for m in (1, 5)
-    ]
-    assert runs[0].states == pytest.approx(runs[1].states, abs=1e-10)
 
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 1e-8])
@@ -202,19 +190,6 @@ def test_final_has_the_bits_of_the_run_also_after_pickling():
         assert np.array_equal(run.effort, ending.effort[:, i])
 
 
-def test_a_run_comes_back_from_its_file(tmp_path):
-    run = noisy_loop().simulate({"q": 1.0, "v": 0.0}, tf=2.0, seed=[1, 2])
-    again = Run.load(run.save(tmp_path / "run"))
-    for name in ("times", "states", "measured", "commands", "applied", "parameters", "effort", "variation"):
-        assert np.array_equal(getattr(run, name), getattr(again, name))
-    assert str(again) == str(run) and again.layouts == run.layouts
-    assert np.array_equal(again.state("q").values, run.state("q").values)
-    assert again.errors is None and again.seed == "[1, 2]"
-    (tmp_path / "junk.npz").write_bytes(b"no run")
-    with pytest.raises(GncOptError, match="not a run"):
-        Run.load(tmp_path / "junk.npz")
-
-
 # --- open loop and metrics ------------------------------------------------------------------------------
 
 
@@ -238,35 +213,6 @@ def test_feedforward_flies_its_reference():
     )
     off = ClosedLoop(plant, feedforward(reference), dt=0.25).simulate([0.1, 0.0], tf=2.0)
     assert off.error("q").values == pytest.approx(0.1) and off.miss("q", 0.0) == pytest.approx(1.1)
-
-
-def test_a_run_with_a_reference_comes_back_from_its_file(tmp_path):
-    plant = double_integrator()
-    reference = Reference.from_functions(plant, lambda t: [t**2 / 2, t], lambda t: [1.0], 0.0, 2.0)
-    run = ClosedLoop(plant, feedforward(reference), dt=0.1).simulate([0.1, 0.0], tf=2.0)
-    again = Run.load(run.save(tmp_path / "run.npz"))
-    assert np.array_equal(again.reference, run.reference) and np.array_equal(again.errors, run.errors)
-    assert again.miss("q") == run.miss("q") == pytest.approx(0.1)
-    assert again.outcome.ok and again.parameter("plant.m") == 1.0
-
-
-def test_settling_time():
-    plant = double_integrator()
-    run = ClosedLoop(plant, feedback(plant, [[1.0, 2.0]]), dt=0.01, accuracy=1e-8).simulate(
-        [1.0, 0.0], tf=15.0
-    )
-    # nearly q = (1 + t) exp(-t), which is 0.05 at t = 4.744
-    assert run.settling_time("q", 0.05, 0.0) == pytest.approx(4.744, abs=0.05)
-    assert run.settling_time("q", 1e-9, 0.0) == np.inf and run.settling_time("q", 2.0, 0.0) == 0.0
-
-
-def test_attitude_error_is_the_angle():
-    chaser = chaser_model()
-    reference = Reference.constant(chaser, np.zeros(12), np.zeros(6))
-    x0 = np.zeros(12)
-    x0[3:6] = np.tan(np.deg2rad(30.0) / 4) * np.array([0.0, 0.6, 0.8])
-    run = ClosedLoop(chaser, feedforward(reference), dt=0.1).simulate(x0, tf=0.1)
-    assert np.rad2deg(run.attitude_error("sigma", at=0.0)) == pytest.approx(30.0, abs=1e-9)
 
 
 # --- what goes wrong ------------------------------------------------------------------------------------
@@ -403,18 +349,6 @@ def test_too_many_minor_steps_are_refused():
         ArgumentError, match="3000 minor steps of 1 integration steps each has more than 2000"
     ):
         loop.simulate([0.0, 0.0], tf=1.0)
-
-
-def test_a_law_of_matrix_symbols_flies_like_one_of_scalar_symbols():
-    plant = double_integrator()
-    laws = [controller(plant, lambda t, x, r, z: (-2 * x[0] - x[1], z), symbols=s) for s in (ca.SX, ca.MX)]
-    runs = [
-        ClosedLoop(plant, law, [Lag("lag", 0.1)], [Noise("sensor", 0.01)], dt=0.1).simulate(
-            [1.0, 0.0], tf=5.0, seed=4
-        )
-        for law in laws
-    ]
-    assert runs[0].states == pytest.approx(runs[1].states, abs=1e-14)
 
 
 def test_what_does_not_fit_is_refused_by_name():

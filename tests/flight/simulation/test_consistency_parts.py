@@ -105,11 +105,3 @@ def test_means_within_their_bands_are_ok_ends_included(average, ok):
     run = c.Consistency(nees, average, (1.0, 3.0), 2, False, 0.95, {"a": right})
     assert run.ok  # successive values of a run depend on each other
     assert c.Consistency(nees, 2.0, (1.0, 3.0), 2, False, 0.95, {"a": right, "b": test}).ok is ok
-
-
-def test_the_share_within_the_band_of_single_values():
-    low, high = c._band(2, 1, 0.8)
-    nees = np.array([low, high, 0.9 * low, 1.1 * high, np.nan, 0.5 * (low + high)])
-    found = c.Consistency(nees, 2.0, (0.0, 1.0), 2, True, 0.8, {})
-    assert found.within == pytest.approx(3 / 5)
-    assert np.isnan(c.Consistency(np.array([np.nan]), 2.0, (0.0, 1.0), 2, True, 0.8, {}).within)

@@ -1,13 +1,12 @@
 """Events in the closed loop against closed forms, against SciPy's events, and what is refused."""
 
-import pickle
 from unittest.mock import MagicMock
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.loops import controller, feedback, scheduled
+from testing.loops import feedback, scheduled
 
 from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError, ProblemWarning, UnknownNameError
@@ -21,9 +20,7 @@ from gnc_opt.simulation import (
     Lag,
     Normal,
     RateLimit,
-    Run,
     RunStatus,
-    Uniform,
     monte_carlo,
 )
 from gnc_opt.simulation.dormand_prince import Taken
@@ -380,19 +377,6 @@ def test_a_delayed_push_that_arrives_within_the_step_is_flown_before_and_after_t
     )
 
 
-def test_an_event_that_is_only_noted_happens_once_also_before_a_bend_of_an_actuator():
-    """The integration begins anew at bends: what lies before them is of no length, and arms nothing."""
-    plant, h, _ = ball()
-    noted = Event("marker", h - 0.05, "falling", reset={})
-    wind = scheduled(plant, lambda t: np.sin(9 * t))
-    loop = ClosedLoop(plant, wind, actuators=[Delay("late", 0.03)], events=[noted], dt=0.1)
-    campaign = monte_carlo(
-        loop, 60, x0=[4.0, 1.0], tf=1.4, dispersions={"initial.h": Uniform(-1.0, 1.0)}, executor="serial"
-    )
-    assert set(campaign.counts) == {RunStatus.OK}
-    assert np.all(campaign.event_occurred("marker"))
-
-
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
     body = Model("spinning body")
     sigma = body.state("sigma", 3)
@@ -406,42 +390,6 @@ def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
     angle = np.angle(np.exp(1j * run.times))
     assert run.states[2] == pytest.approx(np.tan(angle / 4), abs=1e-9)
     assert np.max(np.abs(run.states)) <= 1 + 1e-12
-
-
-# --- errors of the reference, long runs, files --------------------------------------------------------------
-
-
-def test_errors_at_the_event_are_relative_to_the_reference_of_that_time():
-    plant, h, _ = ball()
-    reference = Reference.from_functions(
-        plant, lambda t: [10 - 2 * t, -2.0], lambda t: [G], initial_time=0.0, final_time=4.0, tail="hold"
-    )
-    loop = ClosedLoop(plant, feedforward(reference), events=[Event("touchdown", h - 3.3)], dt=0.5)
-    run = loop.simulate([10.0, -2.0], tf=6.0)
-    assert run.times[-1] == pytest.approx(3.35, abs=1e-12)
-    assert run.errors[:, -1] == pytest.approx([0.0, 0.0], abs=1e-11)
-
-
-def test_long_runs_decimated_logs_and_files_end_with_the_event(tmp_path):
-    plant, h, _ = ball()
-    loop = falling(plant, Event("touchdown", h, "falling"), dt=0.001)
-    fall = np.sqrt(2 * 20 / G)  # 2019 steps: two legs and a part of the third
-    kept = [
-        loop.simulate([20.0, 0.0], tf=8.0, **options)
-        for options in ({}, {"every": 7}, {"folder": tmp_path / "log"})
-    ]
-    for run in kept:
-        assert run.times[-1] == pytest.approx(fall, abs=1e-11)
-        assert run.states[:, -1] == pytest.approx([0.0, -G * fall], abs=1e-10)
-        assert run.states.shape[1] == run.times.size == run.commands.shape[1] + 1
-        for event in run.events:  # views of logs would keep them: 34 kB an event, 1.2 GB of a day with 10 000
-            assert event.before.base is None and event.after.base is None
-    assert kept[0].times.size == 2021 and kept[1].times.size == 290
-    assert np.array_equal(kept[2].states, kept[0].states)
-    assert np.load(tmp_path / "log" / "states.npy").shape == kept[0].states.shape
-    again = Run.load(kept[1].save(tmp_path / "run.npz"))
-    assert [str(event) for event in again.events] == [str(event) for event in kept[1].events]
-    assert np.array_equal(again.events[0].before, kept[1].events[0].before)
 
 
 # --- campaigns ----------------------------------------------------------------------------------------------
@@ -481,35 +429,6 @@ def test_campaigns_count_events_and_judge_their_times(tmp_path):
     assert np.array_equal(again.event_times, campaign.event_times, equal_nan=True)
     run = campaign.rerun(3)
     assert np.array_equal(run.states[:, -1], campaign.states[:, 3])
-
-
-def test_resumed_campaigns_know_the_events_of_the_runs_before(tmp_path):
-    plant, h, _ = ball()
-    loop = falling(plant, Event("touchdown", h, "falling"))
-    options = {"x0": [10.0, 0.0], "tf": 2.0, "dispersions": {"initial.h": Normal(1.0)}, "executor": "serial"}
-    monte_carlo(loop, 3, checkpoint=tmp_path, **options)
-    resumed, whole = monte_carlo(loop, 6, checkpoint=tmp_path, **options), monte_carlo(loop, 6, **options)
-    assert np.array_equal(resumed.event_times, whole.event_times) and np.all(resumed.event_counts == 1)
-
-
-def test_a_flight_with_events_can_be_sent_elsewhere():
-    plant, h, v = ball()
-    flight = falling(plant, Event("bounce", h, "falling", reset={v: -v})).compile([1.0, 0.0], tf=3.0)
-    other = pickle.loads(pickle.dumps(flight))
-    assert other.fingerprint == flight.fingerprint
-    ends = [f.final(f.nominal[:, None], [0]) for f in (flight, other)]
-    assert np.array_equal(ends[0].states, ends[1].states) and ends[0].event_counts[0, 0] == 3
-
-
-def test_controllers_of_matrix_symbols_fly_through_events():
-    plant, h, _ = ball()
-    law = controller(plant, lambda t, x, r, z: (-0.3 * x[1:], z), symbols=ca.MX)
-    other = controller(plant, lambda t, x, r, z: (-0.3 * x[1:], z))
-    ends = [
-        ClosedLoop(plant, c, events=[Event("down", h)], dt=0.1).simulate([5.0, 0.0], tf=4.0).times[-1]
-        for c in (law, other)
-    ]
-    assert ends[0] == pytest.approx(ends[1], abs=1e-14) and ends[0] < 2.0
 
 
 # --- what is refused ----------------------------------------------------------------------------------------

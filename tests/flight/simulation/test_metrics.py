@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from testing.internals import pass_rate
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.simulation import ClosedLoop, Saturation
-from gnc_opt.simulation.confidence_intervals import pass_rate
 from gnc_opt.simulation.run import rotation_angle, settling_time
 
 DT = 0.25

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import dormand_prince
 
-from gnc_opt.simulation.dormand_prince import dormand_prince
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run
 
 

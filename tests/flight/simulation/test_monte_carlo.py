@@ -3,28 +3,22 @@
 import json
 import multiprocessing
 import os
-import signal
-import subprocess
-import sys
-import threading
 import zlib
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
-from io import StringIO
 
 import casadi as ca
 import numpy as np
 import pytest
-from rich.console import Console
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 from scipy.stats import chi2
+from testing.internals import Dispersion, pass_rate
 from testing.loops import controller, double_integrator, feedback, scheduled
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.plot import plot_dispersion, plot_distributions
-from gnc_opt.progress import campaign_meter
 from gnc_opt.simulation import (
     Campaign,
     Choice,
@@ -42,10 +36,8 @@ from gnc_opt.simulation import (
     Uniform,
     monte_carlo,
 )
-from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
-from gnc_opt.simulation.dispersions import Dispersion
+from gnc_opt.simulation.confidence_intervals import percentile, share_below_maximum
 from gnc_opt.workers import pool
-from gnc_opt.workers.processes import processes_fork
 from problems.rendezvous import chaser_model
 
 BITS = (
@@ -130,17 +122,6 @@ def test_local_cluster_and_one_without_workers(serial, monkeypatch):
         cluster.scale(0)
         with pytest.raises(GncOptError, match="no workers left"):
             fly(executor=client.get_executor(), seed=12)
-
-
-def test_longer_campaigns_begin_with_the_same_runs(serial):
-    longer = fly(n=90)
-    assert np.array_equal(longer.states[:, :40], serial.states)
-    assert np.array_equal(longer.parameters[:, :40], serial.parameters)
-
-
-def test_seeds_differ(serial):
-    other = fly(seed=12)
-    assert not np.any(other.parameter("initial.q") == serial.parameter("initial.q"))
 
 
 @pytest.mark.parametrize("index", [0, 17, 39])
@@ -238,14 +219,6 @@ def test_known_intervals():
 def test_percentiles_count_failures_as_worst():
     found = percentile([1.0, np.nan, 3.0, 2.0], 0.75)
     assert found.value == 3 and percentile([1.0, np.nan], 0.99).value == np.inf
-
-
-@pytest.mark.parametrize(
-    "wrong", [lambda: pass_rate(3, 2), lambda: percentile([], 0.5), lambda: percentile([1.0], 1.0)]
-)
-def test_impossible_statistics_are_refused(wrong):
-    with pytest.raises(ArgumentError):
-        wrong()
 
 
 def test_measures_limits_and_pass_rates(serial):
@@ -374,60 +347,9 @@ def test_runs_that_kill_their_process_are_counted_and_the_others_flown(serial):
     assert np.array_equal(campaign.parameters, clean.parameters)
 
 
-@pytest.mark.skipif(
-    sys.version_info < (3, 11),
-    reason="leaving an executor whose process died may wait for ever (python/cpython#94777)",
-)
-def test_dead_processes_of_a_given_executor_do_not_end_the_campaign():
-    with ProcessPoolExecutor(1) as executor:
-        campaign = fly(n=64, executor=executor, dispersions={"wind.sigma": Deadly(0.04)})
-    assert len(campaign) == 64 and campaign.pass_rate().passed != 64
-    assert all("died" in o.what for o in campaign.failures.values())
-
-
 def test_a_campaign_without_a_single_run_is_an_error():
     with pytest.raises(GncOptError, match="not one run"):
         fly(n=4, executor=None, dispersions={"wind.sigma": Deadly(1.1)})
-
-
-SCRIPT = """
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-import gnc_opt as go
-
-cart = go.Model("cart")
-q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
-cart.ode({q: v, v: a})
-loop = go.ClosedLoop(cart, go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1))
-spawned = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-campaign = go.monte_carlo(loop, 4, x0=[1, 0], tf=1.0, executor=spawned)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(
-    not processes_fork(), reason="processes of the pool's own are spawned, too, and die as well"
-)
-def test_a_script_that_spawned_processes_would_run_again_is_flown_by_forked_ones(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT + "print(len(campaign), len(campaign.failures))\n")
-    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
-    assert (ended.returncode, ended.stdout) == (0, "4 0\n")
-
-
-@pytest.mark.slow
-def test_a_script_that_new_processes_would_run_again_is_told_of_its_guard(tmp_path):
-    """Spawned processes import the script: without the guard each begins a campaign of its own, and dies."""
-    script = tmp_path / "script.py"
-    without_fork = "import gnc_opt.workers.processes as processes\nprocesses.processes_fork = lambda: False\n"
-    spawning = "import multiprocessing\nmultiprocessing.set_start_method('spawn', force=True)\n"
-    one_run = SCRIPT.replace("loop, 4,", "loop, 1,").replace(", executor=spawned", "")
-    script.write_text(without_fork + spawning + one_run)
-    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
-    assert ended.returncode != 0
-    # The tracker of semaphores may have its say behind it.
-    guard = 'if __name__ == "__main__":'
-    assert any("not one run could be flown" in line and guard in line for line in ended.stderr.splitlines())
 
 
 @dataclass(frozen=True)
@@ -449,54 +371,6 @@ def test_runs_that_raise_are_set_apart(serial, executor):
     assert {o.what for o in campaign.failures.values()} == {"ValueError: out of luck"}
     alive = campaign.ok[:40]
     assert np.array_equal(campaign.states[:, :40][:, alive], serial.states[:, alive])
-
-
-@dataclass(frozen=True)
-class Interrupting(Dispersion):
-    """Sends Ctrl-C once it has drawn often enough."""
-
-    after: int
-    drawn: list
-
-    def draw(self, generator, nominal):
-        self.drawn.append(1)
-        if len(self.drawn) == self.after:
-            signal.raise_signal(signal.SIGINT)
-        return nominal
-
-
-def test_ctrl_c_keeps_what_has_ended(serial):
-    campaign = fly(dispersions=DISPERSIONS | {"wind.sigma": Interrupting(21, [])})
-    assert campaign.interrupted and 0 < len(campaign) == 20 and campaign.asked == 40
-    assert np.array_equal(campaign.states, serial.states[:, :20])
-    assert "20 runs of 40, interrupted" in str(campaign)
-
-
-_DRAWS: list[int] = []
-
-
-@dataclass(frozen=True)
-class Stopping(Dispersion):
-    """Sends Ctrl-C to the main process after 150 runs in another one; after that, runs take for ever."""
-
-    flag: str
-
-    def draw(self, generator, nominal):
-        _DRAWS.append(1)
-        if len(_DRAWS) == 150 and not os.path.exists(self.flag):
-            open(self.flag, "w").close()
-            os.kill(os.getppid(), signal.SIGINT)
-        if os.path.exists(self.flag):
-            threading.Event().wait()
-        return nominal
-
-
-def test_ctrl_c_ends_processes_and_keeps_what_they_finished(tmp_path):
-    campaign = fly(n=2000, executor=None, dispersions={"wind.sigma": Stopping(str(tmp_path / "flag"))})
-    assert campaign.interrupted and 100 <= len(campaign) < 2000
-    assert not multiprocessing.active_children()
-    run = campaign.rerun(int(campaign.indices[-1]))
-    assert np.array_equal(run.states[:, -1], campaign.states[:, -1])
 
 
 # --- what is refused ------------------------------------------------------------------------------------
@@ -549,12 +423,6 @@ def test_files_keep_every_bit(serial, tmp_path):
         Campaign.load(tmp_path / "other.npz")
 
 
-def test_json_is_written(serial, tmp_path):
-    content = json.loads(serial.to_json(tmp_path / "c.json"))
-    assert content == json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
-    assert content["runs"] == 40 and content["measures"]["q"]["limit"] == 0.03
-
-
 def test_figures_show_runs_limits_and_units(serial):
     figure = plot_dispersion(serial, "q")
     left, right = figure.axes
@@ -572,11 +440,3 @@ def one_component():
     cart = double_integrator()
     loop = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1)
     return monte_carlo(loop, 2, x0=[1.0, 0.0], tf=0.5, target={"q": 0.0}, executor="serial")
-
-
-def test_progress_counts_runs_and_failures():
-    out = StringIO()
-    with campaign_meter(30, Console(file=out, force_terminal=False, width=100)) as show:
-        show(20, 0)
-        show(10, 3)
-    assert "30/30" in out.getvalue() and "3 failed" in out.getvalue()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import pickle
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -70,14 +69,6 @@ def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: floa
     assert {Path(p).parent for p in quick.libraries} == {cache} and not any(flight.libraries)
     assert bits(quick) == bits(flight) and quick.fingerprint == flight.fingerprint
     assert bits(pickle.loads(pickle.dumps(quick))) == bits(flight)
-
-
-@needs_compiler
-def test_a_function_is_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, other = flown().natively(2).libraries, flown()
-    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("compiled again"))
-    assert other.natively(2).libraries == first
-    assert [path.suffix for path in cache.iterdir()] == [".so", ".so"]
 
 
 _ONE = (
@@ -146,10 +137,6 @@ def test_machine_code_has_the_bits_of_the_interpreter_for_every_operation() -> N
         assert np.array_equal(np.signbit(final[told == 0]), np.signbit(told[told == 0]))
 
 
-def test_few_steps_are_not_worth_it(cache: Path) -> None:
-    assert flown().natively(1).libraries == ("", "") and not cache.exists()
-
-
 @pytest.mark.parametrize("why", ["no compiler", "it fails", "no place", "no C"])
 def test_without_machine_code_the_interpreter_flies(
     cache: Path, monkeypatch: pytest.MonkeyPatch, why: str
@@ -207,10 +194,6 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
 
 def _refuse(*_: Any) -> None:
     raise RuntimeError("no code generation for this operation")
-
-
-def test_a_library_of_another_machine_is_not_missed(tmp_path: Path) -> None:
-    assert bits(replace(flown(), libraries=(str(tmp_path / "gone.so"), ""))) == bits(flown())
 
 
 @needs_compiler

@@ -41,21 +41,6 @@ def test_delay_of_zero_is_none():
     assert np.array_equal(run.measured, run.states[:, :-1])
 
 
-def test_sampled_noise_is_held_too():
-    run = see([Noise("noise", 0.1), Sampling("slow", 0.5)])
-    assert np.unique(run.measured).size == 6
-
-
-def test_noise_has_its_spread():
-    run = see([Noise("noise", [0.1, 3.0])], tf=500.0, size=2, seed=1)
-    error = run.measured - run.states[:, :-1]
-    n = error.shape[1]
-    assert np.std(error, axis=1) == pytest.approx([0.1, 3.0], rel=4 / np.sqrt(2 * n))
-    assert np.all(np.abs(np.mean(error, axis=1)) < 4 * np.array([0.1, 3.0]) / np.sqrt(n))
-    assert abs(np.corrcoef(error)[0, 1]) < 4 / np.sqrt(n)
-    assert abs(np.corrcoef(error[0, 1:], error[0, :-1])[0, 1]) < 4 / np.sqrt(n)
-
-
 @pytest.mark.slow
 def test_random_walk_grows_with_the_root_of_time():
     run = see([RandomWalk("drift", 0.2)], tf=500.0, size=40, seed=2)

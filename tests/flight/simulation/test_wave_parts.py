@@ -6,16 +6,16 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Wave
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, RateLimit
-from gnc_opt.simulation.intersample_input import Part, Wave, cut, stacked
+from gnc_opt.simulation.intersample_input import Part, stacked
 
 H = 2.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 NODES, WEIGHTS = 0.5 * (NODES + 1), 0.5 * WEIGHTS
-RNG = np.random.default_rng(5)
 
 
 def sx(*values):
@@ -88,35 +88,6 @@ def expected(curve_at, begin, end, steps):
     return np.array(found)
 
 
-# --- at a time --------------------------------------------------------------------------------------------
-
-
-def test_kinds_of_waves():
-    kinds = {"held": held(1.0), "curved": wave(), "lines": wave(LINES, None), "steps": wave(STEPS, None)}
-    assert {n: (w.held, w.straight, w.stepped) for n, w in kinds.items()} == {
-        "held": (True, True, True), "curved": (False, False, False), "lines": (False, True, False),
-        "steps": (False, True, True),
-    }  # fmt: skip
-    bent = wave(STEPS, None).mapped(lambda y: 2 * y)
-    assert (bent.held, bent.straight, bent.stepped) == (False, False, False)
-
-
-def test_a_part_at_a_time():
-    part = Part(sx(0.5, 1.0), sx(2.0, 3.0), sx(4.0, -5.0), sx(6.0, 7.0))
-    assert number(part.at(1.5, None)) == pytest.approx([6.0, 0.5])
-    assert number(part.at(1.5, sx(2.0, 0.25))) == pytest.approx(
-        [6 + 6 * np.exp(-0.5), 0.5 + 7 * np.exp(-2.0)]
-    )
-
-
-def test_pieces_end_where_the_next_ones_begin():
-    found = wave().pieces(H)
-    assert [number(p.begin).tolist() for p, _ in found] == [[0, 0], [0.5, 0.25], [1.5, 0.25]]
-    assert [number(e).tolist() for _, e in found] == [[0.5, 0.25], [1.5, 0.25], [H, H]]
-    ((part, end),) = held(3.0, 4.0).pieces(H)
-    assert number(part.at(1.0, sx(1.0, 1.0))).tolist() == [3, 4] and number(end).tolist() == [H, H]
-
-
 # --- integration ------------------------------------------------------------------------------------------
 
 
@@ -135,13 +106,6 @@ def test_within_a_step_the_projection_of_a_slow_decay_is_the_decay():
         for node in (0.0, 0.5, 0.9):
             s = 0.5 + 0.25 * (k + node)
             assert number(value(k, node)) == pytest.approx(curve(TWO, (5.0, 5.0), s), abs=3e-5)
-
-
-def test_what_is_held_stays_and_what_bends_bends_at_every_time():
-    assert number(held(3.0, 4.0).input(ca.SX(0.5), ca.SX(1.0), 2)(1, 0.3)).tolist() == [3, 4]
-    bent = wave(LINES, None).mapped(lambda y: y**2)
-    value = bent.input(ca.SX(0.5), ca.SX(1.5), 2)
-    assert number(value(1, 0.5)) == pytest.approx(curve(LINES, None, 1.25) ** 2)
 
 
 # --- together and apart -----------------------------------------------------------------------------------
@@ -169,46 +133,7 @@ def test_stacked_waves_keep_their_own_times():
     assert stacked([one], H) is one
 
 
-def test_held_waves_stacked_are_held_and_bent_ones_averaged():
-    both = stacked([held(1.0), held(2.0, 3.0)], H)
-    assert both.held and number(both.mean).tolist() == [1, 2, 3]
-    bent = wave(LINES, None).mapped(lambda y: 3 * y)
-    found = stacked([bent, held(1.0)], H)
-    assert found.held and number(found.mean) == pytest.approx([*number(bent.mean), 1.0])
-
-
-@pytest.mark.parametrize(("begin", "end"), [(0, 1), (1, 2), (0, 2)])
-def test_components_that_are_cut_out(begin, end):
-    for given in (wave(), wave(LINES, None)):
-        piece = cut(given, begin, end)
-        assert number(piece.mean) == pytest.approx(number(given.mean)[begin:end])
-        assert [float(b) for b in piece.breaks] == [float(b) for b in given.breaks]
-        whole = moments(given, 0.5, 1.5, 2)
-        assert moments(piece, 0.5, 1.5, 2) == pytest.approx(whole[:, begin:end])
-        assert (piece.tau is None) is (given.tau is None)
-    bent = wave(LINES, None).mapped(lambda y: ca.vertcat(y[1], 2 * y[0]))
-    piece = cut(bent, begin, end)
-    value = piece.input(ca.SX(0.5), ca.SX(1.5), 2)
-    swapped = curve(LINES, None, 1.25)[::-1] * [1, 2]
-    assert number(value(1, 0.5)) == pytest.approx(swapped[begin:end])
-    assert number(piece.mean) == pytest.approx(number(bent.mean)[begin:end])
-    assert number(cut(held(1.0, 2.0), begin, end).mean).tolist() == [1, 2][begin:end]
-
-
 # --- blocks without memory --------------------------------------------------------------------------------
-
-
-def test_blocks_without_memory_act_one_after_the_other():
-    """First 1 + y, then y^2."""
-    bent = wave(LINES, None).mapped(lambda y: 1 + y).mapped(lambda y: y**2)
-    mean = number(wave(LINES, None).mean)
-    assert number(bent.mean) == pytest.approx((1 + mean) ** 2)
-    assert number(bent.after(sx(2.0, -3.0))).tolist() == [9.0, 4.0]
-    still = held(2.0).mapped(lambda y: y**3)
-    assert still.held and number(still.mean).tolist() == [8.0]
-    averaged = bent.averaged()
-    assert averaged.held and number(averaged.mean) == pytest.approx((1 + mean) ** 2)
-    assert still.averaged() is still
 
 
 def test_where_waves_of_several_actuators_break_the_integration_begins_anew():

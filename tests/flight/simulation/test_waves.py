@@ -4,10 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.loops import memory_of_impulse, scheduled
 
 import gnc_opt as go
-from gnc_opt.control.sampled_data import in_order
 from gnc_opt.simulation import (
     ClosedLoop,
     Delay,
@@ -17,7 +15,6 @@ from gnc_opt.simulation import (
     Saturation,
     ScaleFactor,
 )
-from gnc_opt.simulation.intersample_input import projection
 
 DT = 0.05
 START = [0.4, -0.2]
@@ -102,35 +99,6 @@ def test_blocks_without_memory_act_at_every_time(regulator):
     run = ClosedLoop(pendulum(), regulator, chain).simulate(START, tf=1.0)
     assert run.outcome.ok
     assert np.max(np.abs(run.states - truth(regulator, tau=0.05, gain=0.7, tf=1.0))) < 1e-9
-
-
-def test_the_mean_that_is_logged_is_that_of_the_wave():
-    plant = memory_of_impulse(2)
-    chain = [Delay("pipe", 0.033), RateLimit("slew", [3.0, 40.0]), Lag("lag", [0.02, 0.3])]
-    command = scheduled(plant, lambda t: np.vstack([np.sin(5 * t), np.cos(9 * t)]))
-    run = ClosedLoop(plant, command, chain, dt=0.1).simulate(np.zeros(2), tf=2.0)
-    assert run.states[:, 1:] == pytest.approx(np.cumsum(run.applied, axis=1) * 0.1, abs=1e-12)
-
-
-@pytest.mark.parametrize("xi", [1e-9, 0.3, 0.499, 0.501, 3.0, 1e3, 1e9])
-def test_projection_keeps_the_moments_of_the_exponential(xi):
-    """By quadrature over nu of exp(-2 xi nu) times Legendre's polynomials."""
-    symbol = ca.SX.sym("xi")
-    found = ca.Function("c", [symbol], [ca.vertcat(*projection(symbol))])(xi).full()[:, 0]
-    # substituted v = exp(-2 xi nu) where it is fast: nodes follow the exponential
-    nodes, weights = np.polynomial.legendre.leggauss(60)
-    end = min(1.0, 40 / (2 * xi))
-    nu, weights = 0.5 * end * (nodes + 1), 0.5 * end * weights
-    legendre = [np.polynomial.legendre.Legendre.basis(j)(2 * nu - 1) for j in range(3)]
-    expected = [(2 * j + 1) * np.sum(weights * np.exp(-2 * xi * nu) * p) for j, p in enumerate(legendre)]
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-13)
-
-
-def test_times_are_put_in_order():
-    symbols = ca.SX.sym("t", 5)
-    order = ca.Function("o", [symbols], [ca.vertcat(*in_order(ca.vertsplit(symbols)))])
-    values = np.array([0.3, -1.0, 0.3, 7.0, 0.0])
-    assert np.array_equal(order(values).full()[:, 0], np.sort(values))
 
 
 @pytest.mark.parametrize(("eccentricity", "revolutions"), [(0.0, 1), (0.0, 60), (0.5, 60)])

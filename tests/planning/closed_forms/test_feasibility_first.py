@@ -12,13 +12,11 @@ import itertools
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from testing.internals import DEFAULT_MESH, start_from_guess, transcribe
 
 import gnc_opt as go
 from gnc_opt.planning import Status
 from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
-from gnc_opt.planning.solution.warm_start import start_from_guess
-from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
-from gnc_opt.planning.transcription.transcription import transcribe
 
 
 def oscillator(displacement: float, final: tuple[float, float | None] = (0.1, None)) -> go.Problem:

@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import PiecewisePolynomial
 
 import gnc_opt as go
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 MESHES = ("20x4", "60x3")
 

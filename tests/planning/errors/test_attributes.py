@@ -6,66 +6,43 @@ import copy
 import pickle
 
 import pytest
-from testing.wrong_arguments import cart, mistake, rest_to_rest
+from testing.wrong_arguments import cart, refused, rest_to_rest
 
 import gnc_opt as go
 from gnc_opt.arguments import suggesting_keywords
 
 
-@mistake(go.UnknownAttributeError, "phase 'leg' has no 'intial'", "did you mean 'initial'?")
-def test_misspelt_call_on_a_phase() -> None:
-    rest_to_rest()[1].intial(q=1.0)  # type: ignore[attr-defined]  # wrong
+def test_attributes() -> None:
+    with refused(go.UnknownAttributeError, "phase 'leg' has no 'intial'", "did you mean 'initial'?"):
+        rest_to_rest()[1].intial(q=1.0)  # type: ignore[attr-defined]
+    with refused(go.UnknownAttributeError, "model 'cart' has no 'sate'", "did you mean 'state'?"):
+        cart().sate("x")  # type: ignore[attr-defined]
+    with refused(
+        go.UnknownAttributeError, "problem 'rest to rest' has no 'minimise'", "did you mean 'minimize'?"
+    ):
+        rest_to_rest()[0].minimise(0.0)  # type: ignore[attr-defined]
 
-
-@mistake(go.UnknownAttributeError, "model 'cart' has no 'sate'", "did you mean 'state'?")
-def test_misspelt_call_on_a_model() -> None:
-    cart().sate("x")  # type: ignore[attr-defined]  # wrong
-
-
-@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'minimise'", "did you mean 'minimize'?")
-def test_misspelt_call_on_a_problem() -> None:
-    rest_to_rest()[0].minimise(0.0)  # type: ignore[attr-defined]  # wrong
-
-
-@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'initial'", "belongs to a Phase")
-def test_forgotten_phase() -> None:
     problem, _ = rest_to_rest()
-    problem.initial(q=1.0)  # type: ignore[attr-defined]  # wrong
+    with refused(go.UnknownAttributeError, "problem 'rest to rest' has no 'initial'", "belongs to a Phase"):
+        problem.initial(q=1.0)  # type: ignore[attr-defined]
 
-
-@mistake(go.UnknownAttributeError, "phase 'leg' has no 'minimize'", "belongs to a Problem")
-def test_cost_stated_on_the_phase() -> None:
     _, leg = rest_to_rest()
-    leg.minimize(leg.final_time)  # type: ignore[attr-defined]  # wrong
+    with refused(go.UnknownAttributeError, "phase 'leg' has no 'minimize'", "belongs to a Problem"):
+        leg.minimize(leg.final_time)  # type: ignore[attr-defined]
+    with refused(go.UnknownAttributeError, "problem 'rest to rest' has no 'ode'", "belongs to a Model"):
+        rest_to_rest()[0].ode({})  # type: ignore[attr-defined]
+    with refused(go.UnknownAttributeError, "phase 'leg' has no 'bound'", "did you mean 'bounds'?"):
+        leg.bound = {"a": (-1.0, 1.0)}  # type: ignore[attr-defined]
+    with refused(go.UnknownAttributeError, "phase 'leg'", "bounds(...)"):
+        leg.bounds = {"a": (-1.0, 1.0)}  # type: ignore[method-assign, assignment]
 
-
-@mistake(go.UnknownAttributeError, "problem 'rest to rest' has no 'ode'", "belongs to a Model")
-def test_dynamics_stated_on_the_problem() -> None:
-    rest_to_rest()[0].ode({})  # type: ignore[attr-defined]  # wrong
-
-
-@mistake(go.UnknownAttributeError, "phase 'leg' has no 'bound'", "did you mean 'bounds'?")
-def test_misspelt_attribute_assigned() -> None:
-    _, leg = rest_to_rest()
-    leg.bound = {"a": (-1.0, 1.0)}  # type: ignore[attr-defined]  # wrong
-
-
-@mistake(go.UnknownAttributeError, "phase 'leg'", "bounds(...)")
-def test_method_assigned_instead_of_called() -> None:
-    _, leg = rest_to_rest()
-    leg.bounds = {"a": (-1.0, 1.0)}  # type: ignore[method-assign, assignment]  # wrong
-
-
-@mistake(go.UnknownAttributeError, "problem 'rest to rest'", "minimize(...)")
-def test_cost_assigned_instead_of_stated() -> None:
     problem, leg = rest_to_rest()
-    problem.minimize = leg.final_time  # type: ignore[method-assign]  # wrong
+    with refused(go.UnknownAttributeError, "problem 'rest to rest'", "minimize(...)"):
+        problem.minimize = leg.final_time  # type: ignore[method-assign]
 
-
-@mistake(go.UnknownAttributeError, "'states' of model 'cart'", "declarations")
-def test_property_assigned() -> None:
     model = cart()
-    model.states = ()  # type: ignore[assignment, misc]  # wrong
+    with refused(go.UnknownAttributeError, "'states' of model 'cart'", "declarations"):
+        model.states = ()  # type: ignore[assignment, misc]
 
 
 def test_the_error_is_an_attribute_error_too() -> None:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from testing.wrong_arguments import assert_clear, mistake, rest_to_rest, ship
+from testing.wrong_arguments import assert_clear, refused, rest_to_rest, ship
 
 import gnc_opt as go
 
@@ -65,31 +65,21 @@ def test_times_outside_the_span(ask: Callable[[go.Solution, object], object], t:
     )
 
 
-@mistake(go.ArgumentError, "the time is 'noon'", "not a number")
-def test_text_as_time() -> None:
+def test_solution_mistakes() -> None:
     state = solution().state("q")
-    state("noon")  # type: ignore[arg-type]  # wrong
+    with refused(go.ArgumentError, "the time is 'noon'", "not a number"):
+        state("noon")
+    with refused(go.ArgumentError, "side", "'middle'", "'left' or 'right'"):
+        state(0.5, "middle")
 
-
-@mistake(go.ArgumentError, "side", "'middle'", "'left' or 'right'")
-def test_unknown_side() -> None:
-    state = solution().state("q")
-    state(0.5, "middle")  # type: ignore[arg-type]  # wrong
-
-
-@mistake(go.ProblemError, "expression to evaluate", "'w_0'", "model 'cart'")
-def test_evaluation_of_a_foreign_expression() -> None:
     solved = solution()
-    solved.evaluate(ship().symbol("w")[0], 0.5)  # wrong
+    with refused(go.ProblemError, "expression to evaluate", "'w_0'", "model 'cart'"):
+        solved.evaluate(ship().symbol("w")[0], 0.5)
 
-
-@mistake(go.ProblemError, "not the one that this solution", "same options")
-def test_solution_joined_to_another_problem() -> None:
     solved, (other, _) = solution(), rest_to_rest(time=2.0)
-    solved.with_problem(other)  # wrong
+    with refused(go.ProblemError, "not the one that this solution", "same options"):
+        solved.with_problem(other)
 
-
-@mistake(go.ArgumentError, "with_problem()", "Solution", "problem that was solved")
-def test_solution_joined_to_a_solution() -> None:
     solved = solution()
-    solved.with_problem(solved)  # type: ignore[arg-type]  # wrong
+    with refused(go.ArgumentError, "with_problem()", "Solution", "problem that was solved"):
+        solved.with_problem(solved)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,15 +45,6 @@ def rosenbrock(n: int) -> NlpProblem:
     return problem(
         n, lambda x: (ca.sum1((1 - x[:-1]) ** 2 + 100 * (x[1:] - x[:-1] ** 2) ** 2), NO_CONSTRAINT)
     )
-
-
-def endless() -> NlpProblem:
-    """2000 unbounded variables from a far guess: thousands of iterations, about 1 ms each."""
-    return rosenbrock(2000)
-
-
-ENDLESS_GUESS = np.linspace(-1.2, -0.5, 2000)
-PATIENT = SolverOptions(max_iterations=1_000_000)
 
 
 def quadratic_with_derivatives(**replaced: Any) -> NlpProblem:
@@ -159,20 +149,6 @@ def test_iteration_limit(capfd: pytest.CaptureFixture[str]) -> None:
     assert result.status is Status.ITERATION_LIMIT
     assert result.iterations == 3
     assert is_silent(capfd)
-
-
-def test_missing_linear_solver_is_an_invalid_option(capfd: pytest.CaptureFixture[str]) -> None:
-    result = solve(rosenbrock(3), 0.0, options=SolverOptions(linear_solver="ma57"))
-    if result.status.solved:
-        pytest.skip("HSL is installed here")
-    assert result.status is Status.INVALID_OPTION
-    assert is_silent(capfd)
-
-
-def test_all_variables_fixed() -> None:
-    result = solve(rosenbrock(3), 0.0, lbx=0.5, ubx=0.5)
-    assert result.status is Status.OPTIMAL
-    np.testing.assert_array_equal(result.x, 0.5)
 
 
 def test_verbose_prints(capfd: pytest.CaptureFixture[str]) -> None:
@@ -365,20 +341,6 @@ def test_callback_sees_iterates_and_may_stop() -> None:
     assert seen[0].infeasibility == pytest.approx(5 * np.exp(3) - 1)
 
 
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_programmes_of_either_kind_of_symbols_can_be_stopped(kind: Any) -> None:
-    """The iterate that is left is judged by the gradient of the Lagrangian, here made of the programme's symbols."""
-    x = kind.sym("x", 2)
-    nlp = NlpProblem(x, kind(0, 1), ca.sumsqr(x - 1) + ca.exp(x[0]), x[0] * x[1])
-    point = NlpPoint(x0=3.0, lbx=0.0, ubx=9.0, lbg=-np.inf, ubg=2.0, p=[])
-    result = NlpSolver(nlp).solve(point, callback=lambda info: info.iteration == 2)
-    assert result.status is Status.INTERRUPTED and result.iterations == 2
-    gradient = 2 * (result.x - 1) + [np.exp(result.x[0]), 0.0] + result.lam_g * result.x[::-1]
-    assert np.asarray(nlp.lagrangian(result.x, [], result.lam_g)[2]).ravel() == pytest.approx(
-        gradient, abs=1e-12
-    )
-
-
 def test_exception_in_the_callback_is_raised_after_the_solve(capfd: pytest.CaptureFixture[str]) -> None:
     def broken(info: IterationInfo) -> None:
         raise KeyError("my own mistake")
@@ -403,34 +365,6 @@ def test_ctrl_c_keeps_the_iterate(solver: str, capfd: pytest.CaptureFixture[str]
     assert is_silent(capfd)
 
 
-def test_ctrl_c_from_outside_without_a_callback(ctrl_c_when: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    solver = NlpSolver(endless(), PATIENT)
-    ctrl_c_when(lambda: getattr(solver._monitor.run, "count", 0) > 2)
-    result = solver.solve(NlpPoint(ENDLESS_GUESS, -INF, INF, 0.0, 0.0, ()))
-    assert result.status is Status.INTERRUPTED
-    assert result.iterations > 0 and np.isfinite(result.f)
-    assert is_silent(capfd)
-
-
-def test_second_ctrl_c_is_an_ordinary_one() -> None:
-    def press_twice(info: IterationInfo) -> None:
-        for _ in range(2):
-            signal.raise_signal(signal.SIGINT)
-
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        solve(rosenbrock(5), -0.5, callback=press_twice)
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_solves_outside_the_main_thread() -> None:
-    results: list[NlpResult] = []
-    worker = threading.Thread(target=lambda: results.append(solve(rosenbrock(5), -0.5)))
-    worker.start()
-    worker.join()
-    assert results[0].status is Status.OPTIMAL
-
-
 @pytest.mark.parametrize("solver", ["ipopt", "sqpmethod"])
 def test_wall_time_limit(solver: str, capfd: pytest.CaptureFixture[str]) -> None:
     seen = []
@@ -445,12 +379,6 @@ def test_wall_time_limit(solver: str, capfd: pytest.CaptureFixture[str]) -> None
     assert result.wall_time > 0.1
     assert len(seen) <= 6  # the fifth is over after 0.1 s at the earliest, and a sixth may be under way
     assert is_silent(capfd)
-
-
-def test_a_stopped_solve_leaves_the_next_one_alone() -> None:
-    solver, point = bounded_rosenbrock()
-    assert solver.solve(point, callback=lambda info: True).status is Status.INTERRUPTED
-    assert solver.solve(point).status is Status.OPTIMAL
 
 
 # ---------------------------------------------------------------- options and arguments

@@ -5,9 +5,9 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import restated
 
 import gnc_opt as go
-from gnc_opt.planning.problem.reformulation import restated
 
 
 def reorientation(algebraic: bool) -> go.Problem:

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import start_phase
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
 
 DURATION, LEAST = 3.0, 0.5
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)

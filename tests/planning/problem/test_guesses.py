@@ -1,15 +1,14 @@
 """Guesses by flying, from data and from solutions of other problems."""
 
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import start_phase
 
 import gnc_opt as go
 from gnc_opt.planning.problem.guess import simulation as simulate
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
 from gnc_opt.planning.problem.guess.simulation import with_flown_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 
@@ -175,24 +174,6 @@ def test_mistakes_get_a_sentence(make: Any, message: str) -> None:
         make(spiral())
 
 
-# --- data -----------------------------------------------------------------------------------------------
-
-
-def test_columns_by_component(tmp_path: Path) -> None:
-    t = np.linspace(0.0, 10.0, 41)
-    data = {"time": t, "r[0]": np.cos(t), "r[1]": np.sin(t), "remark": t}
-    start = guessed(go.guess_from_data(spiral(), data))
-    assert start.times == pytest.approx([0.0, 10.0])
-    np.testing.assert_allclose(start.states[0], np.cos(10.0 * FRACTIONS), atol=1e-12)
-    np.testing.assert_allclose(start.states[2:, 0], [0.0, 1.0])  # left out: a straight line
-    text = "time,r[0],r[1],remark\n" + "\n".join(f"{a!r},{np.cos(a)},{np.sin(a)},x" for a in t.tolist())
-    (tmp_path / "flight.csv").write_text(text)
-    again = guessed(go.guess_from_data(spiral(), tmp_path / "flight.csv"))
-    np.testing.assert_allclose(again.states, start.states, atol=1e-15)
-    with pytest.raises(go.ArgumentError, match="no column 't': known: time"):
-        go.guess_from_data(spiral(), tmp_path / "flight.csv", time="t")
-
-
 # --- solutions ------------------------------------------------------------------------------------------
 
 
@@ -355,18 +336,6 @@ def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
     np.testing.assert_allclose(second.states, [gained + 3000.0 * np.log(150.0 / after), after], rtol=2e-3)
     as_guessed = start_phase(problem.phases["first"], np.linspace(0.0, 1.0, 5)).controls
     np.testing.assert_array_equal(first.controls, as_guessed)
-
-
-def test_a_flight_that_cannot_go_on_is_no_guess() -> None:
-    model = go.Model("runaway")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: x**2 + u})
-    problem = go.Problem("runaway")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
-    leg.initial(x=1.0)  # infinite after 1 s
-    problem.minimize(leg.integral(u**2))
-    assert with_flown_guess(problem) is None
 
 
 def test_ends_that_boundary_constraints_tell() -> None:

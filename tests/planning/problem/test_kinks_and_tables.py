@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import restated
 
 import gnc_opt as go
-from gnc_opt.planning.problem.reformulation import restated
 
 
 @pytest.mark.parametrize("final", [None, 0.0, 0.5])

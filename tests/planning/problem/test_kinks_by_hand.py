@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import restated
 
 import gnc_opt as go
-from gnc_opt.planning.problem.reformulation import restated
 
 DURATION = 2.0
 
@@ -104,12 +104,6 @@ def test_a_corner_that_moves_with_states_is_an_epigraph() -> None:
     np.testing.assert_array_equal(leg.path_interval().lower, 0.0)
 
 
-def test_a_constant_piece_bounds_its_epigraph() -> None:
-    leg = solved_leg(lambda x, v, a: a**2 + ca.fmax(a * v, 0.0))
-    assert leg.numbers.controls.lower[1] == 0.0
-    assert leg.path_expression().numel() == 1
-
-
 def test_the_largest_of_several_controls_is_one_epigraph() -> None:
     model = go.Model("plane")
     v, a = model.state("v", 2), model.control("a", 2)
@@ -136,15 +130,6 @@ def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
     leg.final(v=0.0)
     problem.minimize(leg.integral(a**2))
     assert restated(problem) is problem
-
-
-def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
-    from gnc_opt.planning.problem.guess.initial_guess import start_phase
-
-    problem = cart(lambda x, v, a: a**2 + ca.fabs(a + v))
-    problem.phases["leg"].guess(v=(1.0, -2.0), a=-0.5)
-    start = start_phase(restated(problem).phases["leg"], np.array([0.0, 1.0]), perturbed=False)
-    np.testing.assert_allclose(start.controls, [[-0.5, -0.5], [0.5, 2.5]])
 
 
 LIMITS: dict[str, tuple[Cost, list[float]]] = {
@@ -179,11 +164,6 @@ def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float
     assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
 
 
-def test_limits_of_kinks_that_cost_are_those_of_the_parts() -> None:
-    leg = solved_leg(lambda x, v, a: ca.fabs(a), lambda x, v, a: 3 * ca.fabs(a) <= 1 + x)
-    np.testing.assert_allclose(at(leg, leg.path_expression(), [0.5, 0.0], [0.3, 0.7]), [3.0 - 1.5])
-
-
 @pytest.mark.parametrize(
     "limit",
     [
@@ -199,15 +179,6 @@ def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
         go.ProblemWarning, match="kink: it is not convex, for it excludes values between others"
     ):
         problem.check()
-
-
-def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
-    problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
-    assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match=r"give bounds\(\) that fix the signs of its factors"):
-        problem.check()
-    bounded = problem.with_bounds(v=(0.0, None))
-    assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
 
 
 def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
@@ -414,14 +385,6 @@ def test_a_norm_with_a_kink_at_controls_other_than_zero_is_reported() -> None:
     problem = pushed(lambda v, a: ca.sumsqr(a) + ca.norm_2(a - ca.DM([1.0, 0.0])))
     with pytest.warns(go.ProblemWarning, match=r"let a vector_control\(\) be the difference"):
         problem.check()
-
-
-def test_lengths_of_paths_stay_as_they_are() -> None:
-    problem = pushed(lambda v, a: ca.sqrt(a[0] ** 2 + (a[1] * ca.cos(v[0])) ** 2))
-    assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning) as found:
-        problem.check()
-    assert not any("be the difference" in str(w.message) for w in found)
 
 
 def test_path_limits_that_repeat_a_bound_are_reported() -> None:

@@ -10,16 +10,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import restated
 
 import gnc_opt as go
-from gnc_opt.model.expressions import NormNodes, degree_in
-from gnc_opt.planning.problem.reformulation import restated
 
 DURATION = 3.0
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)
 """Of one unit, rest to rest, acceleration at most 1: two burns of half of it (problems.classics.minimum_fuel)."""
-
-State = dict[str, float]
 
 
 def by_hand(limit: Any, kind: str = "vector") -> go.Problem:
@@ -185,16 +182,6 @@ def test_what_is_restated_is_not_warned_of() -> None:
         by_hand(SLACK["root"]).check()
 
 
-def test_functions_that_only_look_like_norms_at_some_points_are_none() -> None:
-    T = ca.SX.sym("T", 2)
-    assert not NormNodes.of(ca.if_else(T[0] > 9, 0, T.T @ T), T).degrees.keys() & {
-        ca.if_else(T[0] > 9, 0, T.T @ T).element_hash()
-    }
-    s, m = ca.SX.sym("s"), ca.SX.sym("m")
-    assert degree_in(s * m - 3 * s, s) == 1
-    assert degree_in(s * m - 3, s) is None
-
-
 @cache
 def flown() -> go.Solution:
     return go.solve(by_hand(SLACK["root"], "scalars"), mesh="10x3")
@@ -211,13 +198,6 @@ def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
     model = by_hand(SLACK["root"], "scalars").phases["leg"].model
     assert "T_x" in solution.to_pandas().columns if _pandas() else model
     assert "whose magnitude 'n' limits" in str(solution)
-
-
-def test_a_reference_commands_the_controls_as_stated() -> None:
-    reference = go.Reference(flown(), tail="hold")
-    assert reference.controls.names == ("T_x", "T_y", "d")
-    np.testing.assert_allclose(reference.u(0.1), [0.6, -0.8, 1.0], atol=1e-7)
-    np.testing.assert_allclose(reference.u(np.array([0.1, 1.5]))[:, 1], 0.0, atol=1e-7)
 
 
 def _pandas() -> bool:
@@ -241,20 +221,13 @@ def test_the_stated_symbols_evaluate_along_a_restated_solution(tmp_path: Path) -
     assert again.evaluate("T_y", 0.1) == pytest.approx(solution.evaluate("T_y", 0.1))
 
 
-def test_variations_share_what_was_built() -> None:
-    problem = by_hand(SLACK["root"])
-    assert restated(problem).builds is restated(problem.with_final(r=[1.0, 0.0])).builds
-    free = problem.with_bounds(d=(-1.0, 1.0))  # d may not be a magnitude then
-    assert restated(free).builds is not restated(problem).builds
-
-
 def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     problem = by_hand(SLACK["root"], "scalars")
     leg = problem.phases["leg"]
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
     solved = restated(problem).phases["leg"]
-    from gnc_opt.planning.problem.guess.initial_guess import start_phase
+    from testing.internals import start_phase
 
     start = start_phase(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls
@@ -393,12 +366,6 @@ def test_speed_limits_by_hand_hold_from_rest() -> None:
     """Up to speed 1 each way in 1 s, 1 s at it, and down again: 3 s, which a root at rest used to refuse."""
     solution = go.solve(at_rest(SPEED["norm"]), mesh="6x3", tol=None)
     assert solution.objective == pytest.approx(3.0, rel=1e-2)
-
-
-def test_roots_that_never_vanish_and_limits_from_below_stay() -> None:
-    for limit in (lambda v: ca.sqrt(ca.sumsqr(v) + 1) <= 2, lambda v: ca.norm_2(v - 9) >= 1):
-        stated = at_rest(limit)
-        assert restated(stated) is stated
 
 
 # --- limits of norms that depend on states --------------------------------------------------------------

@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from testing.internals import Interval
 
 import gnc_opt as go
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.redundant_bounds import one_way_states
 
@@ -37,6 +37,7 @@ ends = st.tuples(numbers, numbers).map(sorted)
 
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
+@settings(max_examples=30)
 @given(a=ends, b=ends, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
 def test_values_lie_in_their_range(name, a, b, shares) -> None:
     function = ca.Function("f", [X], [EXPRESSIONS[name]])

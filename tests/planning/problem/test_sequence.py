@@ -156,30 +156,6 @@ def test_mistakes_get_a_sentence(call: Any, message: str) -> None:
         call(problem)
 
 
-def test_guessed_states_go_straight_along_linked_phases() -> None:
-    """To the next known value, through several links; masses follow from what is left of the lower stages."""
-    problem = go.Problem("stages")
-    legs = []
-    for name in ("one", "two", "three"):
-        model = go.Model(name)
-        h, m, u = model.state("h"), model.state("m"), model.control("u")
-        model.ode({h: u / m, m: -u})
-        legs.append(problem.phase(name, model))
-    problem.sequence(*legs, drops={"one": {"m": 30.0}, "two": {"m": 5.0}})
-    legs[0].initial(h=0.0, m=100.0)
-    legs[2].final(h=10.0)
-    ends = {leg.name: [part.tolist() for part in end_values(leg)] for leg in legs}
-    assert ends == {
-        "one": [[0.0, 100.0], [pytest.approx(10 / 3), 100.0]],
-        "two": [[pytest.approx(10 / 3), 70.0], [pytest.approx(20 / 3), 70.0]],
-        "three": [[pytest.approx(20 / 3), 65.0], [10.0, 65.0]],
-    }
-    legs[0].guess(m=(100.0, 60.0))
-    legs[1].bounds(m=(40.0, None))
-    assert [end_values(leg)[0][1] for leg in legs] == [100.0, 40.0, 35.0]
-    assert end_values(problem.with_initial("two", m=50.0).phases["three"])[0][1] == 45.0
-
-
 def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases() -> None:
     """Per component; a start that is not known takes the next value; jumps are left out of the line."""
     problem = go.Problem("waypoints")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Interval, free, phase_functions
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.functions import phase_functions
-from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution.unwrap import unwound
 
 T = np.linspace(0.0, 1.0, 41)
@@ -80,20 +78,6 @@ def test_angles_are_as_few_turns_away_as_their_bounds_let_them(
     np.testing.assert_allclose(found[0], smooth, atol=1e-12)
 
 
-def test_angles_that_bounds_leave_no_room_for_stay() -> None:
-    """A turn and a half cannot be had within a turn, nor within less any."""
-    for half, way in itertools.product((np.pi, 1.1 * np.pi), (-1.0, 1.0)):
-        smooth = way * 3 * np.pi * T
-        inside = (np.remainder(smooth + np.pi, 2 * np.pi) - np.pi)[None, :]
-        box = Interval(np.array([-half]), np.array([half]))
-        np.testing.assert_array_equal(turned(HEADING[2 * np.pi], inside, box), inside)
-
-
-def test_no_samples_to_compare_and_no_numbers_stay() -> None:
-    for lost in (np.array([[9.0]]), np.where(T < 0.5, 9.0, np.inf)[None, :]):
-        assert turned(HEADING[2 * np.pi], lost) is lost
-
-
 def direction(a: Any, e: Any) -> list[Any]:
     return [ca.cos(e) * ca.cos(a), ca.cos(e) * ca.sin(a), ca.sin(e)]
 
@@ -127,12 +111,3 @@ def test_a_direction_stays_whole_where_bounds_hinder_one_of_its_angles() -> None
     told[0] = np.remainder(told[0] + np.pi, 2 * np.pi) - np.pi
     tight = Interval(np.array([-np.pi, -6.0]), np.array([np.pi + 1e-3, 6.0]))
     np.testing.assert_array_equal(turned(direction, told, tight), told)
-
-
-def test_units_of_azimuth_and_elevation_may_differ() -> None:
-    """Across the zenith by steps of 6 degrees, the azimuth in radians, whose half turn is less than those in number."""
-    azimuth, elevation = np.full(T.size, 0.2), 6.0 * np.arange(T.size) - 2.0
-    over = (elevation > 90.0) & (elevation < 270.0)
-    told = np.array([np.where(over, azimuth + np.pi, azimuth), np.where(over, 180.0 - elevation, elevation)])
-    found = turned(lambda a, e: direction(a, e * np.pi / 180), told)
-    np.testing.assert_allclose(found, [azimuth, elevation], atol=1e-9)

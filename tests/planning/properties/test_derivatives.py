@@ -8,11 +8,10 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from testing.internals import PointBlock, PointFunction, SeparableProgram, Transcription, transcribe
 from testing.nonlinear_problems import SCHEMES
 
 import gnc_opt as go
-from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 
 MESHES = {
     "first": go.Mesh((0.0, 0.3, 0.5, 1.0), (2, 4, 3)),

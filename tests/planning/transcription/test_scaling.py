@@ -5,13 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Transcription, start_from_guess
 
 import gnc_opt as go
 from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
-from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.transcription.quadrature import Scheme
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.planning.transcription.transcription import Transcription
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:

@@ -9,28 +9,33 @@ import numpy as np
 import pytest
 import scipy
 from testing.constructed_solutions import cart, interval
+from testing.internals import (
+    DEFAULT_MESH,
+    SCHEMES,
+    Held,
+    Interval,
+    PhaseCollocation,
+    PointBlock,
+    PointFunction,
+    Scheme,
+    SeparableProgram,
+    Smooth,
+    Transcription,
+)
 
 import gnc_opt as go
-from gnc_opt.errors import ArgumentError, ProblemError, UnknownNameError
+from gnc_opt.errors import ArgumentError, ProblemError
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.nlp.program import NlpProblem, full_hessian, joint_jacobian
-from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.problem.arcs import Held, Smooth
-from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
     hold_controls,
     hold_paths,
     hold_states,
-    smooth_entries,
     smooth_rows,
 )
-from gnc_opt.planning.transcription.collocation import PhaseCollocation, weight_matrix
-from gnc_opt.planning.transcription.mesh import DEFAULT_MESH, read_meshes
-from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
-from gnc_opt.planning.transcription.transcription import CACHED_PROGRAMS, Transcription, transcribe
+from gnc_opt.planning.transcription.scheme import family_of
 
 LOW, FREE, UP, RELEASED = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
@@ -104,17 +109,6 @@ def test_meshes_that_are_none_are_refused(wrong: Any, message: str) -> None:
         wrong()
 
 
-def test_meshes_for_every_phase() -> None:
-    one = Mesh.uniform(2, 3)
-    assert read_meshes(None, ["a", "b"], "p") == {"a": DEFAULT_MESH, "b": DEFAULT_MESH}
-    assert read_meshes("2x3", ["a"], "p") == {"a": one} == read_meshes(one, ["a"], "p")
-    assert read_meshes({"a": one, "b": "4x2"}, ["a", "b"], "p")["b"] == Mesh.uniform(4, 2)
-    with pytest.raises(ProblemError, match="the mesh of problem 'p' lacks phase 'b'"):
-        read_meshes({"a": one}, ["a", "b"], "p")
-    with pytest.raises(ProblemError, match="is not a mesh"):
-        read_meshes(3, ["a"], "p")  # type: ignore[arg-type]
-
-
 # --- places -----------------------------------------------------------------------------------------------
 
 
@@ -122,24 +116,6 @@ def collocation(
     scheme: Scheme, mesh: Mesh = UNEVEN, n: int = 2, m: int = 1, paths: int = 0, first: int = 0, row: int = 0
 ) -> PhaseCollocation:
     return PhaseCollocation(scheme, mesh, n, m, paths, first, row)
-
-
-@pytest.mark.parametrize(
-    ("scheme", "degrees", "boundary", "points", "controls"),
-    [
-        ("LG", (2, 1), [5, 10, 13], [6, 8, 11], [7, 9, 12]),
-        ("LGR", (2, 1), [5, 9, 11], [5, 7, 9], [6, 8, 10]),
-        ("LGL", (2, 3), [5, 7, 12], [5, 7, 7, 10, 12], [6, 8, 9, 11, 13]),
-    ],
-)
-def test_variables_stand_in_the_order_of_time(
-    scheme: Scheme, degrees: tuple[int, ...], boundary: list[int], points: list[int], controls: list[int]
-) -> None:
-    """One state, one control: they alternate, and neighbouring segments share the state at their boundary."""
-    part = collocation(scheme, Mesh((0.0, 0.5, 1.0), degrees), n=1, first=5)
-    assert part.boundary_states.tolist() == [boundary] and part.point_states.tolist() == [points]
-    assert part.point_controls.tolist() == [controls]
-    assert part.n_variables == max(boundary[-1], controls[-1]) + 1 - 5
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -169,17 +145,6 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_times_and_weights_of_points(scheme: Scheme) -> None:
-    part = collocation(scheme)
-    tau = [collocation_rule(scheme, n) for n in UNEVEN.degrees]
-    assert part.fractions[:2] == pytest.approx(0.05 * (1 + tau[0].points))
-    assert part.arc_fractions[2:5] == pytest.approx(0.25 + 0.375 * (1 + tau[1].points))
-    assert part.point_arcs.tolist() == [0] * 5 + [1] * 6
-    assert part.quadrature[:5].sum() == pytest.approx(1.0) == part.quadrature[5:].sum()
-    assert part.quadrature[2:5] == pytest.approx(0.375 * tau[1].weights)
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
 def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     """x = t^2 / 2 over arcs of 4 s and 6 s, with rates times the duration of the arc, on every node."""
     part = collocation(scheme, n=1, m=0)
@@ -197,40 +162,6 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * (2 * t * spans[part.point_arcs])[columns])
     assert np.max(np.abs(total)) > 0.1
-
-
-def test_path_rows_take_their_own_outputs() -> None:
-    part = collocation("LG", Mesh((0.0, 0.5, 1.0), (2, 1)), n=1, paths=2, row=7)
-    rows, columns, values = part.weights(3, np.array([0]), np.array([1, 2]))
-    entries = dict(zip(rows.tolist(), zip(columns.tolist(), values.tolist(), strict=True), strict=False))
-    first = 7 + part.n_dynamics_rows
-    assert [entries[first + i] for i in range(6)] == [
-        (1, 1.0),
-        (2, 1.0),
-        (4, 1.0),
-        (5, 1.0),
-        (7, 1.0),
-        (8, 1.0),
-    ]
-    matrix = weight_matrix(2, 3, ([0, 0, 1], [1, 1, 2], [1.0, 2.0, 5.0]), ([1], [0], [4.0]))
-    assert matrix.toarray().tolist() == [[0, 3, 0], [4, 0, 5]]
-
-
-def test_families_of_points() -> None:
-    gauss, radau, lobatto = (family_of(s) for s in SCHEMES)
-    assert [f.has_end_row for f in (gauss, radau, lobatto)] == [True, False, False]
-    assert [f.symmetric for f in (gauss, radau, lobatto)] == [True, False, True]
-    assert [f.fewest for f in (gauss, radau, lobatto)] == [1, 1, 2]
-    assert [gauss.row_place(i, 2) for i in range(3)] == ["point 1", "point 2", "end"]
-    assert radau.row_place(1, 2) == "point 2" and lobatto.row_place(0, 3) == "point 2"
-    for wrong, hint in (
-        ("gauss", "did you mean 'LG'"),
-        ("lgl", "'LGL'"),
-        ("xyz", "choose LG"),
-        (3, "choose LG"),
-    ):
-        with pytest.raises(ArgumentError, match=hint):
-            family_of(wrong)  # type: ignore[arg-type]
 
 
 # --- held arcs --------------------------------------------------------------------------------------------
@@ -337,15 +268,6 @@ def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     assert rows @ rows.T == pytest.approx(np.eye(rows.shape[0]))
 
 
-def test_smooth_rows_are_numbered_one_after_another() -> None:
-    first = (np.array([5, 6]), np.array([[1.0, 2.0]]))
-    second = (np.array([8, 9, 7]), np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
-    rows, columns, values = smooth_entries([first, second], 100)
-    assert rows.tolist() == [100, 100, 101, 101, 101, 102, 102, 102]
-    assert columns.tolist() == [5, 6, 8, 9, 7, 8, 9, 7] and values.tolist() == [1, 2, 1, 2, 3, 4, 5, 6]
-    assert [part.size for part in smooth_entries([], 100)] == [0, 0, 0]
-
-
 # --- separable programs -----------------------------------------------------------------------------------
 
 
@@ -372,78 +294,6 @@ def separable() -> tuple[SeparableProgram, Any, list[Any]]:
     return program, rows, [x, c]
 
 
-def test_a_separable_program_has_the_derivatives_of_its_sum() -> None:
-    program, rows, (sx, sc) = separable()
-    x, c, lam = ca.MX.sym("x", 4), ca.MX.sym("c"), ca.MX.sym("lam", 3)
-    values, entries = program.values_and_jacobian(x, c)
-    found = ca.Function("f", [x, c, lam], [values, entries, program.hessian(x, c, lam), program.values(x, c)])
-    at, constant, multipliers = [0.3, -0.7, 1.1, 0.4], 2.5, [1.0, -2.0, 0.5]
-    v, j, h, again = (np.array(o).ravel() for o in found(at, constant, multipliers))
-    exact = ca.Function("e", [sx, sc], [rows, ca.jacobian(rows, sx)])(at, constant)
-    assert v == pytest.approx(np.array(exact[0]).ravel()) and again == pytest.approx(v)
-    dense = np.zeros((3, 4))
-    dense[program.jacobian_pattern] = j
-    assert dense == pytest.approx(np.array(exact[1]))
-    curved = ca.hessian(ca.dot(ca.DM(multipliers), rows), sx)[0]
-    upper = np.zeros((4, 4))
-    upper[program.hessian_pattern] = h
-    assert upper == pytest.approx(np.triu(np.array(ca.Function("h", [sx, sc], [curved])(at, constant))))
-    order = program.jacobian_pattern[0] + 3 * program.jacobian_pattern[1]
-    assert np.all(np.diff(order) > 0) and (program.n_rows, program.n_variables) == (3, 4)
-
-
-def test_some_rows_of_a_separable_program() -> None:
-    program, rows, (sx, sc) = separable()
-    x, c = ca.MX.sym("x", 4), ca.MX.sym("c")
-    at, constant = [0.3, -0.7, 1.1, 0.4], 2.5
-    exact = np.array(ca.Function("e", [sx, sc], [rows])(at, constant)).ravel()
-    for first, end in ((0, 1), (1, 3), (2, 3)):
-        part = program.rows(first, end)
-        assert np.array(ca.Function("f", [x, c], [part.values(x, c)])(at, constant)).ravel() == pytest.approx(
-            exact[first:end]
-        )
-    empty = SeparableProgram(
-        program.linear,
-        (
-            PointBlock(
-                program.blocks[0].function,
-                program.blocks[0].variables,
-                program.blocks[0].data,
-                program.blocks[0].weights * 0,
-            ),
-        ),
-    )
-    assert empty.n_rows == 3
-    apart = SeparableProgram(
-        program.linear,
-        (
-            PointBlock(
-                program.blocks[0].function,
-                program.blocks[0].variables,
-                program.blocks[0].data,
-                scipy.sparse.csc_array(np.eye(3, 6)),
-            ),
-        ),
-    )
-    assert (
-        len(apart.rows(0, 1).blocks) == 1
-        and program.blocks[0].points == 3
-        and program.blocks[0].function.rows == 2
-    )
-    none = SeparableProgram(
-        program.linear,
-        (
-            PointBlock(
-                program.blocks[0].function,
-                program.blocks[0].variables,
-                program.blocks[0].data,
-                scipy.sparse.csc_array((3, 6)),
-            ),
-        ),
-    )
-    assert none.rows(0, 3).blocks == ()
-
-
 # --- nonlinear programs -----------------------------------------------------------------------------------
 
 
@@ -452,48 +302,6 @@ def nlp(**derivatives: Any) -> NlpProblem:
     return NlpProblem(
         x, p, p * x[0] ** 2 + x[1], ca.vertcat(x[0] * x[1], x[0] - x[1], x[1] ** 2), **derivatives
     )
-
-
-def with_derivatives() -> NlpProblem:
-    base = nlp()
-    x, p, lam_f, lam_g = base.x, base.p, ca.MX.sym("lf"), ca.MX.sym("lg", 3)
-    lagrangian = lam_f * base.f + ca.dot(lam_g, base.g)
-    return nlp(
-        grad_f=ca.Function("a", [x, p], [base.f, ca.densify(ca.gradient(base.f, x))]),
-        jac_g=ca.Function("b", [x, p], [base.g, ca.jacobian(base.g, x)]),
-        hess_lag=ca.Function("c", [x, p, lam_f, lam_g], [ca.triu(ca.hessian(lagrangian, x)[0])]),
-    )
-
-
-def test_a_program_counts_and_differentiates() -> None:
-    given, plain = with_derivatives(), nlp()
-    assert (plain.n_variables, plain.n_constraints, plain.n_parameters) == (2, 3, 1)
-    for program in (given, plain):
-        f, g, gradient = (
-            np.array(v).ravel() for v in program.lagrangian([2.0, 3.0], 5.0, [1.0, 10.0, 100.0])
-        )
-        assert f.tolist() == [23.0] and g.tolist() == [6, -1, 9]
-        assert gradient.tolist() == [20 + 3 + 10, 1 + 2 - 10 + 600]
-    assert joint_jacobian(plain) is None and full_hessian(plain) is None
-    f, slope, g, jacobian = (np.array(v) for v in joint_jacobian(given)([2.0, 3.0], 5.0))
-    assert (
-        f.item() == 23.0
-        and slope.ravel().tolist() == [20, 1]
-        and jacobian.tolist() == [[3, 2], [1, -1], [0, 6]]
-    )
-    assert np.array(full_hessian(given)([2.0, 3.0], 5.0, 1.0, [1.0, 10.0, 100.0])).tolist() == [
-        [10, 1],
-        [1, 200],
-    ]
-    x, p = plain.x, plain.p
-    half = nlp(
-        grad_f=ca.Function(
-            "a", [x, p], [p * x[0] ** 2 + x[1], ca.densify(ca.gradient(p * x[0] ** 2 + x[1], x))]
-        )
-    )
-    assert joint_jacobian(half) is None and np.array(
-        half.lagrangian([2.0, 3.0], 5.0, [0, 0, 0])[2]
-    ).ravel().tolist() == [20, 1]
 
 
 # --- the program of a problem -----------------------------------------------------------------------------
@@ -559,23 +367,6 @@ def test_bounds_of_all_variables_and_rows() -> None:
     assert program.fixed_times(problem).tolist() == [0.0, 0.0]
 
 
-def test_the_program_without_free_times() -> None:
-    problem = cart()
-    program = Transcription(problem, {"leg": Mesh.uniform(2, 3)}, "LG")
-    assert program.parts["leg"].times.tolist() == [program.n_variables, program.n_variables + 1]
-    assert program.fixed_times(problem).tolist() == [0.0, 1.0] and program.end_rows == {}
-    assert program.duration_multiplier("leg", np.ones(program.n_constraints)) == 0.0
-    assert program.numbers(problem).tolist() == [1.0, 0.0, 1.0]
-    vector = program.parameter_vector(
-        problem, np.full(program.n_variables, 2.0), np.full(program.n_constraints, 3.0), 4.0
-    )
-    assert (
-        vector.size == 3 + program.n_variables + program.n_constraints + 1
-        and vector[-1] == 4.0
-        and vector[3] == 2.0
-    )
-
-
 def test_a_bound_that_rounding_crosses_is_met() -> None:
     problem = cart()
     leg = problem.get_phase()
@@ -584,64 +375,6 @@ def test_a_bound_that_rounding_crosses_is_met() -> None:
     program = Transcription(problem, {"leg": Mesh.uniform(1, 2)}, "LG")
     found = program.variable_interval(problem)
     assert np.all(found.lower <= found.upper)
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_scaled_program_and_its_derivatives(scheme: Scheme) -> None:
-    """Gradient, Jacobian and Hessian of the scaled program, by central differences of its own values."""
-    problem = problem_of_all()
-    program = Transcription(problem, {"leg": Mesh((0.0, 0.5, 1.0), (2, 3), (1,))}, scheme)
-    rng = np.random.default_rng(0)
-    n, m = program.n_variables, program.n_constraints
-    scales, rows = rng.uniform(0.5, 2, n), rng.uniform(0.5, 2, m)
-    p = program.parameter_vector(problem, scales, rows, 3.0)
-    x = rng.uniform(0.5, 1.5, n)
-    x[program.parts["leg"].times] = np.array([0.5, 2.0, 4.0]) / scales[program.parts["leg"].times]
-    f = ca.Function("f", [program.nlp.x, program.nlp.p], [program.nlp.f, program.nlp.g])
-    h = 1e-6
-    columns = [
-        [np.array(v).ravel() for v in f(x + s * h * np.eye(n)[i], p)] for i in range(n) for s in (1, -1)
-    ]
-    slope = np.array([(columns[2 * i][0] - columns[2 * i + 1][0])[0] / (2 * h) for i in range(n)])
-    jacobian = np.array([(columns[2 * i][1] - columns[2 * i + 1][1]) / (2 * h) for i in range(n)]).T
-    assert np.array(program.nlp.grad_f(x, p)[1]).ravel() == pytest.approx(slope, abs=1e-7)
-    assert np.array(program.nlp.jac_g(x, p)[1]) == pytest.approx(jacobian, abs=1e-7)
-    lam = rng.normal(size=m)
-    gradient = program.nlp.lagrangian
-    bent = np.array(
-        [
-            (np.array(gradient(x + h * e, p, lam)[2]) - np.array(gradient(x - h * e, p, lam)[2])).ravel()
-            / (2 * h)
-            for e in np.eye(n)
-        ]
-    )
-    assert np.array(program.nlp.hess_lag(x, p, 1.0, lam)) == pytest.approx(np.triu(bent), abs=1e-6)
-    g, grad, nonzeros = program.evaluate(problem, x * scales)
-    assert grad == pytest.approx(slope / scales / 3.0, abs=1e-7) and g * rows == pytest.approx(
-        np.array(f(x, p)[1]).ravel()
-    )
-    assert nonzeros.size == program.constraints.jacobian_pattern[0].size
-
-
-def test_programs_are_kept_the_last_few_of_them() -> None:
-    problem = cart()
-    meshes = [{"leg": Mesh.uniform(k, 2)} for k in range(1, CACHED_PROGRAMS + 2)]
-    first = transcribe(problem, meshes[0], "LG")
-    assert (
-        transcribe(problem, meshes[0], "LG") is first and transcribe(problem, meshes[0], "LGR") is not first
-    )
-    for mesh in meshes[1 : CACHED_PROGRAMS - 1]:
-        transcribe(problem, mesh, "LG")
-    assert transcribe(problem, meshes[0], "LG") is first
-    for mesh in meshes[1:]:
-        transcribe(problem, mesh, "LG")
-    assert transcribe(problem, meshes[0], "LG") is not first
-    free_time = cart()
-    one = transcribe(free_time, meshes[0], "LG")
-    free_time.get_phase().time(0.0, (0.5, 2.0))
-    assert transcribe(free_time, meshes[0], "LG") is not one
-    with pytest.raises(UnknownNameError, match="no phase 'lag'"):
-        transcribe(problem, {"lag": Mesh.uniform(1, 2), "leg": Mesh.uniform(1, 2)}, "LG")
 
 
 # --- scales -----------------------------------------------------------------------------------------------
@@ -692,27 +425,3 @@ def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     assert objective > 0 and NEARBY == 0.1
     again = scale_rows(program, problem.with_scale(v=1e-3), start, scales)
     assert again[1] == pytest.approx(objective) and again[0] == pytest.approx(rows)
-
-
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_slopes_are_looked_at_on_one_side_of_the_guess(sense: float) -> None:
-    """Of x^3 at the end, guessed at +-2: 12 there, and 12 (1 + NEARBY c)^2 beside it, c the cosine of its place."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("cubic")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
-    leg.guess(x=(2.0 * sense, 2.0 * sense), u=(1.0, 1.0))
-    problem.minimize(leg.final_state("x") ** 3)
-    program = Transcription(problem, {"leg": Mesh.uniform(1, 3)}, "LG")
-    start = np.full(program.n_variables, 2.0 * sense)
-    place = int(program.parts["leg"].collocation.boundary_states[0, -1])
-    golden = np.pi * (3 - np.sqrt(5))
-    near = 2.0 * sense + NEARBY * min(2.0, scale_variables(program, problem, start)[place]) * np.cos(
-        golden * place
-    )
-    steepest = max(12.0, 3 * near**2)
-    scales = np.ones(program.n_variables)
-    assert scale_rows(program, problem, start, scales)[1] == pytest.approx(1 / steepest)
-    assert (steepest > 12.0) == (sense * np.cos(golden * place) > 0)

@@ -1,0 +1,44 @@
+"""The quadratic program of a horizon: its optimality residual."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from gnc_opt.control.horizon_qp import Programme
+
+INF = np.inf
+
+
+def test_a_solution_has_no_residual_and_anything_else_has_one():
+    """min |omega|^2 / 2 within omega_1 + omega_2 >= 1: omega = 1/2, multiplier -1/2 at the lower limit."""
+
+    def task_of(g, a, low, high, equal=0, free=2):
+        size = len(g)
+        return Programme(ca.DM.eye(size), ca.DM(g), ca.DM(a), ca.DM(low), ca.DM(high), equal, free)
+
+    task = task_of([0.0] * 3, [[1.0, 1.0, 0.0]], [1.0], [INF])
+    right = (ca.DM([0.5, 0.5, 0.0]), ca.DM([-0.5]), ca.DM([0.0, 0.0, 0.0]))
+
+    def residual(omega=right[0], lam_a=right[1], lam_x=right[2], task=task):
+        return float(task.optimality_residual(omega, lam_a, lam_x))
+
+    assert residual() == 0.0
+    assert residual(omega=ca.DM([0.6, 0.6, 0.0])) == pytest.approx(0.1 + 0.2 * 0.5)
+    assert residual(omega=ca.DM([0.4, 0.4, 0.0])) == pytest.approx(0.1 + 0.2 + 0.2 * 0.5)
+    assert residual(lam_a=ca.DM([0.5])) > 1.0
+    assert residual(omega=ca.DM([0.5, 0.5, -0.1])) == pytest.approx(0.1 + 0.1)
+    assert residual(lam_x=ca.DM([0.0, 0.0, 0.2])) == pytest.approx(0.2 + 0.2)
+    priced = task_of([0.0, 0.0, 4.0], [[1.0, 1.0, 0.0]], [1.0], [INF])
+    assert residual(lam_x=ca.DM([0.0, 0.0, -4.0]), task=priced) == 0.0
+    assert residual(lam_x=ca.DM([0.0, 0.0, -2.0]), task=priced) == pytest.approx(2 / 4)
+    assert not residual(omega=ca.DM([np.nan, 0.5, 0.0])) < 1.0
+    hard = task_of([0.0] * 2, [[1.0, 1.0]], [-9.0], [-1.0])
+    assert float(hard.optimality_residual(ca.DM([-0.5, -0.5]), ca.DM([0.5]), ca.DM([0.0, 0.0]))) == 0.0
+    # an equation, omega_1 + omega_2 = 4, beside a limit that is far: relative to its right side
+    equation = task_of([0.0] * 2, [[1.0, 1.0], [1.0, 0.0]], [4.0, -INF], [4.0, 9.0], equal=1)
+    exact = (ca.DM([-2.0, 0.0]), ca.DM([0.0, 0.0]))
+    assert float(equation.optimality_residual(ca.DM([2.0, 2.0]), *exact)) == 0.0
+    off = float(equation.optimality_residual(ca.DM([2.1, 2.1]), ca.DM([-2.1, 0.0]), ca.DM([0.0, 0.0])))
+    assert off == pytest.approx(0.2 / 4)

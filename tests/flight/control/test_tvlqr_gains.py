@@ -1,0 +1,88 @@
+"""Gains along a reference: jumps, and the table of linearizations."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from testing.internals import QuadraticCost
+
+import gnc_opt as go
+from gnc_opt.control import (
+    ErrorDynamics,
+    Reference,
+)
+from gnc_opt.control.tvlqr_gains import (
+    LinearizationTable,
+    riccati_defect,
+    riccati_gains,
+)
+from gnc_opt.model import Model
+
+
+@pytest.mark.parametrize(("start", "span"), [(0.0, 2.0), (1e6, 2.0), (0.0, 2e-4)])
+def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start, span):
+    """x' = w x + u about x = 0, where w jumps from 1 to -2 per unit of time: -p' = 2 w p - p^2 + 4, from p = 1."""
+    model = Model("switched")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: w * x + u})
+    unit = span / 2
+    jump = start + 0.6 * unit
+    reference = Reference.from_functions(
+        model,
+        lambda t: [0.0],
+        lambda t: [0.0, (1.0 if t < jump else -2.0) / unit],
+        start,
+        start + span,
+        jumps=[jump],
+    )
+    cost = QuadraticCost(np.array([[4.0 / unit]]), unit * np.eye(2), np.zeros((1, 2)))
+    gains = riccati_gains(ErrorDynamics(model), reference, cost, terminal=1.0)
+    p = 1.0
+    for factor, left, right in ((-2.0, 0.6, 2.0), (1.0, 0.0, 0.6)):
+
+        def rate(t, p, factor=factor):
+            return -(2 * factor * p - p**2 + 4)
+
+        p = float(solve_ivp(rate, (right, left), [p], rtol=1e-12, atol=1e-13, method="DOP853").y[0, -1])
+        assert gains.P(start + left * unit)[0, 0] == pytest.approx(p, rel=2e-8)
+    assert riccati_defect(gains, cost) < 1e-5
+    assert riccati_defect(gains, cost._replace(q=1.01 * cost.q)) > 1e-3
+
+
+def pendulum() -> go.Model:
+    model = go.Model("pendulum")
+    q, v = model.state("q"), model.state("v")
+    a = model.control("a")
+    model.ode({q: v, v: a * ca.cos(q) - ca.sin(q)})
+    return model
+
+
+def path(angle, jumps=()) -> Reference:
+    return Reference.from_functions(
+        pendulum(), lambda t: [angle(t), 0.0], lambda t: [1.0 if t < 1.3 else -1.0], 0.0, 4.0, jumps=jumps
+    )
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        path(np.cos, jumps=[1.3]),
+        path(lambda t: np.cos(40 * t), jumps=[1.3]),  # too fast for one interpolant: halved
+        path(lambda t: abs(t - 2.1)),  # a kink and a jump that nobody declared: the function itself
+    ],
+)
+def test_table_equals_the_linearization(reference):
+    deviation = ErrorDynamics(reference.model)
+    table = LinearizationTable(deviation, reference)
+    for t in np.concatenate([np.linspace(0.0, 4.0, 201), [1.3]]):
+        wanted = deviation.linearize(t, reference.x(t), reference.u(t))
+        for found, exact in zip(table(t), wanted, strict=True):
+            np.testing.assert_allclose(found, exact, atol=1e-12)
+
+
+def test_reference_without_duration():
+    reference = Reference.constant(pendulum(), [0.0, 0.0])
+    table = LinearizationTable(ErrorDynamics(reference.model), reference)
+    np.testing.assert_allclose(table(0.0)[0], [[0, 1], [-1, 0]], atol=1e-15)
