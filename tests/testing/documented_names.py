@@ -66,9 +66,11 @@ def public() -> dict[str, Any]:
 
 @cache
 def source_names() -> frozenset[str]:
-    """Words that the sources of gnc_opt and the problems know as names of something or as values of options."""
+    """Names and values of options in the sources of gnc_opt and of the problems, and the extras of the package."""
     folders = ("gnc_opt", "problems", "benchmarks")
-    found: set[str] = set()
+    found = set(
+        re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    )
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         found |= {path.stem, path.parent.name}
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
