@@ -13,8 +13,6 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.model.expressions import nodes_of
-
 FORMULA_MAX_NODES = 400
 """Operations and symbols of all formulas of one phase; larger ones are described by their arguments."""
 
@@ -70,12 +68,17 @@ class Formulas:
 
     def admit(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; note what occurs in it twice."""
-        nodes = []
-        for node in nodes_of(expressions):
-            nodes.append(node)
-            if len(nodes) > FORMULA_MAX_NODES:
+        uses: Counter[int] = Counter()
+        waiting = ca.vertsplit(ca.densify(expressions))
+        while waiting:
+            node = waiting.pop()
+            for operand in self._operands(node):
+                place = operand.element_hash()
+                uses[place] += 1
+                if uses[place] == 1:
+                    waiting.append(operand)
+            if len(uses) > FORMULA_MAX_NODES:
                 return False
-        uses = Counter(o.element_hash() for node in nodes for o in self._operands(node))
         self._repeated |= {place for place, count in uses.items() if count > 1}
         return True
 

@@ -22,8 +22,8 @@ _TIME = "<mi>t</mi>"
 def problem_statement(problem: Problem) -> str:
     """Return the cost, the constraints at the ends, the free parameters and every phase as HTML."""
     writer = Formulas(_end_names(problem))
-    several = len(problem.phases) > 1
-    phases = "".join(_phase(problem, leg, several) for leg in problem.phases.values())
+    shown: dict[str, str] = {}
+    phases = "".join(_phase(problem, leg, shown) for leg in problem.phases.values())
     return _cost(problem, writer) + phases + _constraints(problem, writer) + _free_parameters(problem)
 
 
@@ -90,17 +90,23 @@ def _free_parameters(problem: Problem) -> str:
 # --- phases -----------------------------------------------------------------------------------------------
 
 
-def _phase(problem: Problem, leg: Phase, several: bool) -> str:
+def _phase(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
+    """Return a phase; parts that an earlier one has, too, are referred to by the name of that phase."""
+
+    def once(part: str) -> str:
+        earlier = shown.setdefault(part, leg.name)
+        return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
+
     initial, final = leg.times()
     span = leg.numbers.duration
     times = [("initial time", range_text(initial, [0]), "s"), ("final time", range_text(final, [0]), "s")]
     if span.lower[0] > 0 or np.isfinite(span.upper[0]):
         times.append(("duration", range_text(span, [0]), "s"))
     body = [
-        f"<h3>Phase {escape(leg.name)}</h3>" if several else "",
+        f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
         "<h4>Dynamics</h4>",
-        _dynamics(problem, leg),
+        once(_dynamics(problem, leg)),
         "<h4>States, controls and times</h4>",
         table(
             ("", "initial value", "final value", "limits", "unit"),
@@ -113,7 +119,11 @@ def _phase(problem: Problem, leg: Phase, several: bool) -> str:
                 *((name, "", "", value, unit) for name, value, unit in times),
             ],
         ),
-        _model_parameters(problem, leg),
+        *(
+            ["<h4>Parameters of the model</h4>", once(values)]
+            if (values := _model_parameters(problem, leg))
+            else []
+        ),
     ]
     return "".join(body)
 
@@ -143,7 +153,7 @@ def _model_parameters(problem: Problem, leg: Phase) -> str:
         (name, "free" if name.split(" [")[0] in problem.parameters else _numbers(values[rows]), unit)
         for name, rows, unit in _grouped(leg.model.parameters)
     ]
-    return "<h4>Parameters of the model</h4>" + table(("parameter", "value", "unit"), rows) if rows else ""
+    return table(("parameter", "value", "unit"), rows)
 
 
 def _dynamics(problem: Problem, leg: Phase) -> str:
