@@ -134,7 +134,7 @@ def plot_controls(
             last = column[-1] if column[-1] in figure.axes else column[len(parts) - 1]
             last.set_xlabel("time (s)")
             last.tick_params(labelbottom=True)
-            figure.align_ylabels(list(column))
+            figure.align_ylabels([ax for ax in column if ax in figure.axes])
         legend_on_top(figure, _control_legend(columns == 2))
     return figure
 
@@ -194,7 +194,7 @@ def _draw_switching(
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
     per = per_unit(unit, leg.control(name).unit)
-    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}", per))
+    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _negligible_switching(solution, leg, name, i)
     leave_room(axes[1], negligible)
     on_bound = _on_a_bound(

@@ -160,7 +160,9 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
     with style():
         figure = new_figure(5.2)
-        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=18, azim=-62)
+        width, depth = np.ptp(extent[:2], axis=1)
+        azimuth = -62 if width >= depth else -28  # the longer axis runs across the figure
+        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=18, azim=azimuth)
         ax.plot(*path.position, color=COLORS[0], zorder=4)
         handles = [Line2D([], [], color=COLORS[0], label="path")]
         for point, marker, label in ((path.position[:, 0], "o", "start"), (path.position[:, -1], "s", "end")):
@@ -168,7 +170,9 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             handles.append(Line2D([], [], color=COLORS[0], marker=marker, linestyle="none", label=label))
         drawn = [extent]
         for k in range(few.times.size):
-            if few.dcm_BL is not None:
+            if few.dcm_BL is None:
+                ax.plot(*few.position[:, k : k + 1], ".", color=COLORS[0], markersize=9, zorder=5)
+            else:
                 drawn.append(_draw_box(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
         for i, (name, place) in enumerate(bodies.items(), 1):
             drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)]))
@@ -221,7 +225,7 @@ def frame_space(
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
     ax.set_box_aspect(high - low, zoom=zoom)
     for axis, extent in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, strict=True):
-        axis.set_major_locator(MaxNLocator(max(2, round(6 * extent / float(np.max(high - low))))))
+        axis.set_major_locator(MaxNLocator(max(1, round(6 * extent / float(np.max(high - low))))))
     names = [axis_label(f"${name}$ {note}".strip(), unit) for name, note in zip("xyz", notes, strict=True)]
     ax.set_xlabel(names[0], labelpad=12)
     ax.set_ylabel(names[1], labelpad=4)

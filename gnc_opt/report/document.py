@@ -118,6 +118,7 @@ th, figcaption { color: var(--quiet); font-weight: normal; }
 figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
 img { display: block; width: 100%; height: auto; background: #fff; }
 math { font-size: 1.12em; font-family: "STIX Two Math", "Latin Modern Math", "Cambria Math", math; }
+#overview figure:first-of-type img { width: auto; max-width: 100%; max-height: 38rem; margin: 0 auto; }
 code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
 #film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }

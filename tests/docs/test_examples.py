@@ -12,7 +12,7 @@ from testing.pages import DOCS, PAGES, README, Block, Page
 
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\d.])")
 
-EFFORT = re.compile(r"\d+(?= iterations)|(?<=build )\S+|(?<=solve )\S+")
+EFFORT = re.compile(r"\d+(?= iterations)|(?<=build )\S+|(?<=solve )\S+|(?<=time spent   )\S+")
 """What a solve costs depends on the machine and on versions."""
 
 ROUNDING = 1e-7
