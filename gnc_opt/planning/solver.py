@@ -5,7 +5,6 @@ Resolver: solving a problem again and again with other numbers, near a solution 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
@@ -26,14 +25,14 @@ from gnc_opt.planning.refinement.arc_warm_start import (
     KnownArcs,
     first_meshes,
 )
-from gnc_opt.planning.refinement.budget import RefinementLimits
-from gnc_opt.planning.refinement.engine import StructureChoice, refine
+from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.engine import StructureChoice, refine, refined
+from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
 from gnc_opt.planning.solution.history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
-from gnc_opt.tolerances import SHORTEST
 
 
 class Resolver:
@@ -283,7 +282,10 @@ def solve(
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
     problem = restated(problem)
-    begin = time.perf_counter()
+    if options.max_wall_time is not None:
+        wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
+        limits = replace(limits, max_wall_time=wall)
+    budget = WorkBudget.of(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
         nearby = _varied(problem, guess, tol, in_a_loop)
         if nearby is not None:
@@ -292,7 +294,10 @@ def solve(
             tol = reached(guess)
         if tol is not None and _is_refined(guess):
             return _refined_again(problem, guess, tol, progress, throw)
-    solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
+    within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
+    solution = solve_mesh(
+        problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
+    )
     if guess is not None:
         solution = said(solution, SolveMethod.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
@@ -300,10 +305,10 @@ def solve(
     if tol is None or not solution.status.solved:
         return solution
 
-    if options.max_wall_time is not None:
-        left = max(options.max_wall_time - (time.perf_counter() - begin), SHORTEST)
-        limits = replace(limits, max_wall_time=min(left, limits.max_wall_time or left))
-    final = refine(solution, tol=tol, structure=structure, check=check, limits=limits, progress=progress)
+    stages = Stages(
+        solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
+    )
+    final = refined(solution, stages, structure)
     return final if guess is None else said(final, SolveMethod.WARM)
 
 

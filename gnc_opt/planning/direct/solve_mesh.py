@@ -64,7 +64,7 @@ solution (a phase that shrinks to nothing, say); its adaptive barrier is slower 
 COLD_START_MAX_ITERATIONS = 1000
 """Iterations, SolverOptions' limit, after which a cold start has lost its way."""
 
-LOST = 300
+LOST = 150
 """Iterations after which a start from straight lines gives way to a flight, which follows the dynamics if nothing else:
 an entry through an atmosphere that is exponential in height goes on for thousands from a line, and takes 80 from a
 flight. (Of 84 problems that are solved from straight lines none takes more than 143.) As many are enough to meet the
@@ -90,8 +90,11 @@ iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterati
 224 and 30.)"""
 
 FALLBACK_MAX_ITERATIONS = 100
-"""Iterations that such a way gets on each mesh, and the adaptive barrier where the monotone one has lost its way: above
-the apex of a cone, for one, it takes 20 to 30 from lines from which the other finds nothing in 1000."""
+"""Iterations that such a way gets on each mesh."""
+
+ADAPTIVE_MAX_ITERATIONS = 300
+"""Those of the adaptive barrier where the monotone one has lost its way: above the apex of a cone it takes 20 to 30
+from lines from which the other finds nothing in 1000, for a transfer between orbits with two burns 135."""
 
 CAREFUL_ITERATIONS = 200
 """Those that pivoting with care gets to mend last digits, beyond which it crawls."""
@@ -119,11 +122,14 @@ class SolveLimits:
         Of all tries together: the last one ends as `Status.ITERATION_LIMIT` there.
     deadline : float
         When to stop, as `time.perf_counter` counts.
+    cpu_deadline : float
+        When to end as `Status.ITERATION_LIMIT`, as `time.thread_time` counts.
     """
 
     warm_iterations: int | None = None
     iterations: int | None = None
     deadline: float = math.inf
+    cpu_deadline: float = math.inf
 
 
 def solve_mesh(
@@ -160,7 +166,7 @@ def solve_mesh(
         meshes = {name: mesh_at_rest(leg) if guess.structure else leg.mesh for name, leg in known.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    task = _Task(problem, meshes, scheme, chosen, progress, limits.deadline, limits.iterations)
+    task = _Task(problem, meshes, scheme, chosen, progress, limits)
     if guess is None:
         return _coarse_to_fine(task)
     if limits.warm_iterations is None:
@@ -169,7 +175,7 @@ def solve_mesh(
         return task.along(guess)
     found = task.brief(limits.warm_iterations).solve(guess)
     task = task.after(found)
-    if found.status not in TRAJECTORY_ONLY or task.iterations == 0:
+    if found.status not in TRAJECTORY_ONLY or task.is_spent:
         return found
     return task.along(guess, after=found)
 
@@ -183,14 +189,19 @@ class _Task:
     scheme: Scheme
     options: SolverOptions
     progress: bool
-    deadline: float
-    iterations: int | None = None
+    limits: SolveLimits
 
     def after(self, found: Solution) -> _Task:
         """Return the task with the iterations that are left after those of a solution."""
-        if self.iterations is None:
+        if self.limits.iterations is None:
             return self
-        return replace(self, iterations=max(0, self.iterations - found.statistics.iterations))
+        left = max(0, self.limits.iterations - found.statistics.iterations)
+        return replace(self, limits=replace(self.limits, iterations=left))
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether no iterations or no CPU time are left."""
+        return self.limits.iterations == 0 or time.thread_time() > self.limits.cpu_deadline
 
     def along(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
@@ -212,17 +223,17 @@ class _Task:
         )
         point = attempt.point(attempt.start)
         attempt.solver.set_up(point)  # the limit is on solving, not on setting up
-        spent = after.statistics.solve_s if after else 0.0
-        deadline = min(self.deadline, attempt.solver.deadline() - spent)
+        earlier_s = after.statistics.solve_s if after else 0.0
+        deadline = min(self.limits.deadline, attempt.solver.deadline() - earlier_s)
         guided = guess is not None or not retries or knows_trajectory(self.problem)
         with attempt.meter() as show:
             solve_from = _solve_point if guided else partial(_solve_from_lines, attempt)
-            allowance = None if self.iterations is None else _Allowance(show, self.iterations)
-            result = solve_from(attempt.solver, point, allowance or show, deadline)
-            if allowance is not None and allowance.spent and result.status is Status.INTERRUPTED:
-                result = replace(result, status=Status.ITERATION_LIMIT)
+            allowance = _Allowance(show, self.limits)
+            result = solve_from(attempt.solver, point, allowance, deadline)
         if not guided and result.status in CONSTRAINTS_FIRST:
-            result = _constraints_first(attempt, result, deadline)
+            result = _constraints_first(attempt, result, allowance, deadline)
+        if allowance.spent and result.status is Status.INTERRUPTED:
+            result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = least_multipliers(attempt.transcription, point, result)
         found = attempt.solution(result)
@@ -271,7 +282,7 @@ def _shows_what_happens(solution: Solution) -> bool:
 def _solve_point(
     solver: NlpSolver,
     point: NlpPoint,
-    show: ProgressCallback | None,
+    show: ProgressCallback,
     deadline: float,
     first: NlpResult | None = None,
 ) -> NlpResult:
@@ -313,20 +324,22 @@ class FeasibilityStart:
     held: Indices
 
 
-def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> NlpResult:
+def _constraints_first(
+    attempt: Attempt, failed: NlpResult, allowance: _Allowance, deadline: float
+) -> NlpResult:
     """Return a solution by way of a point that meets the constraints, or else the failure; with all the effort."""
     spent = [failed]
     for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
-        if time.perf_counter() > deadline:
+        if allowance.spent or time.perf_counter() > deadline:
             break
         point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
-        with attempt.meter(with_cost=False) as show:
-            patience = _Patience(show)
+        with attempt.meter(with_cost=False) as allowance.show:
+            patience = _Patience(allowance)
             spent.append(_solve_point(attempt.solver, point, patience, deadline))
         if spent[-1].status.solved:
             point = attempt.point(ProgramStart(spent[-1].x * attempt.scaling.variables))
-            with attempt.meter() as show:
-                spent.append(_solve_point(attempt.solver, point, show, deadline))
+            with attempt.meter() as allowance.show:
+                spent.append(_solve_point(attempt.solver, point, allowance, deadline))
             if spent[-1].status not in CONSTRAINTS_FIRST:
                 return spent[-1].with_effort(spent)
         elif spent[-1].status is Status.INTERRUPTED and not patience.lost:
@@ -335,7 +348,7 @@ def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> 
 
 
 def _solve_from_lines(
-    attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback | None, deadline: float
+    attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback, deadline: float
 ) -> NlpResult:
     """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first in other ways."""
     if solver.options.solver != "ipopt" or solver.options.max_iterations < COLD_START_MAX_ITERATIONS:
@@ -346,7 +359,7 @@ def _solve_from_lines(
         return _solve_point(solver, point, show, deadline, first)
     spent = [
         first,
-        solver.solve(point, "adaptive", callback=_Patience(show, FALLBACK_MAX_ITERATIONS), deadline=deadline),
+        solver.solve(point, "adaptive", callback=_Patience(show, ADAPTIVE_MAX_ITERATIONS), deadline=deadline),
     ]
     if not spent[-1].status.solved:
         spent += _from_flight(attempt, show, deadline)
@@ -359,38 +372,40 @@ def _solve_from_lines(
 
 @dataclass
 class _Allowance:
-    """Shows iterations, and ends the try that takes the last one of those that all tries may take together."""
+    """Shows iterations, and ends the try that takes the last one, or the CPU time, of all tries together."""
 
     show: ProgressCallback | None
-    left: int
+    limits: SolveLimits
+    count: int = 0
 
     def __call__(self, info: IterationInfo) -> bool:
         if self.show is not None:
             self.show(info)
-        self.left -= info.iteration > 0
+        self.count += info.iteration > 0
         return self.spent
 
     @property
     def spent(self) -> bool:
-        """Whether there are none left."""
-        return self.left <= 0
+        """Whether none is left."""
+        most = self.limits.iterations
+        return (most is not None and self.count >= most) or time.thread_time() > self.limits.cpu_deadline
 
 
 @dataclass
 class _Patience:
     """Shows iterations, and ends a solve that takes `LOST` of them, or so many, or the last that all tries may take."""
 
-    show: ProgressCallback | None
+    show: ProgressCallback
     most: int | None = None
     lost: bool = False
 
     def __call__(self, info: IterationInfo) -> bool:
-        spent = self.show is not None and bool(self.show(info))
+        spent = bool(self.show(info))
         self.lost = info.iteration >= (LOST if self.most is None else self.most)
         return self.lost or spent
 
 
-def _from_flight(attempt: Attempt, show: ProgressCallback | None, deadline: float) -> Iterator[NlpResult]:
+def _from_flight(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
     """Yield what comes of a start from a flight, if one can be made and there is time."""
     flown = with_flown_guess(attempt.problem) if time.perf_counter() < deadline else None
     if flown is not None:
@@ -398,7 +413,7 @@ def _from_flight(attempt: Attempt, show: ProgressCallback | None, deadline: floa
         yield attempt.solver.solve(attempt.point(start), callback=_Patience(show), deadline=deadline)
 
 
-def _from_held_times(attempt: Attempt, show: ProgressCallback | None, deadline: float) -> Iterator[NlpResult]:
+def _from_held_times(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
     """Yield what comes of meeting the constraints in the guessed times first, and of the cost, times free, from there.
 
     Phases that shrink and grow while their dynamics are far from met lead astray; with times held, much is linear.

@@ -3,17 +3,18 @@
 Work is counted in iterations of one variable at one collocation point. A solve on N points with n states and m controls
 that takes k iterations costs N (n + m) (k + 15); the 15 stand for derivatives, the estimates of its errors and the next
 mesh. `WORK_PER_SECOND` converts it to CPU seconds, so that limits can be given in a familiar unit and still end a solve
-at the same place on every machine.
+at the same place on every machine. Where a machine needs more CPU time than is counted, that ends the search.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gnc_opt.arguments import read_integer, read_positive
-from gnc_opt.planning.solution.history import work_of
+from gnc_opt.planning.solution.history import iterations_for, work_of
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 
@@ -37,8 +38,8 @@ class RefinementLimits:
     max_points : int
         At most so many collocation points in any phase.
     max_work : float
-        CPU seconds of a reference processor, by counted iterations (see the module): the same result
-        on every machine. ``math.inf`` allows everything.
+        CPU seconds, by counted iterations of a reference processor (see the module): the same result on every
+        machine that needs no more CPU time than that. ``math.inf`` allows everything.
     max_wall_time : float, optional
         Limit in seconds on all of it, by the clock.
 
@@ -86,17 +87,28 @@ class WorkBudget:
         When to stop, as `time.perf_counter` counts.
     spent : float
         s of the reference processor.
+    cpu_deadline : float
+        When the CPU time of this thread, as `time.thread_time` counts, has come to what is allowed.
     """
 
     total: float
     deadline: float = math.inf
     spent: float = 0.0
+    cpu_deadline: float = math.inf
     _shortened: bool = field(default=False, repr=False)
+
+    @classmethod
+    def of(cls, limits: RefinementLimits) -> WorkBudget:
+        """Return the budget of a search that begins now."""
+        wall = math.inf if limits.max_wall_time is None else limits.max_wall_time
+        return cls(
+            limits.max_work, time.perf_counter() + wall, cpu_deadline=time.thread_time() + limits.max_work
+        )
 
     @property
     def left(self) -> float:
-        """What is left, s of the reference processor."""
-        return max(0.0, self.total - self.spent)
+        """What is left, s of the reference processor, and of CPU time in any case."""
+        return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
     def charge(self, solution: Solution) -> None:
         """Count what a solve has cost, failed tries included."""
@@ -112,6 +124,11 @@ class WorkBudget:
         """Return a share of the total, at most what is left, in iterations at one collocation point."""
         seconds = min(share * self.total, self.left)
         return seconds * WORK_PER_SECOND / variables_per_point(like.phases)
+
+    def iterations_left(self, like: Solution, points: int) -> int | None:
+        """Return for how many iterations at so many points there is work left, at least one; None: without limit."""
+        left = self.work_left(like)
+        return None if math.isinf(left) else max(1, iterations_for(left, points))
 
     def shorten(self) -> None:
         """Leave what finishing an answer may take, once."""

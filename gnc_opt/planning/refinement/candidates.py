@@ -84,8 +84,14 @@ class Candidate:
 
     @property
     def estimate(self) -> float:
-        """Estimated error of the objective, in its unit; infinite without a solution."""
-        return self.solution.objective_error.value if self.solved else math.inf
+        """Estimated error of the objective, in its unit; infinite without a solution.
+
+        The square of the local error stands for what the estimate, of first order in local errors, leaves out.
+        """
+        if not self.solved:
+            return math.inf
+        found = self.solution.objective_error
+        return found.value + self.error**2 * found.scale
 
     @cached_property
     def loss(self) -> float:
@@ -133,8 +139,15 @@ class Candidate:
 
     def rank(self, tol: float) -> tuple[float, float]:
         """Return relative estimate, not below the tolerance, and local error: the smaller, the better."""
-        relative = self.solution.objective_error.relative if self.solved else math.inf
+        relative = self.estimate / self.solution.objective_error.scale if self.solved else math.inf
         return max(relative, tol), self.error
+
+    def improves(self, other: Candidate) -> bool:
+        """Whether it is the better start among two on the same mesh: a lower cost that its controls do not explain.
+
+        Its loss of the minimum principle is the smaller one, too, and so it is no worse an extremal.
+        """
+        return self.is_lower(other) or (self.solved and self.cost < other.cost and self.loss < other.loss)
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to another minimum with a lower cost, so many of both estimates considered.
@@ -242,7 +255,7 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
     if error > tol:
         text += f" at {best.history.final.where}"
     if best.solved:
-        text += f"; estimated error of the objective {best.estimate:.1e}"
+        text += f"; estimated error of the objective {best.solution.objective_error.value:.1e}"
     left = () if verdict is None else verdict.open
     if left:
         named = "; ".join(

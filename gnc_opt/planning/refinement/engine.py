@@ -10,7 +10,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.refinement.budget import RefinementLimits
+from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import mesh_at_rest
@@ -78,16 +78,22 @@ def refine(
     """
     expect(solution, Solution, "what refine() got", "write refine(solve(problem))")
     read_positive(tol, "the tolerance of refine()")
+    limits = limits or RefinementLimits()
+    expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
+    _check(solution)
+    budget = WorkBudget.of(limits)
+    stages = Stages(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
+    return refined(solution, stages, structure)
+
+
+def refined(solution: Solution, stages: Stages, structure: StructureChoice) -> Solution:
+    """Return the answer to which the stages lead from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
-    limits = limits or RefinementLimits()
-    expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
-    _check(solution)
-    stages = Stages(solution.need_problem("refine"), tol, limits, check, options, progress)
     try:
-        solution = _released(solution, options, stages.budget.deadline)
+        solution = _released(solution, stages)
     except KeyboardInterrupt:
         return stages.interrupted(solution)
     stages.problem = solution.need_problem("refine")
@@ -104,7 +110,7 @@ def _check(solution: Solution) -> None:
         )
 
 
-def _released(solution: Solution, options: SolverOptions | None, deadline: float) -> Solution:
+def _released(solution: Solution, stages: Stages) -> Solution:
     """Return the solution of the problem that holds no arcs: those are told segment by segment of one mesh.
 
     What is best with them need not be without: it is solved anew, on the mesh as it was found.
@@ -121,8 +127,8 @@ def _released(solution: Solution, options: SolverOptions | None, deadline: float
         {name: mesh_at_rest(leg) for name, leg in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
-        options=options,
-        limits=SolveLimits(deadline=deadline),
+        options=stages.options,
+        limits=SolveLimits(deadline=stages.budget.deadline, cpu_deadline=stages.budget.cpu_deadline),
     )
     if found.status is Status.INTERRUPTED:
         raise KeyboardInterrupt

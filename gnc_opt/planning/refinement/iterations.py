@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
 from gnc_opt.planning.refinement.error import PhaseError, largest_error
@@ -26,7 +26,7 @@ PROMISING, EXTENDED = 0.3, 2.0
 
 
 LEFT = 0.5
-"""Share of all that is allowed that a pass may take in any case, ..."""
+"""Share of all that is allowed that a pass may take where the budget permits it, ..."""
 
 BUDGET_MIN_ITERATIONS = 25
 """... and iterations: a warm start near its end takes no more, on however fine a mesh."""
@@ -46,8 +46,12 @@ class PassLimits:
         No pass begins after this much work, in iterations at one collocation point; see
         `RefinementIteration.work` and `allowed`.
         One that has begun may cost half as much more at most; see `of_solve`.
+    most : float
+        What all passes may cost in any case.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+    cpu_deadline : float
+        When no work is left, as `time.thread_time` counts.
     worst : float
         A structure whose first pass has a larger error is not that of the problem, and is given up.
     """
@@ -55,24 +59,35 @@ class PassLimits:
     passes: int = 40
     points: int = 1000
     work: float = math.inf
+    most: float = math.inf
     deadline: float = math.inf
+    cpu_deadline: float = math.inf
     worst: float = math.inf
 
-    def allowed(self, records: Sequence[RefinementIteration]) -> float:
+    def allowed(self, records: Sequence[RefinementIteration], factor: float = 1.0) -> float:
         """What all passes may cost after these: more where the last one says that few others will do."""
         errors = [r.error for r in records[-2:]]
         promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
-        return self.work * (EXTENDED if promising else 1.0)
+        return min(self.work * max(factor, EXTENDED if promising else 1.0), self.most)
+
+    def are_spent(self, records: Sequence[RefinementIteration], spent: float, factor: float = 1.0) -> bool:
+        """Whether no pass begins after these, of which so much work counts."""
+        over = time.thread_time() > self.cpu_deadline or spent >= self.most
+        return over or spent > self.allowed(records, factor)
 
     def of_solve(
         self, meshes: Iterable[Mesh], records: Sequence[RefinementIteration] = (), spent: float = 0.0
     ) -> SolveLimits:
         """What a solve on some meshes may take, after passes of which so much work counts."""
+        within = SolveLimits(deadline=self.deadline, cpu_deadline=self.cpu_deadline)
         if math.isinf(self.work):
-            return SolveLimits(deadline=self.deadline)
+            return within
+        points = sum(mesh.size for mesh in meshes)
         left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
-        most = max(BUDGET_MIN_ITERATIONS, iterations_for(left, sum(mesh.size for mesh in meshes)))
-        return SolveLimits(iterations=most, deadline=self.deadline)
+        iterations = max(BUDGET_MIN_ITERATIONS, iterations_for(left, points))
+        if math.isfinite(self.most):
+            iterations = min(iterations, max(1, iterations_for(self.most - spent, points)))
+        return replace(within, iterations=iterations)
 
 
 def pass_record(

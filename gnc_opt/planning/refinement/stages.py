@@ -7,15 +7,17 @@ first  the first mesh; where it shows arcs, the program with these arcs and free
        objective is accurate already, hp refinement
 least  the first mesh again, from the controls that minimise H along the costates, where these lose much
 bar.   the first mesh again, by IPOPT's adaptive barrier strategy
-60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory
-200    200 segments of degree 3, warm, and programs with the arcs that they show, read in two ways
+60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the program with
+       the arcs that they show if none has had a solution
+200    200 segments of degree 3, warm, and programs with their arcs, read in two ways
 hp     hp refinement of the best mesh so far, and programs with its arcs
 =====  ======================================================================================================
 
 Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
 solve on the first mesh that is lower than the one before by more than the estimates of both begins the first stage
-anew, once each. At the end, at limits and after Ctrl-C the best candidate is returned (`candidates.best_of`).
+anew, once each; one that is lower and loses less is where the next stage begins. At the end, at limits and after
+Ctrl-C the best candidate is returned (`candidates.best_of`).
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ PROGRAM_MAX_SHARE = 0.1
 PROGRAM_MAX_PIECES = 80
 """Pieces of a phase up to which a program with arcs is tried."""
 
-PROGRAM_MAX_FAILURES = 3
+PROGRAM_MAX_FAILURES = 4
 """Programs without a solution after which no other is tried."""
 
 RESTART_MAX_ITERATIONS = 100
@@ -91,6 +93,8 @@ class Stages:
     tol : float
         On local errors, and on the estimated error of the objective in shares of it.
     limits : RefinementLimits
+    budget : WorkBudget
+        What they leave.
     check : bool
         Whether the answer has to pass the optimality check.
     options : SolverOptions, optional
@@ -103,17 +107,13 @@ class Stages:
     problem: Problem
     tol: float
     limits: RefinementLimits
+    budget: WorkBudget
     check: bool = True
     options: SolverOptions | None = None
     progress: bool = False
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        wall = self.limits.max_wall_time
-        deadline = np.inf if wall is None else self.begin + wall
-        self.budget = WorkBudget(self.limits.max_work, deadline)
 
     def run(self, first: Solution) -> Solution:
         """Return the answer, from a solution on a first mesh."""
@@ -192,10 +192,14 @@ class Stages:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                if other.is_lower(self._mesh_candidate(first)):
+                known = self._mesh_candidate(first)
+                if other.improves(known):
                     first = other.solution
-                    yield from self._first(first, stage)
+                    if other.is_lower(known):
+                        yield from self._first(first, stage)
         middle = yield from self._middle(first)
+        if not any(solved for _, solved in self._tried):
+            yield from self._by_arcs(middle, structures_of(middle), "60, arcs")
         fine = self._solve("200", self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
         yield fine
         if fine.solved:
@@ -273,19 +277,24 @@ class Stages:
         trajectory_only: bool = False,
     ) -> Candidate:
         begin = time.perf_counter()
+        like = self.candidates[0].solution
+        left = self.budget.iterations_left(like, sum(mesh.size for mesh in meshes.values()))
+        most = min((n for n in (iterations, left) if n is not None), default=None)
         found = solve_mesh(
             problem or self.problem,
             meshes,
-            scheme=self.candidates[0].solution.scheme,
+            scheme=like.scheme,
             guess=guess,
             options=options or self.options,
-            limits=SolveLimits(0 if trajectory_only else None, iterations, self.budget.deadline),
+            limits=SolveLimits(
+                0 if trajectory_only else None, most, self.budget.deadline, self.budget.cpu_deadline
+            ),
             progress=self.progress,
         )
         self.budget.charge(found)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        found = replace(found, problem=self.candidates[0].solution.problem)
+        found = replace(found, problem=like.problem)
         return Candidate.of_solve(found, self.tol, begin, stage)
 
     def _from_least_controls(self, start: Solution, stage: str) -> Candidate | None:
@@ -370,7 +379,9 @@ class Stages:
             self.limits.max_passes,
             self.limits.max_points,
             self.budget.work_left(like, share),
+            self.budget.work_left(like),
             self.budget.deadline,
+            self.budget.cpu_deadline,
         )
 
 

@@ -152,7 +152,7 @@ def test_lines_that_lead_on_and_on_give_way_to_a_flight(
 ) -> None:
     """Here after two iterations, and two with the adaptive barrier from the same lines; what fails from the flight as
     well has its constraints met in the guessed time, and only if that is lost, too, goes on from the lines."""
-    for limit in ("LOST", "FALLBACK_MAX_ITERATIONS"):
+    for limit in ("LOST", "ADAPTIVE_MAX_ITERATIONS"):
         monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
     watch = Stumbling(monkeypatch, None, None, ending)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")

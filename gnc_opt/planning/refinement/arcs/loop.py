@@ -215,7 +215,7 @@ class _Loop:
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return self._limited(RefinementStatus.POINT_LIMIT)
             spent = sum(record.work for record in self.records)
-            if spent > self._allowed:
+            if self.limits.are_spent(self.records, spent, self._allowed_factor):
                 return self._limited(RefinementStatus.BUDGET_LIMIT)
             within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
             found = flown or _solve(self.problem, plans, solution, self.options, within)
@@ -259,16 +259,15 @@ class _Loop:
         return [t.record for t in self.tries]
 
     @property
-    def _allowed(self) -> float:
-        """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out.
+    def _allowed_factor(self) -> float:
+        """How much more passes may cost: where the last one is accurate, and only what it leaves idle is taken out.
 
         And where the one before is, the last one being the first with another structure; or where the next one is
         accurate if errors go on to fall as they did.
         """
         errors = [r.error for r in self.records[-2:] if r.solved]
-        if not errors or min(*errors, errors[-1] ** 2 / errors[0]) > self.tol:
-            return self.limits.allowed(self.records)
-        return FINISHING * self.limits.work
+        finishing = bool(errors) and min(*errors, errors[-1] ** 2 / errors[0]) <= self.tol
+        return FINISHING if finishing else 1.0
 
     def _note(self, tried: _Try) -> None:
         self.tries.append(tried)

@@ -195,7 +195,7 @@ class _Refinement:
             if isinstance(plan, RefinementStatus):
                 return plan
             allowed = self._limits.allowed(self._records)
-            if self._spent > allowed:
+            if self._limits.are_spent(self._records, self._spent):
                 return self._ending(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
