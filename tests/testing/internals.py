@@ -4,22 +4,48 @@
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.control.quadratic_cost import QuadraticCost
 from gnc_opt.control.sampled_data import sample, zero_order_hold
-from gnc_opt.planning.nlp import NlpSolver
+from gnc_opt.planning.direct.mesh_problem import Attempt
+from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.nlp import NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
-from gnc_opt.planning.problem.arcs import Held, Smooth
+from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, settle_edges
+from gnc_opt.planning.optimality.multiplier_estimate import estimate
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.optimality.switches import Switches
+from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
+from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.planning.problem.guess.initial_guess import start_phase
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.solution.history import Statistics
+from gnc_opt.planning.refinement.arcs.arc_mesh import (
+    ARC_MAX_DEGREE,
+    COARSE,
+    FIRST_DEGREE,
+    MAX_SEGMENTS,
+    Plan,
+    Resolution,
+    points_of,
+)
+from gnc_opt.planning.refinement.arcs.detection import detect
+from gnc_opt.planning.refinement.arcs.loop import optimise_switches
+from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.error import estimate_errors
+from gnc_opt.planning.refinement.iterations import PassLimits
+from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
+from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
+from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import collocation_rule
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
 from gnc_opt.plot.style import new_figure
 from gnc_opt.report.verdict_table import verdict_text
 from gnc_opt.simulation.confidence_intervals import pass_rate

@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from testing.internals import PhaseStructure, Plan, Resolution, optimise_switches
 
 import gnc_opt as go
 from gnc_opt import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
-from gnc_opt.planning.refinement.arcs.loop import optimise_switches, structures_of
+from gnc_opt.planning.refinement.arcs.loop import structures_of
 from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 TAU = 0.1
 FREE, LOW, HIGH = ArcKind.INTERIOR, ArcKind.LOWER, ArcKind.UPPER

@@ -7,14 +7,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from testing.internals import Interval, Plan, Scheme, detect
 
 import gnc_opt as go
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.detection import detect
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
 from gnc_opt.planning.refinement.switching.newton import settle
-from gnc_opt.planning.transcription.scheme import Scheme
 
 
 def pulled() -> go.Problem:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import functions, interval, phase
+from testing.internals import PhaseSamples, PhaseStructure
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -17,8 +18,6 @@ from gnc_opt.planning.optimality import state_constraints as sc
 from gnc_opt.planning.refinement.arcs import contact_detection as p
 from gnc_opt.planning.refinement.arcs import contacts as c
 from gnc_opt.planning.refinement.arcs import junctions as j
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.internals import PassLimits, estimate_errors, refine_mesh, solve_mesh
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
-from gnc_opt.planning.refinement.error import estimate_errors, largest_error
-from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, PassLimits, crawls
+from gnc_opt.planning.refinement.error import largest_error
+from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, crawls
 from gnc_opt.planning.refinement.mesh.coarsen import Piece, trial_errors
 from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
-from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED, Remesh
 from gnc_opt.planning.solution.history import SETTING_UP
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
+from testing.internals import PhaseStructure
 
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 X = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])

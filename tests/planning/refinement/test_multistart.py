@@ -23,10 +23,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import solve_mesh
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.problem.guess.perturbation import angular_states, is_plain, with_random_guess
 from gnc_opt.planning.study.multistart import Refining, _answer, _Coarse
 from gnc_opt.workers.pool import Done, WorkerDied

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from testing.internals import PhaseStructure, Plan, Switches, detect
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.refinement.arcs import loop as switching
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.detection import detect
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
 from gnc_opt.planning.refinement.switching.step import chord_step, independent, newton_step
 from problems.rendezvous import SWITCHES, build

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, interval, phase, samples, solution
+from testing.internals import PhaseStructure, Switches
 
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality.switches import Switches
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import step as switch_step
 from gnc_opt.planning.refinement.switching.flight import (

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.internals import ARC_MAX_DEGREE, COARSE, Junction, PhaseStructure, Plan, Resolution
 
 from gnc_opt.planning import Arc, ArcKind
-from gnc_opt.planning.problem.arcs import Junction
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, COARSE, Plan, Resolution
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 NAMES = {"l": LOW, "i": FREE, "u": UP, "s": SING}

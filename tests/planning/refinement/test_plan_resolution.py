@@ -4,16 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from testing.internals import ARC_MAX_DEGREE, FIRST_DEGREE, PhaseStructure, Plan, Resolution, points_of
 
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.refinement.arcs.arc_mesh import (
-    ARC_MAX_DEGREE,
-    FIRST_DEGREE,
-    Plan,
-    Resolution,
-    points_of,
-)
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 

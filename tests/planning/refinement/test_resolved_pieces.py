@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 from testing.constructed_solutions import cart, phase, samples, solution
+from testing.internals import ARC_MAX_DEGREE, MAX_SEGMENTS, PhaseStructure, Plan, Resolution
 
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import resolution as r
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, UP, FREE = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
 MOST = 1e-9

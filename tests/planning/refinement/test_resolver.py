@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
+from testing.internals import PassLimits, Plan, optimise_switches, points_of, solve_mesh
 
 import gnc_opt as go
 from gnc_opt.planning import Resolver
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, _without_slivers
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, points_of
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.loop import optimise_switches
-from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.solution.tail import rest_of
 from gnc_opt.planning.solver import SolveMethod
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Junction, PhaseStructure, Smooth
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.problem.arcs import Junction, Smooth
 from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
 

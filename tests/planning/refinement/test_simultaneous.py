@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval, phase, solution
+from testing.internals import PiecewisePolynomial
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.switching.costates import _backwards, settle_costates
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 WORTH = np.array([1.0, 2.0, 3.0])
 

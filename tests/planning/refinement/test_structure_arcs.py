@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
+from testing.internals import PhaseStructure, Smooth
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.problem.arcs import Smooth
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 
 FREE, UP = ArcKind.INTERIOR, ArcKind.UPPER
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, interval, samples
+from testing.internals import PhaseSamples, optimise_switches
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -16,9 +17,7 @@ from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import curvature as b
 from gnc_opt.planning.refinement.arcs import detection as d
 from gnc_opt.planning.refinement.arcs.contacts import Determined
-from gnc_opt.planning.refinement.arcs.loop import optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import choose, signs_of
-from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 LETTERS = {"l": LOW, "i": FREE, "u": UP, "s": SING, "r": ArcKind.RELEASED}

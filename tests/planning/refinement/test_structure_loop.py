@@ -10,32 +10,34 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, interval, phase, samples, solution
+from testing.internals import (
+    ARC_MAX_DEGREE,
+    COARSE,
+    FIRST_DEGREE,
+    MAX_SEGMENTS,
+    PassLimits,
+    PhaseSamples,
+    PhaseStructure,
+    Plan,
+    RefinementIteration,
+    Resolution,
+    Smooth,
+    StateConstraints,
+)
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Status
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.arcs import Smooth
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import junctions as j
 from gnc_opt.planning.refinement.arcs import loop as s
 from gnc_opt.planning.refinement.arcs import update as m
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
-    ARC_MAX_DEGREE,
-    COARSE,
     DEGREE_GAIN_RATIO,
-    FIRST_DEGREE,
     INTERIOR_DEGREE,
-    MAX_SEGMENTS,
     MAX_SINGULAR_DEGREE,
     SINGULAR_DEGREE,
     THINNED,
-    Plan,
-    Resolution,
 )
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.iterations import PassLimits
-from gnc_opt.planning.solution.history import RefinementIteration
-from gnc_opt.planning.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 RELEASED = ArcKind.RELEASED

@@ -10,13 +10,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.special import spherical_in
+from testing.internals import ARC_MAX_DEGREE, MAX_SEGMENTS, PhaseStructure, Resolution, detect
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Resolution
-from gnc_opt.planning.refinement.arcs.detection import detect, switching
+from gnc_opt.planning.refinement.arcs.detection import switching
 from gnc_opt.planning.refinement.arcs.resolution import PIECE_MIN_POINTS
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from problems.classics import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER

@@ -7,14 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from testing.internals import PhaseSamples, PhaseStructure, Plan
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.loop import _best
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.update import collapsed
-from gnc_opt.planning.solution.samples import PhaseSamples
 from problems import rendezvous
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER

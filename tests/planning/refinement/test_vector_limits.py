@@ -7,15 +7,12 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Junction, PhaseCollocation, PhaseStructure, Plan
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.problem.arcs import Junction
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
 from gnc_opt.planning.transcription.arc_constraints import controls_beside
-from gnc_opt.planning.transcription.collocation import PhaseCollocation
 
 FREE, UP, SINGULAR = ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 

@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, solution
+from testing.internals import (
+    SCHEMES,
+    Attempt,
+    PhaseCollocation,
+    Scheme,
+    control_spans,
+    start_from_guess,
+    transcribe,
+)
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
-from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
@@ -33,16 +41,7 @@ from gnc_opt.planning.solution.extract import (
     extract_phases,
     model_parameters,
 )
-from gnc_opt.planning.solution.scales import control_spans
-from gnc_opt.planning.solution.warm_start import (
-    _put_end_rows,
-    start_from_guess,
-    start_from_solution,
-    with_integrals,
-)
-from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.solution.warm_start import _put_end_rows, start_from_solution, with_integrals
 
 UNEVEN = Mesh((0.0, 0.3, 1.0), (3, 4))
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from testing.internals import Interval, PiecewisePolynomial, collocation_rule
 
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
-from gnc_opt.planning.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([0.0, 1.0, 3.0])
 

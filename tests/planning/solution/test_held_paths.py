@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import functions, phase
+from testing.internals import Held
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.problem.arcs import Held
 from gnc_opt.planning.solution.costates import settle_held_paths
 
 LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import phase_functions
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.functions import phase_functions
 from gnc_opt.planning.solution.scales import without_effect
 
 N = 8

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Attempt
 
 import gnc_opt as go
-from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.minimum_norm_multipliers import least_multipliers
 from gnc_opt.planning.transcription.scheme import GAUSS
 

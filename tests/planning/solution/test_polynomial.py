@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import legendre
+from testing.internals import collocation_rule
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.planning.solution.polynomial import KEPT_TIMES, PiecewisePolynomial
-from gnc_opt.planning.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([1.0, 2.0, 4.5])
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.constructed_solutions import interval
+from testing.internals import SCHEMES, Scheme, transcribe
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.program_point import (
@@ -17,8 +18,6 @@ from gnc_opt.planning.optimality.program_point import (
     quadrature_weights,
     saddle_matrix,
 )
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
-from gnc_opt.planning.transcription.transcription import transcribe
 
 INF, NAN = np.inf, np.nan
 

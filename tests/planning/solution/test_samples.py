@@ -10,20 +10,18 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
+from testing.internals import Interval, Worst, free, propagate, state_magnitudes
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import PhaseSolution
-from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution import quality as limits
-from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import (
     DISTANCE_MIN_SCALE_SHARE,
     NOTHING,
     WIDTHS,
     Limits,
     Violations,
-    Worst,
     _to_nearest_allowed,
     _unit,
     bound_offences,

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
+from testing.internals import Attempt, NlpResult, RefinementIteration
 
 import gnc_opt as go
 from gnc_opt.model import Layout, Variable
@@ -26,10 +27,8 @@ from gnc_opt.planning import (
 )
 from gnc_opt.planning.direct import solve_mesh as tries
 from gnc_opt.planning.direct.failure import bounds_to_give, failure_message
-from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.nlp import NlpResult
 from gnc_opt.planning.solution.diagnosis import Violation, find_violations
-from gnc_opt.planning.solution.history import Actions, RefinementIteration
+from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------

@@ -4,12 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from testing.internals import SCHEMES, RefinementIteration, Scheme, Statistics
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.solution.diagnosis import _running_off
-from gnc_opt.planning.solution.history import RefinementIteration, Statistics
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 
 
 def test_costs_of_tries_add_up() -> None:

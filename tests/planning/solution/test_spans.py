@@ -8,20 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
+from testing.internals import Interval, control_spans, free
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.model import Layout, Variable
-from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.solution import scales as spans
-from gnc_opt.planning.solution.scales import (
-    RESOLUTION,
-    STEERED,
-    control_spans,
-    end_spans,
-    shared,
-    state_spans,
-)
+from gnc_opt.planning.solution.scales import RESOLUTION, STEERED, end_spans, shared, state_spans
 
 CART = cart()
 BREAKS = (1.0, 2.0, 3.0, 5.0)  # middles at 1.5, 2.5 and 4

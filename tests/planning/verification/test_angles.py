@@ -6,11 +6,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Interval
 
 import gnc_opt as go
 from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.planning.problem.angles import Turns
-from gnc_opt.planning.problem.interval import Interval
 
 
 def shear(**bounds: tuple[float, float]) -> go.Problem:

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import scipy
+from testing.internals import PhaseSamples
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
-from gnc_opt.planning.solution.samples import PhaseSamples
 from problems import rendezvous
 
 DIFFERENCES = {

@@ -10,23 +10,27 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.internals import (
+    Interval,
+    PhaseSamples,
+    Samples,
+    StateConstraintSides,
+    estimate,
+    fit,
+    settle_edges,
+    transcribe,
+)
 
 import gnc_opt as go
 from gnc_opt.planning.optimality import costate_jumps as pushes
 from gnc_opt.planning.optimality.costate_jumps import (
-    StateConstraintSides,
     _integrate_anew,
     _reached_or_left,
     _responses,
     _without_pushes,
     path_gradients,
-    settle_edges,
 )
-from gnc_opt.planning.optimality.multiplier_estimate import estimate
-from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.samples import EdgeSegment, PhaseSamples
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.solution.samples import EdgeSegment
 from gnc_opt.tolerances import ACTIVE
 
 Array = NDArray[np.float64]

@@ -8,10 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Samples, restated
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.trajectory_fit import Samples
-from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.verification.verify_trajectory import restated_samples
 
 _TIME = 2.5

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
+from testing.internals import PhaseSamples, obstacle, strict_switches
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, ConditionResult
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _joined
-from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang, obstacle, strict_switches
+from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.reduced_hessian import _jumping_control, _partly_singular, _rich
 from gnc_opt.planning.verification.verify_trajectory import _arcs
 
