@@ -1,4 +1,4 @@
-"""Reports: the six-line summary, its JSON, the verdict as a table, progress, the report folder, CCSDS messages."""
+"""Reports: the summary, its JSON, progress, the report folder, CCSDS messages."""
 
 from gnc_opt.planning.solution.summary import summary
 from gnc_opt.report.ccsds import MessageMetadata, write_aem, write_oem
