@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.performance.peers.compare import ACCURACIES, best
+from benchmarks.performance.profile import compare as profile
 from gnc_opt.problem_file import example
 
 ROOT = Path(__file__).parents[2]
@@ -228,6 +229,12 @@ BENCHMARKS = {
         (),
         ("program", *(f"to {accuracy:g} s" for accuracy in ACCURACIES)),
         _peers,
+        needs="--environments DIR",
+    ),
+    "profile": Benchmark(
+        (),
+        ("program", *(f"right to {accuracy:g}" for accuracy in profile.ACCURACIES)),
+        profile.table,
         needs="--environments DIR",
     ),
 }

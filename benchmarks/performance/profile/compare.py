@@ -1,0 +1,198 @@
+"""Performance profiles (Dolan and Moré 2002): gnc_opt and other programs over a set of problems.
+
+    python -m benchmarks.performance.profile [--set FILE] [--programs NAME ...] [--only NAME ...]
+        [--environments DIR] [--lines DIR] [--json OUT] [--figure OUT.svg]
+
+Problems: those of one phase with a known optimum in a JSON file (default ``../shared/ocp/problems.json``). Every
+program states them from the same file, from the same guess (`statement`), solves on one thread, and is stopped after
+`LIMIT_S` of CPU time. The time of a solve is processor time from stating the problem to the answer; imports and a first
+small solve are not counted. A program yapss or maptor runs with DIR/NAME/bin/python (default DIR: .peers), see
+`benchmarks.performance.peers`.
+
+An answer counts for an accuracy if its objective is within that share of the reference; a failure, a local minimum and
+an answer that is not accurate enough count alike. For each accuracy the curve of a program is the share of the problems
+that it solves in at most r times the time of the fastest one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.performance.profile.statement import LIMIT_S
+from benchmarks.validation.problem_set.reader import read_documents
+
+HERE = Path(__file__).parent
+SET_FILE = Path("../shared/ocp/problems.json")
+PROGRAMS = ("gnc_opt", "casadi", "yapss", "maptor")
+OURS = ("gnc_opt", "casadi")
+"""What runs in this environment."""
+ACCURACIES = (1e-3, 1e-4, 1e-6, 1e-8)
+TABLE_FACTOR = 10.0
+"""Time over that of the fastest program at which the table shows the curves, besides 1."""
+
+LARGEST_FACTOR = 1e3
+"""End of the time axis of the figure."""
+
+Row = Mapping[str, Any]
+"""Program, way, problem, reference; objective and seconds, or why it failed."""
+
+
+def problems(path: Path, only: Sequence[str] = ()) -> dict[str, float]:
+    """Return the optimal objectives of the problems that every program can state, by name."""
+    return {
+        str(d["name"]): float(d["reference"])
+        for d in read_documents(path)
+        if len(d["phases"]) == 1 and d.get("reference") is not None and not d.get("expect")
+        if not only or d["name"] in only
+    }
+
+
+def solved_by(program: str, path: Path, names: Sequence[str], environments: Path) -> str:
+    """Return the lines of JSON that a program writes; empty if its environment is missing."""
+    python = Path(sys.executable) if program in OURS else environments / program / "bin" / "python"
+    if not python.exists():
+        print(f"{program}: skipped, {python} is missing")
+        return ""
+    environment = {
+        **os.environ,
+        **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
+        "PYTHONPATH": str(HERE.parents[2]) if program in OURS else "",
+    }
+    script = str(HERE / f"run_{program}.py")
+    done = subprocess.run(
+        [str(python), script, str(path.resolve()), *names],
+        env=environment, stdout=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    return done.stdout
+
+
+def rows_of(program: str, lines: str, references: Mapping[str, float]) -> Iterator[dict[str, Any]]:
+    """Yield the rows of what a program wrote."""
+    for line in lines.splitlines():
+        if line.startswith('{"problem"'):
+            found = json.loads(line)
+            if found["problem"] in references:
+                yield {"program": program, "reference": references[found["problem"]], **found}
+
+
+def time_to(row: Row, accuracy: float) -> float:
+    """Return the processor time (s) of an answer within an accuracy; infinite for any other one."""
+    if row.get("objective") is None:
+        return math.inf
+    scale = abs(row["reference"]) or 1.0
+    right = abs(row["objective"] - row["reference"]) <= accuracy * scale
+    return float(row["seconds"]) if right else math.inf
+
+
+def ratios(rows: Sequence[Row], accuracy: float) -> dict[tuple[str, str], list[float]]:
+    """Return times over the least time of each problem that any program solves, by program and way.
+
+    A problem that no program solves counts as a failure of all. Only problems that all ways have tried are counted.
+    """
+    times: dict[str, dict[tuple[str, str], float]] = {}
+    for row in rows:
+        times.setdefault(row["problem"], {})[row["program"], row["way"]] = time_to(row, accuracy)
+    curves: dict[tuple[str, str], list[float]] = {(row["program"], row["way"]): [] for row in rows}
+    for found in times.values():
+        if len(found) < len(curves):
+            continue
+        least = min(found.values())
+        for key, curve in curves.items():
+            spent = found.get(key, math.inf)
+            curve.append(spent / least if math.isfinite(spent) else math.inf)
+    return curves
+
+
+def share_within(curve: Sequence[float], factor: float) -> float:
+    """Return the share of the problems solved in at most so many times the least time."""
+    return sum(ratio <= factor for ratio in curve) / max(len(curve), 1)
+
+
+def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """Yield a program and, for each accuracy, how many problems it solves and two points of its curve.
+
+    The shares are those of the problems that it solves first, and in at most `TABLE_FACTOR` times the least time.
+    """
+    curves = [ratios(rows, accuracy) for accuracy in ACCURACIES]
+    for program, way in curves[0]:
+        cells = []
+        for found in curves:
+            curve = found[program, way]
+            first, near = (100 * share_within(curve, factor) for factor in (1.0, TABLE_FACTOR))
+            cells.append(f"{sum(map(math.isfinite, curve))} of {len(curve)}; {first:.0f} %; {near:.0f} %")
+        yield f"{program}, {way}", *cells
+
+
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw the performance profiles of all accuracies into an SVG file."""
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    mpl.rcParams["svg.hashsalt"] = "gnc_opt"
+    drawn, axes = plt.subplots(2, 2, figsize=(9, 6.5), sharex=True, sharey=True, layout="constrained")
+    for ax, accuracy in zip(axes.flat, ACCURACIES, strict=True):
+        for (program, way), curve in ratios(rows, accuracy).items():
+            finite = sorted(ratio for ratio in curve if math.isfinite(ratio))
+            edges = [1.0, *finite, LARGEST_FACTOR]
+            shares = [share_within(curve, factor) for factor in edges]
+            style = "-" if program == "gnc_opt" else "--"
+            ax.step(edges, shares, style, where="post", label=f"{program}, {way}")
+        ax.set(
+            xscale="log", xlim=(1, LARGEST_FACTOR), ylim=(0, 1.02), title=f"objective right to {accuracy:g}"
+        )
+        ax.grid(alpha=0.3)
+    for ax in axes[-1]:
+        ax.set_xlabel("time over the time of the fastest program")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("share of the problems")
+    axes.flat[-1].legend(fontsize="x-small", loc="lower right")
+    drawn.savefig(path, metadata={"Date": None})
+    plt.close(drawn)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, or read what has been measured; print the table, write JSON and figure."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.performance.profile", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--set", type=Path, default=SET_FILE, metavar="FILE", help="default: %(default)s")
+    parser.add_argument("--programs", nargs="+", choices=PROGRAMS, default=PROGRAMS, metavar="NAME")
+    parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="these problems")
+    parser.add_argument("--environments", type=Path, default=Path(".peers"), metavar="DIR")
+    parser.add_argument(
+        "--lines",
+        type=Path,
+        metavar="DIR",
+        help="folder of lines NAME.jsonl that the programs have written already",
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write all rows")
+    parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the profiles into an SVG file")
+    given = parser.parse_args(arguments)
+    references = problems(given.set, given.only)
+    rows: list[dict[str, Any]] = []
+    for program in given.programs:
+        if given.lines is None:
+            lines = solved_by(program, given.set, list(references), given.environments)
+        else:
+            path = given.lines / f"{program}.jsonl"
+            lines = path.read_text(encoding="utf-8") if path.exists() else ""
+        rows += rows_of(program, lines, references)
+        if given.json is not None:  # after every program: an interrupted run leaves what is done
+            given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(f"{len(references)} problems, at most {LIMIT_S:g} s of CPU time each")
+    print(
+        f"solved; first; in at most {TABLE_FACTOR:g} times the least time, objective right to {ACCURACIES}:"
+    )
+    for program, *cells in table(rows):
+        print(f"{program:<46}", *(f"{cell:<24}" for cell in cells))
+    if given.figure is not None:
+        figure(rows, given.figure)
+    return 0
