@@ -37,7 +37,7 @@ from gnc_opt.planning.refinement.arcs.contact_detection import (
     pushing_runs,
     runs_of,
 )
-from gnc_opt.planning.refinement.arcs.control_oscillation import with_short_arc, without_ringing
+from gnc_opt.planning.refinement.arcs.control_oscillation import without_ringing
 from gnc_opt.planning.refinement.arcs.ends import with_starts_on_limits
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -126,7 +126,6 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         holders=(*((),) * first, *holders),
         leans=(*((),) * first, *leans),
     )
-    structure = _with_short_arcs(structure, constraints)
     if not any(orders):
         return without_ringing(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
     for run in _runs_of_pushes(constraints, structure):
@@ -135,22 +134,6 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     longest = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)))
     structure = with_possible_ends(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
-
-
-def _with_short_arcs(structure: PhaseStructure, constraints: StateConstraints) -> PhaseStructure:
-    """Return the structure with arcs of limits of first order that one control holds for less than a segment."""
-    first = len(structure.controls)
-    rows = [
-        row
-        for row in range(constraints.size)
-        if structure.first_order(first + row) and len(structure.holders[first + row]) == 1
-    ]
-    for run in pushing_runs(constraints, rows):
-        pushing = run.times[run.worth > 0]
-        if not np.any(structure.contact(first + run.row, pushing)):
-            pushed = float(pushing[0]), float(pushing[-1])
-            structure = with_short_arc(structure, constraints, first + run.row, run.kind, pushed)
-    return structure
 
 
 def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:

@@ -21,9 +21,6 @@ from gnc_opt.tolerances import TINY
 CLEARLY = 0.05
 """So much of what the range of a control does to a constraint is more than the noise of a mesh."""
 
-LEAST = 0.1
-"""An arc that a mesh hides is to begin with at least so much of a segment."""
-
 
 def without_ringing(
     structure: PhaseStructure, constraints: StateConstraints, segments: float
@@ -119,49 +116,3 @@ def _outward(
         row - len(structure.controls), 1, np.repeat(time, 2), np.tile(s.leg.x(time)[:, None], 2), u
     )
     return float(kind.sign * rates[0] / max(abs(rates[1] - rates[0]), TINY))
-
-
-# --- arcs within a segment ------------------------------------------------------------------------------------
-
-
-def with_short_arc(
-    structure: PhaseStructure,
-    constraints: StateConstraints,
-    row: int,
-    kind: ArcKind,
-    pushed: tuple[float, float],
-) -> PhaseStructure:
-    """Return the structure with an arc where a limit of first order pushes that one control comes to, and leaves.
-
-    For no longer than a segment of the mesh, that is: it takes an arc, however short, between the bang that leads there
-    and the one that leads away, with all that a mesh shows between them.
-
-    Parameters
-    ----------
-    row : int
-        Of first order.
-    pushed : tuple of float
-        First and last time (s) of the push.
-    """
-    (control,), breaks = structure.holders[row], constraints.samples.leg.breaks
-    place = int(np.clip(np.searchsorted(breaks, pushed[0]) - 1, 0, breaks.size - 2))
-    length = float(breaks[place + 1] - breaks[place])
-    near = [
-        k
-        for k in range(1, structure.pieces)
-        if control in structure.changes(k) and pushed[0] - length < structure.times[k] < pushed[1] + length
-    ]
-    longer = pushed[1] - pushed[0] > length
-    if longer or not near or any(structure.kinds[k][row].at_limit for k in range(near[0] - 1, near[-1] + 1)):
-        return structure
-    before, after = near[0] - 1, near[-1]
-    if not all(structure.kinds[k][control].at_limit for k in (before, after)):
-        return structure
-    start, end = structure.times[near[0]], structure.times[near[-1]]
-    comes = _outward(structure, constraints, row, before, start, kind) > CLEARLY
-    goes = _outward(structure, constraints, row, after, end, kind) < -CLEARLY
-    if not (comes and goes):
-        return structure
-    room = max(LEAST * length - (end - start), 0.0)
-    start, end = start - 0.5 * room, end + 0.5 * room
-    return structure.with_arc(control, start, end, ArcKind.SINGULAR).with_arc(row, start, end, kind)
