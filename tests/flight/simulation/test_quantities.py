@@ -327,7 +327,7 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
             blown.max(), rel=0.01 if wall is None else 0.06
         )  # it jumps
         mean = scipy.integrate.trapezoid(blown, s, axis=0).sum()
-        assert runs.measure("integral(plume)")[i] == pytest.approx(mean, rel=5e-3, abs=1e-3)
+        assert runs.measure("integral(plume)")[i] == pytest.approx(mean, rel=5e-3, abs=2e-3)
     assert np.ptp(runs.measure("max(plume)")) > 0
 
 
