@@ -102,6 +102,7 @@ def search_cases(
             seed=seed,
             mesh=PAPER_MESH,
             structure="bang-bang",
+            max_refined=12,
             within=NEARBY,
             progress=True,
         )
