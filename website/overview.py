@@ -31,11 +31,8 @@ CHASERS = 6
 NAMES = {"T_B": ("T_x", "T_y", "T_z"), "F_B": ("F_x", "F_y", "F_z")}
 
 GROUPS = {
-    "feasible": ("dynamics", "propagation", "bounds", "path constraints", "boundary conditions"),
-    "first-order conditions": (
-        *("adjoint equation", "transversality", "Hamiltonian", "stationarity"),
-        *("control signs", "minimum principle", "complementarity"),
-    ),
+    "feasible": ("dynamics", "limits", "boundary conditions", "cost"),
+    "first-order conditions": ("stationarity", "active set", "minimum principle"),
 }
 """Conditions whose largest violation the picture shows."""
 

@@ -22,16 +22,23 @@ _SECTIONS = {
         "",
         "ok inaccurate alarm diverged not_finite stopped refused lost",
     ),
-    "howto/conditions": (
-        "reference/conditions",
-        "",
-        "dynamics propagation bounds path_constraints boundary_conditions cost stored_numbers tables smoothness "
-        "adjoint_equation transversality hamiltonian stationarity control_signs minimum_principle complementarity "
-        "parameters legendre_clebsch singular_arcs generalised_legendre_clebsch strict_switches induced_gradient "
-        "second_order conjugate_points normality",
-    ),
 }
 """Folder of the old pages: new page, prefix of its anchors, names of the old pages."""
+
+_CONDITIONS = {
+    "dynamics": "dynamics propagation",
+    "limits": "bounds path_constraints tables",
+    "boundary-conditions": "boundary_conditions",
+    "cost": "cost stored_numbers",
+    "stationarity": "stationarity adjoint_equation transversality hamiltonian parameters",
+    "active-set": "control_signs complementarity",
+    "minimum-principle": "minimum_principle",
+    "kinks": "smoothness",
+    "second-order": "second_order legendre_clebsch singular_arcs generalised_legendre_clebsch conjugate_points "
+    "normality",
+    "switching-times": "strict_switches induced_gradient",
+}
+"""Section of the page of conditions: names of the old pages in ``howto/conditions``."""
 
 _PAGES = {
     "howto/command_line": "reference/command_line",
@@ -52,6 +59,9 @@ def targets() -> dict[str, str]:
         dash = "_" if page.endswith("statuses") else "-"
         for name in names.split():
             found[f"{folder}/{name}.html"] = f"{page}.html#{prefix}{name.replace('_', dash)}"
+    for section, names in _CONDITIONS.items():
+        for name in names.split():
+            found[f"howto/conditions/{name}.html"] = f"reference/conditions.html#{section}"
     return found
 
 

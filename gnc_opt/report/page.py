@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.summary import (
     mesh_text,
     objective_text,
 )
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import ConditionResult, Verdict, most_severe
 from gnc_opt.report.document import chip, command_text, document, figures_of_user, picture
 from gnc_opt.report.problem_statement import problem_statement
 from gnc_opt.text import table
@@ -122,22 +122,11 @@ def _check(solution: Solution, verdict: Verdict | None) -> str:
     return failing + table(("check", "result", "largest residual", "at"), check_lines(verdict))
 
 
-FEASIBLE = ("dynamics", "propagation", "bounds", "path constraints", "boundary conditions", "cost", "tables")
-"""Conditions that any admissible trajectory satisfies."""
-
-
 def check_lines(verdict: Verdict) -> list[tuple[str, str, str, str]]:
     """Return group, result, largest residual and its place of three groups of conditions."""
-    groups: dict[str, list[Condition]] = {}
-    for c in verdict.conditions:
-        group = (
-            "feasible" if c.name in FEASIBLE else f"{'second' if c.sufficient else 'first'}-order conditions"
-        )
-        groups.setdefault(group, []).append(c)
-    order = {ConditionResult.FAIL: 2, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 0}
     lines = []
-    for group, found in groups.items():
-        worst = max(found, key=lambda c: (order[c.result], -math.inf if math.isnan(c.value) else c.value))
+    for group, found in verdict.groups.items():
+        worst = most_severe(found)
         place = f"{worst.name}: {worst.location_text}"
         lines.append((group, worst.result.value.lower(), residual_text(worst.value), place))
     return lines

@@ -14,13 +14,13 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
         Condition(name, result, value, 1e-5, "somewhere", "a meaning")
         for name, result, value in (
             ("dynamics", ConditionResult.PASS, 0.0),
-            ("bounds", ConditionResult.FAIL, 0.3),
-            ("singular arcs", ConditionResult.INCONCLUSIVE, float("nan")),
+            ("limits", ConditionResult.FAIL, 0.3),
+            ("second order", ConditionResult.INCONCLUSIVE, float("nan")),
         )
     )
     figure = plot_verdict(Verdict("toy", conditions))
     axes = figure.axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["dynamics", "bounds", "singular arcs"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["dynamics", "limits", "second order"]
     handles, labels = axes.get_legend_handles_labels()
     assert labels == ["PASS (1)", "FAIL (1)", "INCONCLUSIVE (1)", "tolerance"] and len(handles) == 4
     assert axes.get_xlabel() == "largest residual as a share of its tolerance"

@@ -26,7 +26,7 @@ VERDICT = Verdict(
     (
         Condition("dynamics", ConditionResult.PASS, 2.1e-10, 1e-5, "phase leg, q", "dx/dt = f must hold."),
         Condition(
-            "control signs",
+            "active set",
             ConditionResult.FAIL,
             0.25,
             1e-5,
@@ -34,7 +34,7 @@ VERDICT = Verdict(
             "Each control obeys its sign.",
         ),
         Condition(
-            "singular arcs", ConditionResult.INCONCLUSIVE, float("nan"), 1e-5, "nowhere", "No costates."
+            "second order", ConditionResult.INCONCLUSIVE, float("nan"), 1e-5, "nowhere", "No costates."
         ),
     ),
 )
@@ -202,8 +202,8 @@ def test_verdict_table_shows_everything() -> None:
     text = verdict_text(VERDICT, width=100)
     assert "verdict on 'cart': NOT ok (1 pass, 1 fail, 1 inconclusive)" in text
     assert re.search(r"dynamics +PASS +2\.1e-10 +1e-05 +phase leg, q", text)
-    assert re.search(r"control signs +FAIL +2\.5e-01 +1e-05 +phase leg, t = 1 s, a\[0\]", text)
-    assert re.search(r"singular arcs +INCONCLUSIVE +- +1e-05 +nowhere", text)
+    assert re.search(r"active set +FAIL +2\.5e-01 +1e-05 +phase leg, t = 1 s, a\[0\]", text)
+    assert re.search(r"second order +INCONCLUSIVE +- +1e-05 +nowhere", text)
     assert "\x1b" not in text
     assert max(map(len, text.splitlines())) <= 100
 

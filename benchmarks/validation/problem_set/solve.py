@@ -50,12 +50,8 @@ ACCEPT = 1e-5
 INPUT_ERROR, CRASH = "input_error", "crash"
 
 _SHORT = {
-    "dynamics": "dyn", "propagation": "prop", "bounds": "bnd", "path constraints": "path",
-    "boundary conditions": "ends", "cost": "cost", "adjoint equation": "adj", "transversality": "trans",
-    "Hamiltonian": "H", "stationarity": "stat", "control signs": "sign", "minimum principle": "min",
-    "complementarity": "compl", "Legendre-Clebsch": "LC", "singular arcs": "sing", "parameters": "par",
-    "generalised Legendre-Clebsch": "GLC", "induced gradient": "grad", "strict switches": "strict",
-    "normality": "norm", "conjugate points": "conj",
+    "dynamics": "dyn", "limits": "lim", "boundary conditions": "ends", "cost": "cost", "stationarity": "stat",
+    "active set": "act", "minimum principle": "min", "second order": "2nd", "switching times": "sw",
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ its limit removes its row, unless its multiplier would have the wrong sign. Path
 also have atoms at segment boundaries (module `atoms`). The least-squares solution is mapped to costates like
 a solver's multipliers (module `covector`) and checked in the same way.
 
-Atoms (impulsive multipliers) of a trajectory's path constraints, which a program's rows do not contain.
+PointMultipliers (impulsive multipliers) of a trajectory's path constraints, which a program's rows do not contain.
 
 Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier is a measure with
 an atom :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM
@@ -192,11 +192,14 @@ def _boundary_times(mesh: Mesh) -> Array:
 _WRONG = 1e-7
 """Multipliers of the wrong sign below this share of the largest count as zero."""
 
-_ACTIVE_SET_ITERATIONS = 8
-"""Of sorting out which limits push."""
+STEADY_SHARE = 1e-7
+"""What moves by less than this share of its size is constant."""
 
-_DAMPING, _REPEATS = 1e-12, 4
-"""Relative weight that keeps multipliers which nothing determines small, and repetitions that take its bias away."""
+GROWTH, MOST_EXPONENT = 1e4, 20.0
+"""Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
+
+_ROUNDS = 8
+"""Of sorting out which limits push."""
 
 
 def estimate(
@@ -239,7 +242,10 @@ def estimate(
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
     pushing = row_limits.with_more(_Limits(atoms.at_lower, atoms.at_upper))
-    scaled = _sort_out(with_atoms, gradient * weights * worth, _state_rows(transcription), limits, pushing)
+    restarts = {name: _restarts(problem, name, phase, q) for name, phase in fitted.items()}
+    exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
+    basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
+    scaled = _sort_out(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
@@ -269,89 +275,149 @@ class _Limits:
         return self.anywhere & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
-def _sort_out(matrix: Array, gradient: Array, exact: Mask, limits: _Limits, row_limits: _Limits) -> Array:
+@dataclass(frozen=True, eq=False)
+class _CostateForm:
+    """The least squares in the multipliers that the adjoint equation leaves open, its rows eliminated.
+
+    Unknowns are costates at the ends of phases, multipliers of limits, and those of states on their limits.
+
+    Attributes
+    ----------
+    matrix, right : array (n_rows, n), (n_rows,)
+        Residuals of all rows that are not eliminated: right + matrix @ unknowns.
+    columns : int array
+        Multipliers among the unknowns.
+    freed : int array
+        Eliminated rows whose own multiplier is an unknown, after these.
+    """
+
+    matrix: Array
+    right: Array
+    columns: Indices
+    freed: Indices
+    _loose: Indices
+    _basis: Indices
+    _response: Array
+    _size: int
+
+    @classmethod
+    def of(
+        cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, pushing: _Limits
+    ) -> _CostateForm | None:
+        """Eliminate; None where the adjoint equation is singular to rounding."""
+        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.anywhere & ~basis)
+        freed, rows = np.flatnonzero(limits.anywhere & exact), np.flatnonzero(exact)
+        kept = np.flatnonzero(basis)
+        matrix = scipy.sparse.csr_array(matrix)
+        above, below = matrix[rows], matrix[loose]
+        try:
+            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(above[:, kept]))
+        except RuntimeError:  # exactly singular
+            return None
+        own = np.zeros((rows.size, freed.size))
+        own[np.searchsorted(rows, freed), np.arange(freed.size)] = 1.0
+        right = np.column_stack([above[:, columns].toarray(), own, gradient[rows]])
+        response = -factors.solve(right)
+        response -= factors.solve(right + above[:, kept] @ response)
+        found = below[:, kept] @ response
+        found[:, : columns.size] += below[:, columns].toarray()
+        found[:, -1] += gradient[loose]
+        if not np.all(np.isfinite(response)):
+            return None
+        # Where a derivative has no value, as that of a norm at zero, its row says nothing.
+        found[~np.all(np.isfinite(found), axis=1)] = 0.0
+        return cls(found[:, :-1], found[:, -1], columns, freed, loose, kept, response, matrix.shape[1])
+
+    def solve(self, imposed: Mask, pushing: Mask) -> Array:
+        """Return the unknowns that leave least of the imposed rows; those that do not push are zero."""
+        used = np.concatenate([pushing[self.columns], ~imposed[self.freed]])
+        rows = imposed[self._loose]
+        part = self.matrix[np.ix_(rows, used)]
+        unknowns = np.zeros(used.size)
+        if part.size:
+            sizes = np.linalg.norm(part, axis=0)
+            sizes = np.where(sizes > 0, sizes, 1.0)
+            found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
+            unknowns[used] = found / sizes
+        return unknowns
+
+    def residual(self, unknowns: Array, n_rows: int) -> Array:
+        """Return what is left of all rows (n_rows,); of freed ones the multiplier with its sign reversed."""
+        left = np.zeros(n_rows)
+        left[self._loose] = self.right + self.matrix @ unknowns
+        left[self.freed] = -unknowns[self.columns.size :]
+        return left
+
+    def multipliers(self, unknowns: Array) -> Array:
+        """Return the multipliers of all rows of the program."""
+        found = np.zeros(self._size)
+        found[self.columns] = unknowns[: self.columns.size]
+        found[self._basis] = self._response @ np.append(unknowns, 1.0)
+        return found
+
+
+def _sort_out(
+    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, row_limits: _Limits
+) -> Array:
     """Scaled multipliers of the rows: least squares, without those that would push the wrong way."""
+    form = _CostateForm.of(matrix, gradient, exact, basis, limits, row_limits)
+    if form is None:  # nothing explains the trajectory
+        return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.anywhere, row_limits.anywhere.copy()
-    multipliers = np.zeros(matrix.shape[1])
-    for _ in range(_ACTIVE_SET_ITERATIONS):
-        multipliers[:] = 0.0
-        multipliers[pushing] = _least_squares(matrix[imposed][:, pushing], -gradient[imposed], exact[imposed])
-        residual = -(gradient + matrix @ multipliers)
-        size = float(np.max(np.abs(gradient), initial=TINY))
-        pulling = limits.wrong(residual, size) & ~imposed
-        wrong = row_limits.wrong(multipliers, float(np.max(np.abs(multipliers), initial=TINY))) & pushing
+    unknowns = np.zeros(form.matrix.shape[1])
+    size = float(np.max(np.abs(form.right), initial=TINY))
+    for _ in range(_ROUNDS):
+        unknowns = form.solve(imposed, pushing)
+        found = np.zeros(matrix.shape[1])
+        found[form.columns] = unknowns[: form.columns.size]
+        pulling = limits.wrong(-form.residual(unknowns, gradient.size), size) & ~imposed
+        wrong = row_limits.wrong(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
         if not (np.any(pulling) or np.any(wrong)):
             break
         if not np.any(imposed & limits.anywhere) and np.all(pushing == row_limits.anywhere):
-            right = _right_signs(matrix, gradient, multipliers, exact, limits, row_limits)
+            right = _right_signs(form, unknowns, limits, row_limits, size)
             if right is not None:
-                return right
+                return form.multipliers(right)
         imposed, pushing = imposed | pulling, pushing & ~wrong
-    return multipliers
+    return form.multipliers(unknowns)
 
 
 def _right_signs(
-    matrix: Array, gradient: Array, first: Array, exact: Mask, limits: _Limits, row_limits: _Limits
+    form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
-    """Multipliers with the right signs, by a linear programme, where they are not unique and others explain all too.
+    """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too.
 
     Along bounds that fix the whole trajectory those of its ends are free, and the shortest ones may pull.
     """
-    imposed, pushing = ~limits.anywhere, row_limits.anywhere
-    size = float(np.max(np.abs(gradient), initial=TINY))
-    left = (gradient + matrix @ first)[imposed]
-    if not np.max(np.abs(left), initial=0.0) <= _WRONG * size:  # they explain nothing whatever their signs
+    n_rows = limits.anywhere.size
+    left, imposed = form.residual(first, n_rows), ~limits.anywhere
+    if (
+        not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size
+    ):  # they explain nothing whatever their signs
         return None
-    columns, bound = matrix[:, pushing], limits.anywhere
+    matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
+    matrix[form._loose], right[form._loose] = form.matrix, form.right
+    matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
+    bound = limits.anywhere
     # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
-    one_sided = scipy.sparse.vstack([columns[only_upper], -columns[only_lower]])
-    # The smallest multiplier is maximised, so that none vanishes at a point and has the wrong sign next to
-    # it.
+    one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
+    # They push by as much as they can everywhere, lest one vanishes at a point and pulls beside it.
     margin = np.ones((one_sided.shape[0], 1))
+    loose = imposed & np.isin(np.arange(n_rows), form._loose)
+    signs = [
+        (None if row_limits.lower[k] else 0.0, None if row_limits.upper[k] else 0.0) for k in form.columns
+    ]
     found = scipy.optimize.linprog(
-        np.append(np.zeros(columns.shape[1]), -1.0),
-        A_ub=scipy.sparse.hstack([one_sided, margin]),
-        b_ub=np.concatenate([-gradient[only_upper], gradient[only_lower]]),
-        A_eq=scipy.sparse.hstack([columns[imposed], np.zeros((int(np.sum(imposed)), 1))]),
-        b_eq=-gradient[imposed],
-        bounds=[
-            *(
-                (None if lower else 0.0, None if upper else 0.0)
-                for lower, upper in zip(row_limits.lower[pushing], row_limits.upper[pushing], strict=True)
-            ),
-            (0.0, size),
-        ],
+        np.append(np.zeros(first.size), -1.0),
+        A_ub=np.hstack([one_sided, margin]),
+        b_ub=np.concatenate([-right[only_upper], right[only_lower]]),
+        A_eq=np.hstack([matrix[loose], np.zeros((int(np.sum(loose)), 1))]),
+        b_eq=-right[loose],
+        bounds=[*signs, *([(None, None)] * form.freed.size), (0.0, size)],
         method="highs",
     )
-    if found.status != 0:
-        return None
-    multipliers = np.zeros(matrix.shape[1])
-    multipliers[pushing] = found.x[:-1]
-    rest = -(gradient + matrix @ multipliers)[imposed]
-    multipliers[pushing] += _least_squares(columns[imposed], rest, exact[imposed])
-    return multipliers
-
-
-def _least_squares(matrix: Array, right: Array, exact: Mask) -> Array:
-    """The solution of min |A y - b|, some rows exact, by the augmented system damped towards the previous one."""
-    n_rows, n = matrix.shape
-    if not n:
-        return np.zeros(0)
-    sizes = np.sqrt(np.asarray((matrix**2).sum(axis=0)).ravel())
-    columns = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0))
-    matrix = scipy.sparse.csc_array(matrix @ columns)
-    loose = scipy.sparse.diags_array(np.where(exact, _DAMPING, 1.0))
-    damped = scipy.sparse.eye_array(n) * -_DAMPING
-    system = scipy.sparse.block_array([[loose, matrix], [matrix.T, damped]], format="csc")
-    try:
-        factors = scipy.sparse.linalg.splu(system)
-    except RuntimeError:  # singular to rounding: nothing explains the trajectory
-        return np.zeros(n)
-    y = np.zeros(n)
-    for _ in range(_REPEATS):
-        y = y + factors.solve(np.concatenate([right - matrix @ y, np.zeros(n)]))[n_rows:]
-    return np.asarray(columns @ y)
+    return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
 def _variables(
@@ -371,13 +437,48 @@ def _variables(
     return with_integrals(transcription, problem, x)
 
 
-def _state_rows(transcription: Transcription) -> Mask:
-    """Rows of the adjoint equation: they can be met whatever the costates at the end, so they are met exactly."""
+def _adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+    """Rows of the adjoint equation that are met exactly: between restarts they can be, whatever the costates there."""
     rows = np.zeros(transcription.n_variables, dtype=bool)
-    for part in transcription.parts.values():
+    for name, part in transcription.parts.items():
         rows[part.collocation.point_states] = True
         rows[part.collocation.boundary_states[:, 1:-1]] = True
+        rows[part.collocation.boundary_states[:, restarts[name]]] = False
     return rows
+
+
+def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+    """Multipliers of the dynamics that these rows determine: all but those at ends of phases and at restarts."""
+    columns = np.zeros(transcription.n_constraints, dtype=bool)
+    for name, part in transcription.parts.items():
+        collocation = part.collocation
+        n, mesh = collocation.n_states, collocation.mesh
+        counts = [n * (degree + collocation.family.extra_rows) for degree in mesh.degrees]
+        segments = np.repeat(np.arange(mesh.segments), counts)
+        ends = np.searchsorted(segments, np.append(restarts[name], segments[-1] + 1))
+        own = np.ones(segments.size, dtype=bool)
+        own[(ends[:, None] - 1 - np.arange(n)).ravel()] = False
+        columns[collocation.first_row : collocation.first_row + segments.size] = own
+    return columns
+
+
+def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+    """Return the segment boundaries at which costates are unknowns, since adjoint errors grow from one to the next."""
+    leg, breaks = problem.phases[name], phase.x.breaks
+    p = model_parameters(problem, leg, q)
+    functions = phase_functions(problem, name, p, q, np.zeros(len(leg.integrands)))
+    middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
+    x = phase.x(middles)
+    jacobian = np.moveaxis(np.nan_to_num(functions.state_jacobian(middles, x, phase.u(middles))), 2, 0)
+    size = _or_one(np.ptp(x, axis=1))
+    scaled = np.clip(jacobian * size / size[:, None] * widths[:, None, None], -MOST_EXPONENT, MOST_EXPONENT)
+    steps, found, transition = scipy.linalg.expm(scaled), [], np.eye(size.size)
+    for k in range(widths.size - 1, 0, -1):
+        transition = transition @ steps[k]
+        if np.linalg.norm(transition, 2) > GROWTH:
+            found.append(k)
+            transition = np.eye(size.size)
+    return np.array(found[::-1], dtype=int)
 
 
 def _ranges(
@@ -391,10 +492,11 @@ def _ranges(
             (collocation.point_states, numbers.states),
             (collocation.point_controls, numbers.controls),
         ):
-            limits, size = box.upper - box.lower, np.max(np.abs(x[places]), axis=1, initial=0.0)
-            limits = np.where(np.isfinite(limits), limits, 0.0)
-            varies = np.maximum(np.ptp(x[places], axis=1) if places.size else limits, limits)
-            scales[places] = np.where(varies > ROUNDING * size, varies, _or_one(size))[:, None]
+            size = np.max(np.abs(x[places]), axis=1, initial=0.0)
+            varies = np.ptp(x[places], axis=1) if places.size else np.zeros(places.shape[0])
+            extent = box.upper - box.lower
+            still = np.where(size > 0, size, np.where(np.isfinite(extent) & (extent > 0), extent, 1.0))
+            scales[places] = np.where(varies > STEADY_SHARE * size, varies, still)[:, None]
         scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
     return scales

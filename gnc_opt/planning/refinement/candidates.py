@@ -13,7 +13,7 @@ from gnc_opt.planning.refinement.iterations import pass_record
 from gnc_opt.planning.solution.history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
-from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_loss
 from gnc_opt.planning.verification.engine import verify
 
@@ -269,7 +269,5 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
 
 def _on_singular_arcs(verdict: Verdict) -> str:
     """Say what may keep a refinement with singular arcs from its end, and where they are."""
-    told = [
-        c for c in verdict.conditions if c.name == "singular arcs" and c.result is not ConditionResult.PASS
-    ]
-    return "".join(f" {_CHATTERING.format(where=c.where)}" for c in told)
+    part, _, where = verdict["second order"].where.partition(": ")
+    return f" {_CHATTERING.format(where=where)}" if part == "singular arcs" else ""

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, carried, integrate
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -103,6 +103,28 @@ def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) ->
     except EndedError:
         pass
     return np.asarray(states[:, np.searchsorted(edges, times)])
+
+
+def segment_misses(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
+    """Return by how much segments miss the end to which the applied control leads from their start (n_states, n).
+
+    Infinite where there is no such trajectory.
+    """
+    tolerance = Tolerance(1e-11, state_magnitudes(leg))
+    flight = _Flight(functions, tolerance, Budget(leg.states.labels))
+    misses = np.full((leg.states.size, segments.size), np.inf)
+    jumps = leg.flown.jumps
+    for column, k in enumerate(segments):
+        left, right = leg.breaks[k : k + 2]
+        edges = [left, *jumps[(jumps > left) & (jumps < right)], right]
+        x = leg.x(left)
+        try:
+            for a, b in itertools.pairwise(edges):
+                x = flight.end(_controls(leg.flown, a, b, _degree(leg, a, b)), x, (a, b))
+        except EndedError:
+            continue
+        misses[:, column] = leg.x(right, "left") - x
+    return misses
 
 
 def _larger(first: Array, second: Array) -> Array:

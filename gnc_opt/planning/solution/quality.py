@@ -264,8 +264,8 @@ class Violations:
         return f"{limit + side * self.excess[i]:.6g} (at {'most' if side > 0 else 'least'} {limit:.6g})"
 
 
-def violations(samples: PhaseSamples, limits: Limits) -> Violations:
-    """Return the times and amounts by which the polynomials of a phase exceed limits.
+def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
+    """Return the times and amounts by which the polynomials of a phase, or its applied controls, exceed limits.
 
     A sample not exceeded by its neighbours brackets a local maximum, which is located by narrowing the
     bracket between the neighbours, unless it cannot rise above the sample by much more than the samples
@@ -275,18 +275,22 @@ def violations(samples: PhaseSamples, limits: Limits) -> Violations:
         leg, nothing = samples.leg, np.zeros(0)
         x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
         return Violations(limits, nothing, nothing, x, u)
-    tops = _Tops.of(samples, limits)
+    controls = samples.u if applied else samples.u_polynomial
+    signal = samples.leg.flown if applied else samples.leg.u
+    tops = _Tops.of(samples, limits, controls)
     k, j, excess = tops.limits, tops.samples, tops.excess
-    times, x, u = samples.times[j], samples.x[:, j], samples.u_polynomial[:, j]
+    times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + SWINGS * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > PEAK_NOISE_SHARE * tops.room))
     hidden = hidden[_highest(k[hidden], promise[hidden])]
     if hidden.size:
-        peaks, heights = _narrowed(samples, limits.some(k[hidden]), tops.left[hidden], tops.right[hidden])
+        peaks, heights = _narrowed(
+            samples, limits.some(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
+        )
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
-        x[:, places], u[:, places] = samples.leg.x(times[places]), samples.leg.u(times[places])
+        x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
     beyond = beyond[_highest(k[beyond], excess[beyond])]
     return Violations(limits.some(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
@@ -324,10 +328,10 @@ class _Tops:
     room: Array
 
     @classmethod
-    def of(cls, samples: PhaseSamples, limits: Limits) -> _Tops:
+    def of(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _Tops:
         times, last = samples.times, samples.at_end
         first = np.append(True, last[:-1])
-        excess = limits.excess(times, samples.x, samples.u_polynomial)
+        excess = limits.excess(times, samples.x, controls)
         before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
         after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
         k, j = np.nonzero((excess > before) & (excess >= after))
@@ -339,7 +343,9 @@ class _Tops:
         return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
 
 
-def _narrowed(samples: PhaseSamples, limits: Limits, left: Array, right: Array) -> tuple[Array, Array]:
+def _narrowed(
+    samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
+) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""
     leg, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
@@ -347,7 +353,7 @@ def _narrowed(samples: PhaseSamples, limits: Limits, left: Array, right: Array) 
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = (middle + half * _TRIED[:, None]).ravel()
-        excess = all_limits.excess_pairwise(tried, leg.x(tried), leg.u(tried)).reshape(_TRIED.size, -1)
+        excess = all_limits.excess_pairwise(tried, leg.x(tried), signal(tried)).reshape(_TRIED.size, -1)
         top = np.argmax(excess, axis=0)
         heights, places = excess[top, columns], tried.reshape(_TRIED.size, -1)[top, columns]
         times, best = np.where(heights > best, places, times), np.maximum(heights, best)

@@ -110,10 +110,13 @@ class PhaseSamples:
         vars(other).update(cached)
         return other
 
-    def finer(self, count: int) -> PhaseSamples:
-        """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends."""
+    def finer(self, count: int, least: int = FINER) -> PhaseSamples:
+        """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends.
+
+        With ``least`` steps per segment at least.
+        """
         widths = np.diff(self.leg.breaks)
-        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), FINER).astype(int)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
         pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
         shares = [np.concatenate([[0.0], ((np.arange(n)[:, None] + pair) / n).ravel(), [1.0]]) for n in steps]
         weights = [np.concatenate([[0.0], np.full(2 * n, 0.5 / n), [0.0]]) for n in steps]

@@ -5,6 +5,8 @@ A bound of the cost that no trajectory of a problem can pass.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -50,6 +52,31 @@ class LowerBound:
         return f"{self.value:.10g} by {', '.join(self.states)} ({known})"
 
 
+GROUPS = {
+    "feasible": ("dynamics", "limits", "boundary conditions", "cost"),
+    "first-order conditions": ("stationarity", "active set", "minimum principle", "kinks"),
+    "second-order conditions": ("second order", "switching times"),
+}
+"""Conditions by the question that they answer."""
+
+FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
+"""Conditions whose values are compared with one tolerance."""
+
+REMEDIES = {
+    "dynamics": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
+    "limits": "Refine the mesh where the limit is exceeded, or state the limit with a margin.",
+    "boundary conditions": "Check that the end can be reached in the given time; solve again with a smaller `tol`.",
+    "cost": "Compute the objective again by `solve`; put phase boundaries at narrow features of the integrand.",
+    "stationarity": "Refine the mesh; for samples, give them more densely and a time twice where a control jumps.",
+    "active set": "Refine the mesh: a switch is misplaced, or an arc at a limit is missing.",
+    "minimum principle": "Solve from another guess (`go.multistart`), with the control that has the lower H.",
+    "kinks": "End a phase where the state meets the kink, and link the next phase to it.",
+    "second order": "Solve from another guess (`go.multistart`): a cheaper trajectory is nearby.",
+    "switching times": "Solve from a guess with the named switches moved: a cheaper trajectory is there.",
+}
+"""What to do if a condition fails."""
+
+
 class ConditionResult(Enum):
     """Outcome of one condition."""
 
@@ -86,7 +113,7 @@ class Condition:
 
     Examples
     --------
-    >>> condition = go.verify(solution)["Hamiltonian"]
+    >>> condition = go.verify(solution)["stationarity"]
     >>> print(condition.result.value, condition.value < condition.tolerance)
     PASS True
     """
@@ -154,6 +181,12 @@ class Verdict:
         return self.ok and judged and not self.inconclusive
 
     @property
+    def level(self) -> float:
+        """The smallest tolerance at which the first-order conditions hold; infinite without costates."""
+        values = [c.value for c in self.conditions if c.name in FIRST_ORDER]
+        return max((math.inf if math.isnan(v) else v for v in values), default=math.inf)
+
+    @property
     def failed(self) -> tuple[Condition, ...]:
         """The conditions that fail."""
         return tuple(c for c in self.conditions if c.result is ConditionResult.FAIL)
@@ -212,13 +245,30 @@ class Verdict:
                 )
         return "\n".join(lines)
 
+    def table(self) -> str:
+        """Return all conditions, one per line: name, result, value, place of the worst violation."""
+        return "\n".join([*_rows([(c.name, c, "") for c in self.conditions]), f"verdict: {self.word}"])
+
     def __str__(self) -> str:
-        width = max(len(c.name) for c in self.conditions)
-        lines = [
-            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.location_text}"
-            for c in self.conditions
-        ]
-        return "\n".join([*lines, f"verdict: {self.word}"])
+        """What fails first and what to do; the worst condition of each group; the verdict."""
+        groups = list(self.groups.items())
+        failing = next((found for _, found in groups if any(c in self.open for c in found)), ())
+        messages = [line for c in failing if c in self.open for line in _message(c)]
+        also = ", ".join(c.name for c in self.open if c not in failing)
+        if also:
+            messages.append(f"also: {also}")
+        worst = [(group, most_severe(found)) for group, found in groups]
+        rows = _rows([(group, c, f"{c.name}: ") for group, c in worst])
+        return "\n".join([*messages, *rows, f"verdict: {self.word}"])
+
+    @property
+    def groups(self) -> dict[str, list[Condition]]:
+        """The conditions by group: feasible, first order, second order; those without a group are a group each."""
+        known = {name: group for group, names in GROUPS.items() for name in names}
+        groups: dict[str, list[Condition]] = {}
+        for c in self.conditions:
+            groups.setdefault(known.get(c.name, c.name), []).append(c)
+        return groups
 
     def __repr__(self) -> str:
         return f"<verdict on '{self.problem_name}': {self.word}>"
@@ -233,3 +283,36 @@ class Verdict:
         shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
         return shown if passed else shown + preformatted(self.explain())
+
+
+_SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
+
+
+def most_severe(conditions: Iterable[Condition]) -> Condition:
+    """Return the condition that fails, or else is inconclusive, with the largest value."""
+
+    def severity(condition: Condition) -> tuple[int, float]:
+        return _SEVERITY[condition.result], math.inf if math.isnan(condition.value) else -condition.value
+
+    return min(conditions, key=severity)
+
+
+def _rows(entries: list[tuple[str, Condition, str]]) -> list[str]:
+    width = max(len(name) for name, _, _ in entries)
+    return [
+        f"{name:<{width}}  {c.result.value:<12}  {c.value:9.2e}  {prefix}{c.location_text}"
+        for name, c, prefix in entries
+    ]
+
+
+def _message(condition: Condition) -> list[str]:
+    """Return what fails, where, what it costs if that is known, and what to do."""
+    lines = [
+        f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
+        f"  at {condition.where}",
+    ]
+    if condition.loss is not None:
+        lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
+    if condition.name in REMEDIES:
+        lines.append(f"  {REMEDIES[condition.name]}")
+    return lines

@@ -14,13 +14,20 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import left, left_free
 from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, without_switches
+from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import judge
-from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, coupled_gains, coupled_minima, limits
-from gnc_opt.tolerances import AT_LIMIT, SHORTEST
+from gnc_opt.planning.verification.hamiltonian_minimum import (
+    POINTS,
+    RESOLVED_GAIN_SHARE,
+    coupled_gains,
+    coupled_minima,
+    limits,
+)
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY
 
 CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
@@ -31,56 +38,85 @@ SLOPE_MIN_SHARE = 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """dH/du vanishes where a control is between its bounds."""
+CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
+"""Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
+
+
+def control_worth(s: PhaseSamples, scales: Scales) -> Array:
+    """Return by what gains in H of each control alone are measured (m,), cost per second."""
+    bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
+    least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
+    own = np.maximum(scales.phases[s.leg.name].control_cost, least)
+    return np.asarray(np.minimum(own, scales.cost) / s.span)
+
+
+def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
+    """Return what controls between their bounds gain in H to first order, or by which share they miss its minimum.
+
+    In the mean of each segment, with its sign; inside a segment, where deviations change the cost to second order
+    only, the root of the tolerance holds.
+    """
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _offences(s)
-        offence = np.where(on_bound, 0.0, np.minimum(loss / s.control_worth[:, None], _miss(s)))
-        worst = worst.or_worse(_worst_control(s, lasting(s.times, offence)))
-    return judge(
-        "stationarity",
-        worst,
-        tolerance,
-        "Where a control is strictly between its bounds, dH/du (with path multipliers) must vanish (first-order gain "
-        "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A "
-        "bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
-    )
+        loss, on_bound = _losses(s, scales)
+        loss = np.where(loss * s.span > RESOLVED_GAIN_SHARE * scales.cost, loss, 0.0)
+        share = loss / control_worth(s, scales)[:, None]
+        offence = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
+        signed = np.copysign(offence, s.control_gradient)
+        offence = np.fmax(np.abs(_segment_means(s, signed)), offence * np.sqrt(tolerance))
+        worst = worst.or_worse(_worst_control(s, lasting(s.times, offence), "dH/du of "))
+    return worst
 
 
-def _miss(s: PhaseSamples) -> Array:
-    """Share of its range by which each control misses the minimum of H; infinite where H does not curve upwards.
+def _segment_means(s: PhaseSamples, values: Array) -> Array:
+    """Return the means of values (m, n_samples) over the segments, at the samples."""
+    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
+    lengths = np.maximum(np.add.reduceat(s.weights, starts), TINY)
+    means = np.add.reduceat(values * s.weights, starts, axis=1) / lengths
+    return np.asarray(means[:, s.segments])
+
+
+def _miss(s: PhaseSamples, scales: Scales) -> Array:
+    """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards.
 
     Where H curves strongly, a large slope means only that the minimum is slope / curvature away.
     """
-    slope = np.abs(s.control_gradient) * (s.control_span / s.control_worth)[:, None]
-    curvature = _curvature(s)
-    return np.divide(slope, curvature, out=np.full_like(slope, np.inf), where=curvature > 0)
+    deviation = scales.phases[s.leg.name].deviation
+    curvature = np.einsum("iij->ij", s.control_hessian) * deviation
+    slope = np.abs(s.control_gradient)
+    missed = np.full_like(slope, np.inf)
+    return np.asarray(np.divide(slope, curvature, out=missed, where=curvature > 0))
 
 
-def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """Each control on a bound sits on the right one for its switching function."""
+def control_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
+    """Return what controls on a bound would gain in H to first order if they left it."""
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, loss / s.joint_worth, 0.0)))
-    return judge(
-        "control signs",
-        worst,
-        tolerance,
-        "A control on its lower bound needs a switching function dH/du >= 0, on its upper bound <= 0 (first-order gain "
-        "in H that is left). A wrong sign means a switch in the wrong place, or an arc that is missing.",
-    )
+        loss, on_bound = _losses(s, scales)
+        offence = lasting(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
+        worst = worst.or_worse(_worst_control(s, offence, "switching function of "))
+    return worst
 
 
-def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
+def _losses(s: PhaseSamples, scales: Scales) -> tuple[Array, Mask]:
+    """First-order gain in H of each control over its deviation, cost per second, and whether it is on a bound."""
+    bounds, scale = s.leg.control_bounds, scales.phases[s.leg.name].deviation
+    gradient = s.control_gradient
+    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * np.max(scale, axis=1, initial=0.0))
+    room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale))
+    room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale))
+    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
+    return loss, at_lower | at_upper
+
+
+def _worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     if not loss.size:
         return NOTHING
     i, j = worst_index(loss)
-    return Worst(float(loss[i, j]), s.place(j, s.leg.controls.labels[i]))
+    return Worst(float(loss[i, j]), s.place(j, what + s.leg.controls.labels[i]))
 
 
-def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Condition:
+def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = "") -> Condition:
     """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere.
 
     Its loss is the integral of H less its least value: what the cost changes to first order if the control is
@@ -93,7 +129,7 @@ def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Co
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.leg.controls.size:
-            gain, lost, here = _largest_gain(s, tolerance)
+            gain, lost, here = _largest_gain(s, scales, tolerance)
             worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
@@ -104,20 +140,28 @@ def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Co
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
-def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, float, bool]:
+def _largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
     """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
+    deviation = np.max(scales.phases[s.leg.name].deviation, axis=1, initial=0.0)
+    gain, own, searched = _gains(s, deviation, scales.cost, tolerance)
+    lasts = lasting(s.times, gain[None])[0]
+    share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
+    share = np.where(np.isnan(s.hamiltonian), np.inf, share)
+    j = int(np.argmax(share))
+    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
+
+
+def _gains(s: PhaseSamples, deviation: Array, cost: float, tolerance: float) -> tuple[Array, Array, bool]:
+    """Return what other controls gain in H and its share along the phase, and whether they had to be searched for."""
     apart = _separable_gain(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scattered_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
-    others, searched = coupled_gains(s, tolerance)
+    others, searched = coupled_gains(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
     for other in others:
         gain = gain + np.interp(s.times, other.times, other.gain)
         own = np.maximum(own, np.interp(s.times, other.times, other.share))
-    share = np.maximum(gain / (s.joint_worth + gain), own)
-    share = np.where(np.isnan(s.hamiltonian), np.inf, share)
-    j = int(np.argmax(share))
-    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
+    return gain, own, searched
 
 
 def minimum_loss(solution: Solution) -> float:
@@ -126,7 +170,7 @@ def minimum_loss(solution: Solution) -> float:
     Not finite where H has no value.
     """
     samples = [s for s in solution.samples().values() if s.has_length and s.leg.controls.size]
-    return float(sum(_largest_gain(s, np.inf)[1] for s in samples))
+    return float(sum(s.weights @ _gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples))
 
 
 def least_controls(s: PhaseSamples) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
 * :math:`dH/dt = \partial H_a/\partial t`, with jumps where a state constraint that moves pushes,
 * u minimises H among the admissible controls (module `controls`).
 
-Offences are made dimensionless by what the terms of H and the products lambda x amount to along the phase, so
-that no choice of units or scales can hide them.
+Gradients count by what they change over the reach of the states, in shares of the cost scale
+(module `reference_scales`).
 
 Path constraints that are met at an end of a phase only, as boundary constraints.
 
@@ -32,17 +32,17 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.cost_scale import parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import end_push, jumps_explained, pushed_beside
+from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.feasibility import path_reach
 from gnc_opt.planning.verification.recomputed import ends_of
-from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))
 """The ends of a phase and their samples."""
@@ -96,61 +96,64 @@ def _at_end(leg: Phase, row: int, end: str) -> ca.SX:
     return ca.substitute(leg.path_expression()[int(row)], ca.vertcat(t, x), ca.vertcat(time, leg.ends(end)))
 
 
-def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The costates satisfy their differential equation, and jump only where a state constraint pushes."""
+def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
+    """Return by how much costates miss their differential equation, or jump where no state constraint acts."""
     worst = NOTHING
     for s in samples:
-        residual = s.adjoint_residual
-        i, k = worst_index(residual)
-        worst = worst.or_worse(
-            Worst(float(residual[i, k]), s.segment_place(k, f"costate of {s.leg.states.labels[i]}"))
-        )
+        along, cost = scales.phases[s.leg.name].along, scales.cost
+        gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam_polynomial, s.mu)
+        residual = (s.lam_rate + gradient + s.state_multiplier) * s.weights
+        starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
+        total = np.add.reduceat(residual, starts, axis=1)
+        running = np.cumsum(residual, axis=1)
+        running -= (running[:, starts] - residual[:, starts])[:, s.segments]
+        for edge in s.edges:
+            total[:, edge.segment] = edge.offence * s.cost_scale / s.state_scale
+            running[:, s.segments == edge.segment] = 0.0
+        inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
+        share = np.fmax(along.change(total), inside) / cost
+        share = np.where(np.all(np.isfinite(total), axis=0), share, np.inf)
+        k = int(np.argmax(share))
+        i = int(np.argmax(np.abs(total[:, k]) * along.radius))
+        place = s.segment_place(k, f"adjoint equation of {s.leg.states.labels[i]}")
+        worst = worst.or_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
-            jumps = np.abs(jumps_explained(s)[0]) * s.state_scale[:, None] / s.cost_scale
-            i, k = worst_index(jumps)
+            jumps = jumps_explained(s)[0]
+            share = along.change(jumps) / cost
+            share = np.where(np.isnan(share), np.inf, share)
+            k = int(np.argmax(share))
+            i = int(np.argmax(np.abs(jumps[:, k]) * along.radius))
             place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
-            worst = worst.or_worse(Worst(float(jumps[i, k]), place + s.leg.states.labels[i]))
-    return judge(
-        "adjoint equation",
-        worst,
-        tolerance,
-        "The costates must satisfy d(lambda)/dt = -dH/dx (integral of the residual over a segment, in shares of the "
-        "cost) and jump only as active state constraints push, in the right direction; where not, refine the mesh or "
-        "move its boundaries to the entries and exits of constrained arcs.",
-    )
+            worst = worst.or_worse(Worst(float(share[k]), place + s.leg.states.labels[i]))
+    return worst
 
 
-def transversality(samples: list[PhaseSamples], ends: EndGradients, tolerance: float) -> Condition:
-    """Costates at free end values and H at free times match the gradients of cost and constraints."""
+def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
+    """Return by how much costates at free ends, and H at free times, miss the gradients of cost and constraints."""
     worst = NOTHING
     for s in samples:
-        worth = s.state_scale / s.cost_scale
+        own = scales.phases[s.leg.name]
         # The multiplier that would explain the gap must be one that the end's bounds can exert.
         pushes = {end: end_push(s, at, ends) for end, at in (("start", 0), ("end", -1))}
-        for (end, push), at in zip(pushes.items(), (0, -1), strict=True):
-            left = (push.gap - push.explained) * worth
-            offence = _unexplained(left, s.x[:, at], push.limits, s.state_scale)
-            i = int(np.argmax(offence))
+        for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
+            left = push.gap - push.explained
+            left = np.copysign(_unexplained(left, s.x[:, at], push.limits, s.state_scale), left)
+            offence = float(ellipsoid.change(left)) / scales.cost
+            i = int(np.argmax(np.abs(left) * ellipsoid.radius))
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
-            worst = worst.or_worse(Worst(float(offence[i]), place))
+            worst = worst.or_worse(Worst(offence, place))
         drifts = np.array([push.drift for push in pushes.values()])
-        worst = worst.or_worse(_time_transversality(s, ends, drifts))
-    return judge(
-        "transversality",
-        worst,
-        tolerance,
-        "Costates at free end values, and H at free times, must equal the gradients of cost and boundary "
-        "constraints; a failure means that a cheaper end point is nearby.",
-    )
+        worst = worst.or_worse(_time_transversality(s, ends, drifts, scales))
+    return worst
 
 
-def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> Worst:
+def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
     """Of free times; ``pushes`` is what path constraints that depend on time do at both ends (module `pushes`)."""
     leg, name = s.leg, s.leg.name
-    limits, lasts = leg.duration_bounds, np.array([leg.duration])
+    boxes, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration can exert it.
     exerted = np.array([leg.duration_multiplier])
-    alone = np.copysign(_unexplained(exerted, lasts, limits, lasts), exerted)
+    alone = np.copysign(_unexplained(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
         [
@@ -166,13 +169,14 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> 
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
-    # A multiplier is told for times that are variables only.
+    # Multipliers are known for times that are variables only.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    offence = np.maximum(_unexplained(gaps, times, box, span), told) / s.hamiltonian_scale
+    offence = np.maximum(_unexplained(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(offence))
     worst = Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
-    excess = float(np.abs(alone[0])) / s.hamiltonian_scale
-    return worst.or_worse(Worst(excess, f"phase {name}, multiplier of its duration"))
+    return worst.or_worse(
+        Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
+    )
 
 
 def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
@@ -183,125 +187,61 @@ def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array)
     return np.where(allowed, 0.0, np.abs(multipliers))
 
 
-def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """H is constant, or changes only as its explicit dependence on time, and that of constraints that push, says."""
-    worst = NOTHING
-    for s in samples:
-        drift = s.functions.time_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        expected = s.integral_from_start(drift)
-        if s.leg.mesh.segments > 1:
-            expected += np.append(0.0, np.cumsum(jumps_explained(s)[1]))[s.segments]
-        levels = s.hamiltonian - expected
-        told = levels[np.isfinite(levels)]
-        offset = float(np.median(told)) if told.size else 0.0
-        band = np.abs(levels - offset) / s.hamiltonian_scale
-        j = int(np.argmax(np.where(np.isnan(band), np.inf, band)))
-        where = f"{s.place(j)}, H = {s.hamiltonian[j]:.8g} (median {np.median(s.hamiltonian):.8g})"
-        worst = worst.or_worse(Worst(float(band[j]), where))
-    return judge(
-        "Hamiltonian",
-        worst,
-        tolerance,
-        "H must be constant along a phase (or follow its explicit dependence on time; band in shares of its terms); "
-        "a band shows where control, costate and state do not belong together. Minimum time asks for H = -1, which "
-        "transversality checks.",
-    )
-
-
 def complementarity(
-    solution: Solution,
-    samples: list[PhaseSamples],
-    ends: EndGradients,
-    amounts: Array,
-    tolerance: float,
-) -> Condition:
-    """Multipliers push only at limits, and inwards.
-
-    Parameters
-    ----------
-    amounts : array (n_constraints,)
-        By how much the flight can change each boundary constraint (module `magnitude`).
-    """
-    worst = _end_multipliers(solution, samples, ends, amounts)
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
+) -> Worst:
+    """Return what multipliers contribute to the cost away from their limits, or from the wrong side of them."""
+    worst = _end_multipliers(solution, ends, scales)
     for s in samples:
-        worst = worst.or_worse(_impulses(s))
-        leg = s.leg
-        times = leg.point_times
+        own = scales.phases[s.leg.name]
+        worst = worst.or_worse(_impulses(s, scales))
+        leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
-        # A density counts by its share of the segment: a tiny cell beside a jump may hold a large one.
-        shares = np.concatenate([rule.weights / 2 for rule in leg.rules])
-        for labels, multipliers, values, box, scale, worth in (
-            (
-                leg.states.labels,
-                leg.state_multipliers,
-                x,
-                leg.state_bounds,
-                s.state_scale,
-                s.cost_scale / s.span,
-            ),
-            (
-                leg.controls.labels,
-                leg.control_multipliers,
-                u,
-                leg.control_bounds,
-                s.control_span,
-                s.joint_worth,
-            ),
+        shares = np.concatenate([0.5 * rule.weights for rule in leg.rules])
+        shares = shares * np.repeat(np.diff(leg.breaks), leg.mesh.degrees)
+        # A density counts by its part of the phase's mean: a tiny cell beside a jump may hold a large one.
+        most = np.max(own.deviation, axis=1, initial=0.0)
+        for labels, multipliers, values, box, scale in (
+            (leg.states.labels, leg.state_multipliers, x, leg.state_bounds, own.along.radius[:, None]),
+            (leg.controls.labels, leg.control_multipliers, u, leg.control_bounds, most[:, None]),
             (
                 leg.path_labels,
                 leg.path_multipliers,
                 paths,
                 leg.path_bounds,
-                s.path_scale,
-                _path_worth(s)[:, None],
+                path_reach(s, scales, times, x, u),
             ),
         ):
             if labels:
-                offence = _slack_offence(multipliers, values, box, scale) * shares / worth
+                offence = _slack_offence(multipliers, values, box, scale) * shares / scales.cost
                 i, j = worst_index(offence)
                 where = f"phase {leg.name}, t = {times[j]:.6g} s, multiplier of {labels[i]}"
                 worst = worst.or_worse(Worst(float(offence[i, j]), where))
-    return judge(
-        "complementarity",
-        worst,
-        tolerance,
-        "Multipliers of bounds and path constraints must vanish away from the limit and push inwards at it; a failure "
-        "means a tighter solver tolerance is needed, or that the multipliers belong to another trajectory.",
-    )
+    return worst
 
 
-def _path_worth(s: PhaseSamples) -> Array:
-    """What multipliers of path constraints are measured against: controls, or states where none enters (n_paths,)."""
-    worth = np.full(len(s.leg.path_labels), s.joint_worth)
-    worth[s.pure_paths] = s.cost_scale / s.span
-    return worth
-
-
-def _end_multipliers(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array
-) -> Worst:
+def _end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Multipliers of boundary constraints that are not at the limit which could exert them."""
-    problem, nu = solution.problem, solution.constraint_multipliers
-    assert problem is not None, "verify refuses solutions without a problem"
-    if not (nu.size and samples):
+    nu, values = solution.constraint_multipliers, ends.constraints
+    if not nu.size:
         return NOTHING
-    box, values = problem.constraint_interval(), ends.constraints
-    worth = max(s.cost_scale for s in samples)
-    offence = _slack_offence(nu[:, None], values[:, None], box, amounts)[:, 0] / worth
+    box = solution.need_problem("verify").constraint_interval()
+    reach = scales.constraints[0] + 0.5 * scales.constraints[1]
+    offence = _slack_offence(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
     i = int(np.argmax(offence))
     return Worst(float(offence[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
 
 
-def _impulses(s: PhaseSamples) -> Worst:
+def _impulses(s: PhaseSamples, scales: Scales) -> Worst:
     """Impulses of state bounds at inner segment boundaries that are not at the limit which could exert them."""
     leg, breaks = s.leg, s.leg.breaks[1:-1]
     if not breaks.size:
         return NOTHING
     impulses, beside = leg.state_impulses[:, 1:-1], pushed_beside(s, leg.state_multipliers)
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
-    offence = _slack_offence(impulses - made_up_for, leg.x(breaks), leg.state_bounds, s.state_scale)
-    offence = offence / s.cost_scale
+    radius = scales.phases[leg.name].along.radius[:, None]
+    offence = _slack_offence(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
     i, k = worst_index(offence)
     return Worst(
         float(offence[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
@@ -310,47 +250,27 @@ def _impulses(s: PhaseSamples) -> Worst:
 
 def _slack_offence(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """|multiplier| times the room to the limit that could exert it (at most the scale)."""
-    room_up = np.minimum(np.abs(box.upper[:, None] - values), scale[:, None])
-    room_down = np.minimum(np.abs(values - box.lower[:, None]), scale[:, None])
+    room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
+    room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)
     return np.abs(multipliers) * np.where(multipliers > 0, room_up, room_down)
 
 
-def parameters(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array, tolerance: float
-) -> Condition:
-    """The cost is stationary in the free parameters.
-
-    Parameters
-    ----------
-    amounts : array (n_free_parameters,)
-        What the cost changes by each, per unit of it (module `magnitude`).
-    """
-    problem = solution.problem
-    assert problem is not None, "verify refuses solutions without a problem"
-    values, box = solution.parameter_values, problem.parameter_interval()
-    scale = parameter_scale(solution)
-    # The end terms cancel at a minimum, hence what the cost amounts to is the yardstick, not their sum.
-    amount = max((s.cost_magnitude for s in samples), default=0.0)
-    gradient, size = ends.parameters.copy(), np.maximum(amounts, COSTATE_MIN_SHARE_OF_COST * amount / scale)
+def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:
+    """Return by how much the cost changes with the free parameters."""
+    values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
+    if not values.size:
+        return NOTHING
+    gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
-        if gradient.size:
-            density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-            atoms = _parameter_atoms(s, ends)
-            gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
-            size = size + np.abs(density) @ s.weights + np.sum(np.abs(atoms), axis=1)
-    worst = Worst(0.0, "no free parameter")
-    if gradient.size:
-        # L + z q stationary: the multiplier a bound would have to exert is -gradient.
-        offence = _unexplained(-gradient / np.where(size > 0, size, 1.0), values, box, scale)
-        i = int(np.argmax(offence))
-        worst = Worst(float(offence[i]), f"parameter {solution.free_parameters.labels[i]}")
-    return judge(
-        "parameters",
-        worst,
-        tolerance,
-        "The derivative of the cost (with constraints) with respect to a free parameter must vanish, or push against "
-        "the bound on which it sits.",
-    )
+        density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
+        atoms = _parameter_atoms(s, ends)
+        gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
+        terms = terms + np.abs(density) @ s.weights
+    # L + z q stationary: the multiplier a bound would have to exert is -gradient.
+    left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
+    offence = _unexplained(-left, values, box, parameter_scale(solution)) * scales.parameters / scales.cost
+    i = int(np.argmax(offence))
+    return Worst(float(offence[i]), f"parameter {solution.free_parameters.labels[i]}")
 
 
 def _parameter_atoms(s: PhaseSamples, ends: EndGradients) -> Array:

@@ -10,6 +10,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, cost_unit
 from gnc_opt.planning.optimality.costate_jumps import settle_edges
+from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.expressions import table_uses
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.kinks import kinks_of
@@ -30,8 +31,9 @@ from gnc_opt.planning.verification import (
 from gnc_opt.planning.verification import (
     feasibility,
 )
-from gnc_opt.planning.verification.conjugate_points import conjugate_points
 from gnc_opt.planning.verification.costate_conditions import with_end_limits
+from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.normality import beside_normal, normality
 from gnc_opt.planning.verification.recomputed import (
     costates_kept_twice,
@@ -53,23 +55,37 @@ from gnc_opt.planning.verification.singular_arcs import (
     of_first_order,
     singular_arcs,
 )
-from gnc_opt.planning.verification.smoothness import beyond_theorems, roughness, smoothness
+from gnc_opt.planning.verification.smoothness import (
+    KINKS,
+    beyond_theorems,
+    concave_kink,
+    roughness,
+    smoothness,
+)
 from gnc_opt.planning.verification.sufficiency import (
     determined_by_slope,
     has_one_solution,
     is_convex,
     reaches_least_cost,
 )
+from gnc_opt.planning.verification.switching_times import switching_times
 
 CONDITION_TOLERANCE = 1e-5
 
-MOST_UNKNOWNS = 4000
-"""Of a mesh, states and controls at its points, whose second order is looked at though a first condition fails already:
-that is the larger part of the work on fine meshes, and says nothing of what is no extremal."""
+_SECOND = ("second order", "switching times")
 
+_STATIONARITY = (
+    "The cost may not change to first order with states (adjoint equation), ends and times (transversality), "
+    "parameters, or controls between their bounds (dH/du), in shares of the cost scale over the reach: refine the mesh."
+)
+_ACTIVE_SET = (
+    "Multipliers act only at limits and inwards, and controls on a bound are on the right one for their switching "
+    "function: a switch is in the wrong place, or an arc is missing."
+)
 _NO_EXTREMAL = (
     "The second order tells extremals that are minima from others, and this is no extremal: see what fails."
 )
+_AFTER_OTHERS = "not evaluated, as other conditions fail"
 _CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 
@@ -92,12 +108,8 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     -------
     Verdict
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
-        INCONCLUSIVE per condition: dynamics, propagation, bounds, path constraints, boundary
-        conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
-        normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
-        for the latter, induced gradient; for all others, along smooth phases, conjugate points. Where models look
-        things up, tables; where operations without derivatives switch with states or controls, smoothness.
+        INCONCLUSIVE for each of ten conditions: dynamics, limits, boundary conditions, cost; stationarity, active set,
+        minimum principle, kinks; second order, switching times.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -108,7 +120,7 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
     Examples
     --------
     >>> verdict = go.verify(solution)
-    >>> print(verdict.ok, verdict.minimum, verdict["Hamiltonian"].result.value)
+    >>> print(verdict.ok, verdict.minimum, verdict["stationarity"].result.value)
     True True PASS
     """
     if not isinstance(solution, Solution):
@@ -130,81 +142,150 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     told = has_costates(samples, ends, amounts.cost)
     missing = missing_number(stored, told)
     samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
-    conditions = [
-        feasibility.dynamics(solution.need_problem("verify"), samples, tol),
-        feasibility.propagation(samples, tol),
-        feasibility.bounds(solution, samples, tol),
-        feasibility.paths(samples, tol),
-        feasibility.boundary(solution, samples, ends, amounts.constraints, tol),
-        feasibility.cost(stored, samples, ends, told, tol),
-        stored_numbers(
-            stored, solution, missing.or_worse(costates_kept_twice(samples) if told else NOTHING), tol
+    scales = Scales.of(solution, samples)
+    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
+    kept = missing.or_worse(costates_kept_twice(samples) if told else NOTHING)
+    limits = [feasibility.limits(solution, samples, scales, tol)]
+    if any(table_uses(problem, leg) for leg in problem.phases.values()):
+        limits.append(feasibility.tables(solution))
+    trajectory = [
+        feasibility.dynamics(problem, samples, scales, tol),
+        _joined("limits", limits),
+        feasibility.boundary(solution, samples, ends, scales, tol),
+        _joined(
+            "cost",
+            [
+                feasibility.cost(stored, samples, ends, told, scales, tol),
+                stored_numbers(stored, solution, kept, tol),
+            ],
         ),
     ]
-    lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
-    if any(table_uses(problem, leg) for leg in problem.phases.values()):
-        conditions.append(feasibility.tables(solution))
-    undetermined = [controls.undetermined(s, tol) for s in lasting]
-    singular = [mask for mask, _ in undetermined]
-    arcs = [singular_arcs(problem, s, *where, tol) for s, where in zip(lasting, undetermined, strict=True)]
-    told_by_arcs = [of_first_order(s, found, tol) for s, found in zip(lasting, arcs, strict=True)]
-    along = [
-        costates.adjoint(lasting, tol),
-        costates.transversality(lasting, ends, tol),
-        costates.hamiltonian(lasting, tol),
-        controls.stationarity(lasting, tol),
-        controls.control_signs(lasting, tol),
-        controls.minimum(lasting, tol, cost_unit(problem)),
-        costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
-        controls.legendre_clebsch(lasting, tol, singular),
-        controls.singular_arcs(lasting, tol, singular, told_by_arcs),
-        generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
-    ]
-    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    names = ("strict switches", "second order") if switching else ("second order",)
-    if told and _is_large(lasting) and any(c.result is ConditionResult.FAIL for c in (*conditions, *along)):
-        switches = [_untold(name, "not looked at, as other conditions fail", _NO_EXTREMAL) for name in names]
+    first = _first_order(solution, samples, ends, scales, tol)
+    concave = None if missing.value or not told else concave_kink(lasting, scales)
+    failed = told and any(c.result is ConditionResult.FAIL for c in first)
+    if failed and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
+        first = [_of_least_cost(c) for c in first]
+    extremal = (*trajectory[:3], *first)
+    fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
+    if fails and told:
+        second = [_untold(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
+        arcs = _singular_parts(problem, lasting, tol)[1]
+        if arcs.result is not ConditionResult.PASS:
+            second[0] = replace(second[0], where=f"{arcs.name}: {arcs.where}; {_AFTER_OTHERS}")
     elif told and not missing.value:
-        switches = [second_order.strict_switches(lasting)] if switching else []
-        switches += _second_order(solution, samples, ends, tol)
+        second = _second_order(solution, samples, ends, scales, tol, first[2].loss)
     else:
-        switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
+        second = [_untold(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+    judged = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
-        along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
-    judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
+        judged = [_without_length(c, vanished) for c in judged]
     doubted = told and any(c.result is not ConditionResult.PASS for c in judged)
-    if doubted and reaches_least_cost(solution, samples, ends.cost, amounts.cost, tol):
+    if doubted and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
         judged = [_of_least_cost(c) for c in judged]
-    if any(_leaves_open(c) for c in judged) and told and _is_only_one(problem, lasting):
+    if not fails and any(_leaves_open(c) for c in judged) and told and _is_only_one(problem, lasting):
         judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
-    if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
+    kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
+    if concave is not None:
+        kinks = smoothness(concave, False, falls=True)
+    elif any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else roughness(problem, lasting, tol)
-        conditions.append(smoothness(rough, any(c.result is ConditionResult.FAIL for c in judged)))
+        kinks = smoothness(rough, any(c.result is ConditionResult.FAIL for c in judged))
         if rough is not None:
             judged = [beyond_theorems(c, rough) for c in judged]
     if missing.value:
         judged = [_incomplete(c, missing.where) for c in judged]
-    if told:
-        return Verdict(solution.problem_name, (*conditions, *judged))
-    return Verdict(
-        solution.problem_name, (*conditions, *map(_without_costates, judged)), not_checked="no costates"
+    if not told:
+        judged = [_without_costates(c) for c in judged]
+    conditions = (*trajectory, *judged[: len(first)], kinks, *judged[len(first) :])
+    return Verdict(solution.problem_name, conditions, not_checked="" if told else "no costates")
+
+
+def _first_order(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
+) -> list[Condition]:
+    """Stationarity, active set and minimum of H."""
+    lasting = [s for s in samples if s.has_length]
+    gradient = (
+        costates.adjoint(lasting, scales, tol)
+        .or_worse(costates.transversality(lasting, ends, scales))
+        .or_worse(controls.stationarity(lasting, scales, tol))
+        .or_worse(costates.parameters(solution, samples, ends, scales))
     )
+    active = controls.control_signs(lasting, scales).or_worse(
+        costates.complementarity(solution, lasting, ends, scales)
+    )
+    return [
+        judge("stationarity", gradient, tol, _STATIONARITY),
+        judge("active set", active, tol, _ACTIVE_SET),
+        controls.minimum(lasting, scales, tol, cost_unit(solution.need_problem("verify"))),
+    ]
 
 
-def _is_large(samples: list[PhaseSamples]) -> bool:
-    unknowns = sum(s.leg.mesh.size * (s.leg.states.size + s.leg.controls.size) for s in samples)
-    return unknowns > MOST_UNKNOWNS
+def _joined(name: str, parts: list[Condition]) -> Condition:
+    """Return one condition with the result of several; its number and place are those of the part that decides.
+
+    Of several with the same result a necessary condition decides, and where all pass the one of this name.
+    """
+    order = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
+    passed = all(c.result is ConditionResult.PASS for c in parts)
+    decisive = min(parts, key=lambda c: (order[c.result], not passed and c.sufficient, c.name != name))
+    where = decisive.where if decisive.name == name else f"{decisive.name}: {decisive.where}"
+    return replace(decisive, name=name, where=where)
 
 
 def _second_order(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    scales: Scales,
+    tol: float,
+    loss: float | None,
 ) -> list[Condition]:
-    """By the switch times where they alone are left to vary, else on the mesh."""
-    solution, ends = with_end_limits(solution, samples, ends)
-    found = _second_variation(solution, samples, ends, tolerance)
-    told = all(c.result is ConditionResult.PASS for c in found)
-    return found if told or not is_convex(solution.need_problem("verify")) else [_of_convex(c) for c in found]
+    """Second order and switching times; `loss` is that of the minimum principle."""
+    lasting = [s for s in samples if s.has_length]
+    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
+    strict = [second_order.strict_switches(lasting)] if switching else []
+    parts = second_order_parts(solution, samples, ends, tol)
+    if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
+        parts = [_within_errors(c) if c.name == "Legendre-Clebsch" else c for c in parts]
+    return [
+        _joined("second order", parts),
+        _joined("switching times", [*strict, switching_times(solution, samples, ends, scales)]),
+    ]
+
+
+def _within_errors(condition: Condition) -> Condition:
+    """Where no other control has a smaller H, downward curvature of H is an error of a solver's multipliers."""
+    if condition.result is not ConditionResult.FAIL:
+        return condition
+    where = f"{condition.where}; no control gains more than the errors of the multipliers"
+    return replace(condition, result=ConditionResult.INCONCLUSIVE, where=where)
+
+
+def second_order_parts(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
+) -> list[Condition]:
+    """Return the second variation, normality, Legendre-Clebsch's condition and what decides on singular arcs."""
+    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
+    limited, limited_ends = with_end_limits(solution, samples, ends)
+    found = _second_variation(limited, samples, limited_ends, tol)
+    if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
+        found = [_of_convex(c) for c in found]
+    return [*found, *_singular_parts(problem, lasting, tol)]
+
+
+def _singular_parts(problem: Problem, samples: list[PhaseSamples], tol: float) -> list[Condition]:
+    """Return Legendre-Clebsch's condition, whether singular arcs are determined, and the generalised condition."""
+    undetermined = [controls.undetermined(s, tol) for s in samples]
+    singular = [mask for mask, _ in undetermined]
+    arcs = [singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)]
+    told_by_arcs = [of_first_order(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
+    return [
+        controls.legendre_clebsch(samples, tol, singular),
+        controls.singular_arcs(samples, tol, singular, told_by_arcs),
+        generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
+    ]
 
 
 def _second_variation(
@@ -216,9 +297,7 @@ def _second_variation(
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
-    curvature = reduced_hessian(solution, samples, cone)
-    smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
-    return [_normality(solution, samples, rounding), *smooth, curvature]
+    return [reduced_hessian(solution, samples, cone), _normality(solution, samples, rounding)]
 
 
 def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
@@ -243,7 +322,7 @@ def _of_least_cost(condition: Condition) -> Condition:
 
     Constraints that leave the cost no say (normality) are told whatever it is.
     """
-    if condition.result is ConditionResult.PASS or condition.name == "normality":
+    if condition.result is ConditionResult.PASS or condition.where.startswith("normality:"):
         return condition
     result = ConditionResult.INCONCLUSIVE if condition.sufficient else ConditionResult.PASS
     where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"
@@ -265,17 +344,6 @@ def _of_one_solution(condition: Condition) -> Condition:
     """Where the first order suffices for the only minimum there is, nothing else need be told."""
     where = f"{condition.where}; the problem is convex and has one solution only"
     return replace(condition, result=ConditionResult.PASS, where=where)
-
-
-def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
-    """A conjugate time past which the cost curves upwards all the same cannot be told: one of the two errs."""
-    if conjugate.result is ConditionResult.FAIL and curvature.result is ConditionResult.PASS:
-        return replace(
-            conjugate,
-            result=ConditionResult.INCONCLUSIVE,
-            where=f"{conjugate.where}, which 'second order' denies",
-        )
-    return conjugate
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

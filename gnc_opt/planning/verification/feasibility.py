@@ -1,33 +1,28 @@
-"""Conditions on the trajectory alone: dynamics, propagation, bounds, paths, boundary values, cost.
+r"""Conditions on the trajectory alone: dynamics, limits, boundary conditions, cost.
+
+Displacements are shares of the reach of the states, prices shares of the cost scale (module
+`reference_scales`). A defect of the
+differential equation counts by its integral over a segment, with its sign; inside a segment, where it changes the cost
+to second order only, by the square root of the tolerance; and by its effect on the cost, :math:`\int\lambda^T(\dot x -
+f)\,dt`. The control is the applied one, within its bounds.
 
 Whether rates of a restated phase are those that were stated: parts of controls are used one after the other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.cost_scale import parameter_scale
+from gnc_opt.planning.optimality.reference_scales import Ellipsoid, Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.quality import (
-    NOTHING,
-    Worst,
-    shares,
-    worst_bound_violation,
-    worst_defect,
-    worst_index,
-    worst_path_violation,
-    worst_terminal_error,
-)
+from gnc_opt.planning.solution.propagation import segment_misses
+from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import RESOLUTION
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, TINY
@@ -53,19 +48,18 @@ def worst_of_parts(problem: Problem, s: PhaseSamples) -> Worst:
     return worst
 
 
-UNSTABLE = 1e6
-"""Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
+RESOLUTION = 1e-7
+"""Least scale of a number, in shares of its size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
-PROPAGATION_MAX_GROWTH = 1e12
-"""Growth beyond which no propagation in one go arrives: it is not tried."""
-
-PROPAGATION_RESTART_GROWTH = 1e3
-"""Growth of errors after which a propagation in parts starts anew: samples are interpolated to 1e-9 or so."""
+MOST_BESIDE = 200
+"""Samples beyond a path limit, at most, at which the distance to it is measured."""
 
 SCANNED, SCANNED_PATHS = 4096, 32768
-"""Times at which the dynamics and integrands of a phase, and its path constraints, are looked at beside the samples:
-what is narrow in time or place, as a gust or a small keep-out whose constraint is flat elsewhere, leaves no hint there.
-"""
+"""Times at which the dynamics and integrands of a phase, and its path constraints, are evaluated beside the samples:
+narrow features in time or place, as a gust or a small keep-out whose constraint is flat elsewhere, are missed there."""
+
+LAYER_STEPS = 512
+"""Steps per segment, at least, at which integrals are evaluated again where a scan denies them."""
 
 _DRAWN = 1e-8
 """A phase without length is drawn a little longer than it lasts (s)."""
@@ -77,146 +71,164 @@ def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def dynamics(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The trajectory satisfies the differential equation between the nodes."""
+def dynamics(problem: Problem, samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
+    """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
-        worst = worst.or_worse(worst_defect(s)).or_worse(worst_defect(s, s.finer(SCANNED)))
+        worst = worst.or_worse(_missing_number(s) or NOTHING)
+        for at in (s, s.finer(SCANNED)):
+            worst = worst.or_worse(_worst_defect(s, at, scales, tolerance))
         worst = worst.or_worse(worst_of_parts(problem, s))
     return judge(
         "dynamics",
         worst,
         tolerance,
-        "The state polynomials must satisfy dx/dt = f between the nodes too (integral of the residual over a "
-        "segment, relative to the state); where they do not, refine the mesh.",
+        "The applied control, integrated from the start of a segment, must arrive at its end (miss in shares of what "
+        "the controls move the state; inside a segment its square root; or the effect on the cost): refine the mesh.",
     )
 
 
-def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """Flying the bounded control from the initial state arrives at the final state."""
-    gaps = [_missing_number(s) for s in samples]
-    told = [s for s, gap in zip(samples, gaps, strict=True) if not gap]
-    worst, hopeless = NOTHING, any(_may_grow(s) and _growth(s) >= PROPAGATION_MAX_GROWTH for s in told)
-    for s, gap in zip(samples, gaps, strict=True) if not hopeless else ():
-        worst = worst.or_worse(gap or worst_terminal_error(s))
-    condition = judge(
-        "propagation",
-        worst,
-        tolerance,
-        "The control as it can be flown (within bounds), integrated from the initial state by an independent "
-        "integrator, must reach the final state; where it does not, the control is wrong between its nodes.",
-    )
-    if condition.result is not ConditionResult.FAIL and not hopeless:
-        return condition
-    growth = max(map(_growth, told), default=1.0)
-    if growth <= UNSTABLE:
-        return condition
-    parts = NOTHING
-    for s, gap in zip(samples, gaps, strict=True):
-        parts = parts.or_worse(gap or worst_terminal_error(s, _restarts(s)))
-    return replace(
-        condition,
-        result=ConditionResult.PASS if parts.value <= tolerance else ConditionResult.INCONCLUSIVE,
-        value=parts.value,
-        where=f"{parts.where}, in parts",
-        meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
-        f"says nothing about the solution: it starts anew wherever they have grown "
-        f"{PROPAGATION_RESTART_GROWTH:.0e} times. Where such a part misses, "
-        "the condition 'dynamics' judges segment by segment.",
-        sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
-    )
+def _worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
+    leg, ellipsoid = s.leg, scales.phases[s.leg.name].along
+    rates = defined(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
+    residual = at.x_rate - rates
+    starts = np.searchsorted(at.segments, np.arange(leg.mesh.segments))
+    total = np.add.reduceat(residual * at.weights, starts, axis=1)
+    running = np.cumsum(residual * at.weights, axis=1)
+    running -= (running[:, starts] - residual[:, starts] * at.weights[starts])[:, at.segments]
+    held = np.flatnonzero(np.any(leg.flown.held, axis=0))
+    if held.size:  # the control jumps inside of these
+        total[:, held] = segment_misses(leg, s.functions, held) if at is s else 0.0
+        running[:, np.isin(at.segments, held)] = 0.0
+    inner = leg.breaks[1:-1]
+    if inner.size:
+        total[:, :-1] += leg.x(inner, "right") - leg.x(inner, "left")
+    missed = ellipsoid.displacement(total)
+    inside = np.maximum.reduceat(ellipsoid.displacement(running), starts) * np.sqrt(tolerance)
+    shares = np.fmax(missed, inside)
+    shares = np.where(np.isnan(missed), np.inf, shares)
+    k = int(np.argmax(shares))
+    i = int(np.argmax(np.abs(total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
+    worst = Worst(float(shares[k]), s.segment_place(k, leg.states.labels[i]))
+    weighted = np.add.reduceat(np.sum(s.lam * residual, axis=0) * at.weights, starts) if at is s else None
+    if s.has_length and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
+        ends = leg.lam(leg.breaks[1:], "left")
+        weighted[held] = np.sum(ends * total, axis=0)[held]
+        price = np.abs(np.cumsum(weighted)) / scales.cost
+        k = int(np.argmax(price))
+        worst = worst.or_worse(Worst(float(price[k]), s.segment_place(k, "effect on the cost")))
+    return worst
 
 
 def _missing_number(s: PhaseSamples) -> Worst | None:
-    """The first sample at which a number is missing: an integrator would never come back from there."""
+    """The first sample at which a number is missing."""
     if not np.all(np.isfinite(s.functions.q)):
         return Worst(np.inf, "a free parameter is not finite")
     gaps = ~np.all(np.isfinite(np.vstack([s.times[None, :], s.x, s.u])), axis=0)
     return Worst(np.inf, f"{s.place(int(np.argmax(gaps)))}: not finite") if np.any(gaps) else None
 
 
-def _growth(samples: PhaseSamples) -> float:
-    """Return how much the linearised dynamics amplify an error over the phase at most."""
-    transition, largest = np.eye(samples.state_scale.size), 1.0
-    for step in _transitions(samples):
-        transition = step @ transition
-        largest = max(largest, float(np.linalg.norm(transition, 2)))
-        if not largest < PROPAGATION_MAX_GROWTH:
-            break
-    return largest
-
-
-def _may_grow(samples: PhaseSamples) -> bool:
-    """Whether errors may grow `PROPAGATION_MAX_GROWTH` times, by the logarithmic norm of the dynamics,
-    which bounds their growth."""
-    jacobians, widths = _jacobians(samples)
-    if not np.all(np.isfinite(jacobians)):
-        return False
-    steepest = np.linalg.eigvalsh(0.5 * (jacobians + jacobians.transpose(0, 2, 1)))[:, -1]
-    return bool(np.sum(np.maximum(steepest * widths, 0.0)) >= np.log(PROPAGATION_MAX_GROWTH))
-
-
-def _jacobians(samples: PhaseSamples) -> tuple[Array, Array]:
-    """df/dx amid every segment in scaled states (K, n, n), and how long segments last (K,)."""
-    leg, scale = samples.leg, samples.state_scale
-    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
-    jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
-    return (jacobians * scale[None, :, None] / scale[:, None, None]).transpose(2, 0, 1), np.diff(leg.breaks)
-
-
-def _transitions(samples: PhaseSamples) -> Iterator[Array]:
-    """Transition matrices exp(A h) of the segments, A = df/dx in scaled states; none where that is no number."""
-    jacobians, widths = _jacobians(samples)
-    if not np.all(np.isfinite(jacobians)):  # an iterate beyond a singularity of the dynamics
-        return
-    for jacobian, width in zip(jacobians, widths, strict=True):
-        yield scipy.linalg.expm(np.clip(jacobian * width, -50.0, 50.0))
-
-
-def _restarts(samples: PhaseSamples) -> list[float]:
-    """Times before which errors have grown by `PROPAGATION_RESTART_GROWTH` since the start, or since the
-    last of these times."""
-    transition, times = np.eye(samples.state_scale.size), []
-    for time, step in zip(samples.leg.breaks, _transitions(samples), strict=False):
-        transition = step @ transition
-        if np.linalg.norm(transition, 2) > PROPAGATION_RESTART_GROWTH:
-            times.append(float(time))
-            transition = step
-    return [time for time in times if time > samples.leg.breaks[0]]
-
-
-def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """States and controls stay within their bounds between the nodes, free parameters within theirs."""
+def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
+    """The applied control, the states, the path constraints and the free parameters stay within their limits."""
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
-    worst = _worst_miss(
-        solution.parameter_values, box, parameter_scale(solution), labels, solution.free_parameters.units
-    )
+    values = solution.parameter_values
+    worst = _worst_miss(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.or_worse(worst_bound_violation(s))
-    return judge(
-        "bounds",
-        worst,
-        tolerance,
-        "State and control polynomials must stay within bounds between the nodes (overshoot as a share of their size). "
-        "Polynomials through a switch overshoot: apply saturated_control(), with segment boundaries on the switches.",
-    )
-
-
-def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """Path constraints hold between the nodes."""
-    worst = NOTHING
-    for s in samples:
-        worst = worst.or_worse(worst_path_violation(s))
+        worst = worst.or_worse(_worst_control(s, scales)).or_worse(_worst_state(s, scales))
         if s.leg.path_labels:
-            worst = worst.or_worse(worst_path_violation(s, s.finer(SCANNED_PATHS)))
+            for at in (s, s.finer(SCANNED_PATHS)):
+                worst = worst.or_worse(_worst_path(s, at, scales))
+            worst = worst.or_worse(_path_price(s, scales))
     return judge(
-        "path constraints",
+        "limits",
         worst,
         tolerance,
-        "Path constraints, enforced at the nodes, must hold between them too (distance to what they allow, as a share "
-        "of the flight's size or of the limit's width); where they do not, refine there.",
+        "The applied control, states, path constraints and parameters must stay within their limits between the nodes "
+        "too (distance in shares of what the controls move; or multiplier times violation in shares of the cost).",
     )
+
+
+def _worst_control(s: PhaseSamples, scales: Scales) -> Worst:
+    """At the nodes: between them the applied control keeps its bounds."""
+    leg = s.leg
+    if not leg.controls.size:
+        return NOTHING
+    u, bounds = np.hstack(leg.u.values), leg.control_bounds
+    excess = np.maximum(bounds.lower[:, None] - u, u - bounds.upper[:, None])
+    scale = np.max(scales.phases[leg.name].deviation, axis=1)
+    scale = np.maximum(scale, RESOLUTION * np.max(np.abs(u), axis=1))
+    offence = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
+    i, j = worst_index(offence)
+    return Worst(float(offence[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
+
+
+def _worst_state(s: PhaseSamples, scales: Scales) -> Worst:
+    found = violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
+    if not found.times.size:
+        return NOTHING
+    offences = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
+    i = int(np.argmax(offences))
+    row = found.limits.rows[i]
+    unit = s.leg.states.units[row]
+    what = f"{s.leg.states.labels[row]} = {found.value(i)}{f' {unit}' if unit else ''}"
+    return Worst(float(offences[i]), s.place_at(found.times[i], what))
+
+
+def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
+    """By the distance to the limit along the constraint's own gradient, at peaks and at samples beside them.
+
+    Deep inside an excluded region the gradient may vanish, or grow without bound.
+    """
+    limits = Limits.of(s.functions.paths, s.leg.path_bounds)
+    found = violations(at, limits, applied=True)
+    if not found.times.size:
+        return NOTHING
+    shares = _path_shares(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
+    i = int(np.argmax(shares))
+    most = float(shares[i])
+    excess = limits.excess(at.times, at.x, at.u)
+    beyond = np.flatnonzero(np.any(excess > 0, axis=0))
+    beyond = beyond[:: max(1, beyond.size // MOST_BESIDE)]
+    for k in range(limits.rows.size) if beyond.size else ():
+        here = limits.some(np.full(beyond.size, k))
+        beside = _path_shares(
+            s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
+        )
+        most = max(most, float(np.max(beside)))
+    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
+    return Worst(most, s.place_at(found.times[i], what))
+
+
+def _path_shares(
+    s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
+) -> Array:
+    """Return distances to limits (n,) in shares of the reach, each at a time of its own."""
+    rows = limits.rows
+    reach = path_reach(s, scales, *at)[rows, np.arange(rows.size)]
+    beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
+    shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
+    return np.asarray(np.where(beyond > 0, shares, 0.0))
+
+
+def path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+    """Return how far deviations of controls and states move each path constraint (n_paths, n_times)."""
+    own = scales.phases[s.leg.name]
+    by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
+    by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
+    deviation = np.max(own.deviation, axis=1, initial=0.0)
+    moved = own.along.change(np.moveaxis(by_state, 1, 0))
+    return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
+
+
+def _path_price(s: PhaseSamples, scales: Scales) -> Worst:
+    """What the violations of a path constraint gain in the cost by its multiplier."""
+    values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
+    above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
+    below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
+    price = np.nan_to_num(above + below) @ s.weights / scales.cost
+    i = int(np.argmax(price))
+    return Worst(float(price[i]), f"phase {s.leg.name}, {s.leg.path_labels[i]}, effect on the cost")
 
 
 def tables(solution: Solution) -> Condition:
@@ -234,35 +246,29 @@ def tables(solution: Solution) -> Condition:
         else ConditionResult.PASS
     )
     meaning = (
-        "Models must be flown where their tables have data (value: how far outside, in shares of the axis): beyond, a "
-        "table goes on as it was told to, and that is what is judged. FAIL if it refuses what is outside."
+        "Models must be used where their tables have data (value: how far outside, in shares of the axis). FAIL if the "
+        "table refuses values outside."
     )
     return Condition("tables", result, worst.value, 0.0, worst.where, meaning, sufficient=True)
 
 
 def boundary(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array, tolerance: float
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tolerance: float
 ) -> Condition:
-    """Initial and final values, times and boundary constraints hold.
-
-    Parameters
-    ----------
-    amounts : array (n_constraints,)
-        By how much the flight can change each boundary constraint (module `magnitude`).
-    """
+    """Initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
-        leg, name = s.leg, s.leg.name
-        for end, values, interval in (
-            ("start", leg.x(leg.breaks[0]), leg.initial_bounds),
-            ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds),
+        leg, name, own = s.leg, s.leg.name, scales.phases[s.leg.name]
+        for end, values, interval, ellipsoid in (
+            ("start", leg.x(leg.breaks[0]), leg.initial_bounds, own.start),
+            ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
-            worst = worst.or_worse(_worst_miss(values, interval, s.end_scale, labels, leg.states.units))
+            worst = worst.or_worse(_worst_end(values, interval, ellipsoid, labels, leg.states.units))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
-        limits = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+        boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
         interval = Interval(
-            np.concatenate([b.lower for b in limits]), np.concatenate([b.upper for b in limits])
+            np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes])
         )
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
@@ -271,27 +277,66 @@ def boundary(
         slack = _DRAWN + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
-        worst = worst.or_worse(
-            _worst_miss(gaps, Interval(np.zeros(2), np.zeros(2)), lasts[:2], labels, ("s",) * 2)
-        )
-    box = solution.need_problem("verify").constraint_interval()
-    labels = [f"constraint {label}" for label in solution.constraint_labels]
-    worst = worst.or_worse(_worst_miss(ends.constraints, box, amounts, labels, ("",) * len(labels)))
+        nothing = Interval(np.zeros(2), np.zeros(2))
+        worst = worst.or_worse(_worst_miss(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.or_worse(_worst_constraint(solution, ends, scales))
     return judge(
         "boundary conditions",
         worst,
         tolerance,
         "Initial and final values, times, linkages and boundary constraints must hold, recomputed from the model "
-        "(misses in shares of what the flight, or if less its controls, move the quantity; at least 1e-7 of its size).",
+        "(distance in shares of what the controls move the end, or multiplier times miss in shares of the cost).",
     )
 
 
+def _worst_end(
+    values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
+) -> Worst:
+    """Misses of the states of an end, together."""
+    if not values.size:
+        return NOTHING
+    miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
+    miss = np.where(np.isnan(values), np.inf, miss)
+    if not np.any(miss):
+        return NOTHING
+    if not np.all(np.isfinite(miss)):
+        return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
+    radius = np.maximum(ellipsoid.radius, RESOLUTION * np.abs(values))
+    single = np.abs(miss) / np.where(radius > 0, radius, TINY)
+    share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).displacement(miss))
+    i = int(np.argmax(single))
+    unit = f" {units[i]}" if units[i] else ""
+    return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
+
+
+def _worst_constraint(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+    """By the distance at which a boundary constraint holds, from its first and second differences over the reach."""
+    values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
+    if not values.size:
+        return NOTHING
+    excess = np.maximum(np.maximum(box.lower - values, values - box.upper), 0.0)
+    excess = np.where(np.isnan(values), np.inf, excess)
+    first, second, floor = scales.constraints
+    excess = np.maximum(excess - ROUNDING * floor, 0.0)
+    root = np.sqrt(first**2 + 2.0 * second * excess)
+    with np.errstate(invalid="ignore"):
+        share = np.divide(2.0 * excess, first + root, out=np.where(excess > 0, np.inf, 0.0), where=root > 0)
+    price = np.abs(solution.constraint_multipliers) * excess / scales.cost
+    share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
+    i = int(np.argmax(share))
+    return Worst(float(share[i]), f"constraint {solution.constraint_labels[i]} off by {excess[i]:.3g}")
+
+
 def cost(
-    stored: Solution, judged: list[PhaseSamples], ends: EndGradients, told: bool, tolerance: float
+    stored: Solution,
+    judged: list[PhaseSamples],
+    ends: EndGradients,
+    told: bool,
+    scales: Scales,
+    tolerance: float,
 ) -> Condition:
     """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
-    amount = max((s.cost_magnitude for s in judged), default=0.0)
-    yardstick = max(amount, RESOLUTION * abs(stored.objective), TINY)
+    yardstick = max(scales.cost, RESOLUTION * abs(stored.objective), TINY)
     place = f"objective = {stored.objective:.10g}, not {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in judged:
@@ -299,11 +344,15 @@ def cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        finer = s.finer(SCANNED)
-        again = s.functions.integrands(finer.times, finer.x, finer.u) @ finer.weights
+        narrow = _integrals(s.finer(SCANNED))
+        if (
+            np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
+            > tolerance * yardstick
+        ):
+            narrow = _integrals(s.finer(SCANNED, LAYER_STEPS))  # of layers, the scan itself may be in error
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
-            ("narrow part of integral", leg.integral_weights * (again - leg.integrals)),
+            ("narrow part of integral", leg.integral_weights * (narrow - leg.integrals)),
         ]
         if told:
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
@@ -317,19 +366,24 @@ def cost(
         worst,
         tolerance,
         "The objective, its integrals and their weights, recomputed from the end points and a finer quadrature along "
-        "the flown control, must agree with those reported (in shares of what the flight can change the cost).",
+        "the applied control, must agree with those reported (in shares of the cost scale).",
     )
+
+
+def _integrals(s: PhaseSamples) -> Array:
+    """Return the integrals (n_integrals,) by the quadrature of the samples."""
+    return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
 def _worst_miss(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    """Return the worst excess beyond limits, in shares of a scale (n,) or of the limits' own width."""
+    """Return the worst excess beyond limits, in shares of a scale (n,)."""
     if not len(labels):
         return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)
     scale = np.maximum(scale, RESOLUTION * np.abs(values))
-    offence = shares(np.maximum(excess, 0.0) / scale, interval, scale)
+    offence = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
     offence = np.where(np.isnan(values), np.inf, offence)
     i = int(np.argmax(offence))
     if not offence[i] > 0:

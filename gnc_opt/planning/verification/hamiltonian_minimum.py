@@ -20,7 +20,7 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.cost_scale import lasting
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import lone_vector
-from gnc_opt.tolerances import RANK, TINY
+from gnc_opt.tolerances import RANK, ROUNDING, TINY
 
 POINTS = 2**15
 """Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
@@ -30,8 +30,18 @@ _MOST_STARTS = 50
 _BEYOND = 0.05
 """Share of the range by which the lattice goes beyond each bound, to be clipped: minima are often on bounds."""
 
+NEAREST = 1e-8
+"""Least distance from the applied control at which others are tried, in shares of the range."""
+
 _LEAST_BEND = 1e-3
 """Curvature, as a share of the slope, below which a step goes across the range."""
+
+LEAST_SHARE = 1e-11
+"""Least worth of a move, in shares of the mean cost scale: below, differences of H are rounding."""
+
+RESOLVED_GAIN_SHARE = 3e-7
+"""Gains in H below this share of the mean cost scale are errors of a solver's multipliers, as of a part with time to
+spare, whose costates vanish."""
 
 _STARTS_REFINED = 8
 _HAMILTONIAN_NEWTON_STEPS = 12
@@ -87,12 +97,17 @@ def lattice(n: int, dimensions: int) -> Array:
     return np.outer(root ** -np.arange(1.0, dimensions + 1), 0.5 + np.arange(n)) % 1.0
 
 
-def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
-    """Return the gain of every group of controls in which H is not affine, and whether any had to be searched."""
+def coupled_gains(
+    s: PhaseSamples, deviation: Array, cost: float, tolerance: float
+) -> tuple[list[Gain], bool]:
+    """Return the gain of every group of controls in which H is not affine, and whether any had to be searched.
+
+    Shares of gains refer to moves as large as the deviations of the controls (m,), and to the cost scale.
+    """
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     gains, searched = [], False
     for group in s.functions.coupled_controls:
-        search = _Search(s, group, chosen)
+        search = _Search(s, group, chosen, deviation, cost / s.span)
         vector = lone_vector(s, group)
         if vector is not None:
             gains.append(search.lasting(search.aligned(vector)))
@@ -122,6 +137,8 @@ class _Search:
     s: PhaseSamples
     group: Indices
     chosen: Indices
+    deviation: Array | None = None
+    cost_rate: float = 0.0
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
@@ -289,15 +306,23 @@ class _Search:
         return self.lasting(self._followed(kept, shares[:, best]))
 
     def _points(self) -> tuple[Array, Indices]:
-        """Half of the points anywhere, the others differ from the flown control in one channel only."""
+        """Half of the points anywhere in the range, the others at log-uniform distances from the applied control.
+
+        Of both, half differ from it in one channel only.
+        """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
-        shares = np.clip((1 + 2 * _BEYOND) * lattice(at.size, k) - _BEYOND, 0.0, 1.0)
+        points, flown = lattice(at.size, k), self._flown[:, at]
+        shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
+        near = np.arange(at.size) % 2 == 1
+        side = 2.0 * points - 1.0
+        distance = np.sign(side) * NEAREST ** (1.0 - np.abs(side))
+        shares[:, near] = np.clip(flown + distance, 0.0, 1.0)[:, near]
         if k > 1:
-            single = np.arange(1, at.size, 2)
-            moved = (single // 2) % k
-            line = self._flown[:, at[single]]
-            line[moved, np.arange(single.size)] = shares[0, single]
+            single = np.flatnonzero(np.arange(at.size) % 4 >= 2)
+            moved = (single // 4) % k
+            line = flown[:, single]
+            line[moved, np.arange(single.size)] = shares[moved, single]
             shares[:, single] = line
         return shares, at
 
@@ -317,27 +342,31 @@ class _Search:
     def _gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         """What controls with these values of H gain, and its share."""
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
-        gain = np.maximum(gain, 0.0)
+        least = max(ROUNDING * self.s.hamiltonian_scale, RESOLVED_GAIN_SHARE * self.cost_rate)
+        gain = np.where(gain > least, gain, 0.0)
         return gain, gain / (self._worth(better - self._flown[:, at]) + gain)
 
     def _worth(self, moves: Array) -> Array:
-        """What moves (group, n), as long as half of what controls span, are worth in H at most along the phase.
+        """What moves (group, n), as long as the deviations of the controls, are worth in H at most along the phase.
 
         By slope or curvature in the direction of the move: a stiff combination of the controls does not count where
         the move leaves it alone.
         """
         s, group = self.s, self.group
-        half = 0.5 * s.control_span[group, None]
+        scale = s.control_span[group, None]
+        if self.deviation is not None:
+            scale = np.where(self.deviation[group, None] > 0, self.deviation[group, None], scale)
         physical = moves * self._box[1]
-        length = np.max(np.abs(physical) / half, axis=0)
+        length = np.max(np.abs(physical) / scale, axis=0)
         direction = np.divide(physical, length, out=np.zeros_like(physical), where=length > 0)
-        costs = s.cost_slope[np.ix_(group, self.chosen)]
-        states = s.switching[np.ix_(group, self.chosen)] - costs
+        slopes = s.switching[np.ix_(group, self.chosen)]
         bends = s.control_hessian[np.ix_(group, group, self.chosen)]
         with np.errstate(invalid="ignore"):  # roots bend infinitely at zero
             curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
-        worth = np.fmax(np.fmax(np.abs(costs.T @ direction), np.abs(states.T @ direction)), np.abs(curved))
-        return np.asarray(np.maximum(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), s.least_worth))
+        worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
+        return np.asarray(
+            np.maximum(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), LEAST_SHARE * self.cost_rate)
+        )
 
     def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return controls that Newton's method reaches within the bounds, downwards only, and H there.

@@ -84,7 +84,7 @@ LANCZOS_STEPS = 80
 GAIN_STEP_SHARE = 0.1
 """Step, in shares of the magnitudes, for which the gain is told."""
 
-LEAST_GAIN = 1e-9
+LEAST_GAIN = 1e-7
 """Gain of such a step, in shares of the cost, below which it is rounding, whatever it is in shares of the middle row:
 that one is next to nothing where controls are idle."""
 

@@ -13,18 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.reference_scales import Scales, second_differences
 from gnc_opt.planning.problem.kinks import Kinks, kinks_of
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import AT_LIMIT, TINY, magnitude
 
-NAME = "smoothness"
+NAME = "kinks"
 
-_MEANING = (
+KINKS = (
     "Dynamics and integrands must be differentiable along the flight. Where they jump with a state, costates jump as "
     "well, which no condition here allows for: let a phase end there, with the state on the jump as a final value, and "
     "link() the next one to it. Where the flight rests on a kink, gradients are any out of a set: hold it there by a "
@@ -35,6 +36,12 @@ _JUMP_OFFSET_SHARE = 1e-9
 """Share of a phase by which both sides of a jump are looked at."""
 
 _BISECTIONS = 60
+
+STEPS = 1e-4, 1e-6
+"""Steps of second differences, in shares of the reach."""
+
+SAME_RATIO, LEAST_FALL = 0.3, 1e-3
+"""Least ratio of the second differences per step at both, one at a kink; least size, in shares of slopes and cost."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +73,16 @@ def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -
     return rests
 
 
-def smoothness(found: Roughness | None, fails: bool) -> Condition:
+def smoothness(found: Roughness | None, fails: bool, *, falls: bool = False) -> Condition:
     """The condition; a kink on which the flight rests leaves open what fails, and else only what suffices."""
     if found is None:
-        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", _MEANING)
+        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
+    if falls:
+        meaning = "At a kink the cost falls to both sides: a cheaper trajectory is nearby."
+        return Condition(NAME, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
     sufficient = not found.jump and not fails
     return Condition(
-        NAME, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, _MEANING, sufficient=sufficient
+        NAME, ConditionResult.INCONCLUSIVE, found.value, 0.0, found.where, KINKS, sufficient=sufficient
     )
 
 
@@ -91,6 +101,42 @@ def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
         loss=None,
         unit="",
     )
+
+
+def concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | None:
+    """Return a kink at which the cost falls to both sides, or None.
+
+    Along ends, times, integrals and parameters, and along the states of phases on one of their kinks: second
+    differences of the Lagrangian that are proportional to the step.
+    """
+    found = [scales.ends.kink(scales.reach, scales.parameters, step) for step in STEPS]
+    share = _falls(found[0], found[1], scales.cost)
+    if share > 0:
+        return Roughness(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
+    for s in samples:
+        principal = scales.phases[s.leg.name].along.directions
+        coarse = second_differences(s, principal, STEPS[0])
+        if not np.any(_may_fall(coarse, scales.cost)):
+            continue
+        share = _falls(coarse, second_differences(s, principal, STEPS[1]), scales.cost)
+        if share > 0:
+            return Roughness(
+                share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
+            )
+    return None
+
+
+def _falls(coarse: Array, fine: Array, cost: float) -> float:
+    """Return the largest fall at a kink, beside the cost scale (at most 1); zero if there is none."""
+    ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
+    kink = (ratio >= SAME_RATIO) & _may_fall(coarse, cost) & np.all(np.isfinite(fine), axis=0)
+    fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
+    return fall / (cost + fall)
+
+
+def _may_fall(coarse: Array, cost: float) -> Mask:
+    """Whether second differences at the larger step are negative and not rounding (n,)."""
+    return np.asarray(-coarse[1] >= LEAST_FALL * np.maximum(np.abs(coarse[0]), cost))
 
 
 def _arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:

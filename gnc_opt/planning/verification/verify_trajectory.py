@@ -23,7 +23,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate
-from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, Samples, fit
+from gnc_opt.planning.optimality.trajectory_fit import VISIBLE, FittedPhase, Samples, fit
 from gnc_opt.planning.problem.arcs import Arc, ArcKind
 from gnc_opt.planning.problem.check import check_unused_controls
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -36,11 +36,11 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.unwrap import unwound
-from gnc_opt.planning.solution.verdict import ConditionResult, Verdict
+from gnc_opt.planning.solution.verdict import FIRST_ORDER, ConditionResult, Verdict
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, verify
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME
 
 
 def restated_samples(
@@ -98,6 +98,10 @@ def _held(directions: Array) -> Array:
 PARTS = (2, 4)
 """Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
 change faster than the states."""
+
+RESOLVED, INTERPOLATION_GROWTH, FEWEST_SAMPLES = 1e-2, 4.0, 8
+"""Largest violation that may be an error of interpolation; its least growth if every second sample is left out; least
+number of samples of a phase to measure that."""
 
 NEARER = 1e-7, 1e-9
 """Distances from limits, in shares of their scales, beyond which they do not push: tried where estimated multipliers
@@ -179,15 +183,47 @@ def verify_trajectory(
 
 def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
     verdict = verify(_solution(problem, samples, q), tol=tol)
-    for near in NEARER if verdict["complementarity"].result is ConditionResult.FAIL else ():
+    for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
         other = verify(_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
     for parts in PARTS:
-        if verdict["adjoint equation"].result is not ConditionResult.FAIL:
+        if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
         verdict = verify(_solution(problem, samples, q, parts), tol=tol)
-    return replace(verdict, estimated=True)
+    return replace(_beyond_samples(verdict, problem, samples, q, tol), estimated=True)
+
+
+def _beyond_samples(
+    verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """The same with failures inconclusive that are errors of interpolation: they grow with every second sample."""
+    failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
+    few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
+    if not failed or few or any(not c.value <= RESOLVED for c in failed):
+        return verdict
+    coarse = verify(_solution(problem, {k: _thinned(leg) for k, leg in samples.items()}, q), tol=tol)
+    doubted = {c.name for c in failed if coarse[c.name].value >= INTERPOLATION_GROWTH * c.value}
+    if doubted != {c.name for c in failed}:
+        return verdict
+    where = "the samples are too coarse to tell: give denser ones"
+    return replace(
+        verdict,
+        conditions=tuple(
+            replace(c, result=ConditionResult.INCONCLUSIVE, where=f"{c.where}; {where}") if c in failed else c
+            for c in verdict.conditions
+        ),
+    )
+
+
+def _thinned(samples: Samples) -> Samples:
+    """Every second sample, the ends, and both sides of jumps."""
+    t = samples.t
+    twice = np.append(np.diff(t) == 0, False)
+    kept = np.arange(t.size) % 2 == 0
+    kept |= twice | np.roll(twice, 1)
+    kept[[0, -1]] = True
+    return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
 
 
 def _judged_restated(
@@ -347,11 +383,24 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
             f"the times of {leg.where} repeat one more than twice, or at an end: give a time twice only where a "
             "control jumps."
         )
-    return Samples(
-        times,
-        _rows(leg, leg.model.states, x, times.size, "state"),
-        _rows(leg, leg.model.controls, _in_parts(leg, u, times.size), times.size, "control"),
+    return _distinct(
+        Samples(
+            times,
+            _rows(leg, leg.model.states, x, times.size, "state"),
+            _rows(leg, leg.model.controls, _in_parts(leg, u, times.size), times.size, "control"),
+        )
     )
+
+
+def _distinct(samples: Samples) -> Samples:
+    """The samples without those that repeat another one, its time a rounding later."""
+    t, u = samples.t, samples.u
+    near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
+    jumps = np.any(np.abs(np.diff(u, axis=1)) > VISIBLE * np.ptp(u, axis=1, keepdims=True), axis=0)
+    kept = np.append(True, ~(near & ~jumps))
+    times = t.copy()
+    times[1:][near & jumps] = t[:-1][near & jumps]
+    return Samples(times[kept], samples.x[:, kept], u[:, kept])
 
 
 def _in_parts(leg: Phase, u: Values, n_times: int) -> Values:

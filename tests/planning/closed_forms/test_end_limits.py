@@ -163,7 +163,7 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Condit
     problem.minimize(leg.integral(a**2 / 2) - gain * leg.final_state("v"))
     t = np.linspace(0.0, 1.0, 41)
     verdict = go.verify_trajectory(problem, t, {"q": ROOT * t**2 / 2, "v": ROOT * t}, {"a": 0 * t + ROOT})
-    assert verdict["transversality"].result is result, verdict
+    assert verdict["stationarity"].result is result, verdict
     assert verdict.minimum == (result is ConditionResult.PASS)
 
 

@@ -62,7 +62,7 @@ def hypersensitive(final_time: float) -> go.Problem:
 
 def adjoint_residual(solution: go.Solution) -> float:
     """The largest integral of |lam' + H_x| over a segment, in shares of the cost; as `verify` measures it."""
-    condition = next(c for c in go.verify(solution).conditions if c.name == "adjoint equation")
+    condition = next(c for c in go.verify(solution).conditions if c.name == "stationarity")
     return float(condition.value)
 
 

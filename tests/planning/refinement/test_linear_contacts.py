@@ -91,8 +91,6 @@ def test_touches_between_bangs() -> None:
     strength = np.sum(jumps * gradients, axis=0) / np.sum(gradients**2, axis=0)
     assert np.all(strength > 1e-3)
     np.testing.assert_allclose(jumps, strength * gradients, atol=1e-7)
-    # None of it is left to a programme without the touches.
-    assert "induced gradient" not in {condition.name for condition in go.verify(solution).conditions}
 
 
 def test_a_bang_within_a_singular_arc() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.given_scales import given_scales
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -349,9 +350,9 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=BOX,
     )
-    miss = controls._miss(s)
+    miss = controls._miss(s, given_scales([s], deviation=2.0))
     assert np.all(np.isinf(miss[0]))
-    np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / s.control_span[1], 0.0), atol=1e-12)
+    np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
     curvature = controls._curvature(s)
     np.testing.assert_allclose(curvature[1], s.control_span[1] ** 2 / s.control_worth[1])
     np.testing.assert_allclose(curvature[0], 0.0)

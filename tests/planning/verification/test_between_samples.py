@@ -36,7 +36,7 @@ def bell(at: float) -> Any:
 @pytest.mark.parametrize("at", [0.1973, 0.6614, 0.8089])
 def test_a_limit_that_is_flat_but_for_a_narrow_peak(at: float) -> None:
     verdict = judged(limit=bell(at))
-    assert [c.name for c in verdict.failed] == ["path constraints"]
+    assert [c.name for c in verdict.failed] == ["limits"]
     assert judged(limit=bell(1.1)).minimum
 
 
@@ -54,7 +54,7 @@ def test_one_wall_in_any_formula(wall: Any) -> None:
     """What must stay off 0.5187 by 1e-4."""
     least = float(ca.DM(wall(ca.DM(1e-4))))
     verdict = judged(limit=lambda t, q: -wall(q - 0.5187), upper=-least)
-    assert "path constraints" in {c.name for c in verdict.failed}
+    assert "limits" in {c.name for c in verdict.failed}
     assert judged(limit=lambda t, q: -wall(q - 1.1), upper=-least).minimum
 
 

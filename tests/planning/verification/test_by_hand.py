@@ -12,10 +12,10 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.given_scales import given_scales
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
-from gnc_opt.planning.optimality.accessory import AccessoryEquations
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
@@ -25,7 +25,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
     pushed_beside,
 )
 from gnc_opt.planning.optimality.kkt import variation_weights
-from gnc_opt.planning.optimality.multiplier_estimate import _quadrature, _ranges, _state_rows, _variables
+from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature, _variables
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
@@ -33,13 +33,9 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import least_squares
-from gnc_opt.planning.verification.conjugate_points import _free, _system, _worth
 from gnc_opt.planning.verification.control_conditions import undetermined
 from gnc_opt.planning.verification.costate_conditions import (
-    _slack_offence,
-    _time_transversality,
     _unexplained,
-    hamiltonian,
 )
 from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
 from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
@@ -79,46 +75,6 @@ def arc(problem: go.Problem, **changes: Any) -> PhaseSamples:
 
 
 @pytest.mark.parametrize(
-    "matrix", [[[1.5, 0.0], [0.0, -2.0]], [[-0.5, 0.0], [0.0, -3.0]], [[0.0, 4.0], [0.0, 0.0]]]
-)
-def test_growth_is_the_largest_norm_of_the_transition_matrices(matrix: Any) -> None:
-    """From the start to the end of each segment, in shares of the spans; at least 1."""
-    s = arc(plain(matrix))
-    scaled = np.diag(1 / s.state_scale) @ np.array(matrix) @ np.diag(s.state_scale)
-    norms = [np.linalg.norm(scipy.linalg.expm(scaled * t), 2) for t in (0.5, 2.0)]
-    assert feasibility._growth(s) == pytest.approx(max(1.0, *norms), rel=1e-9)
-
-
-@pytest.mark.parametrize(("rate", "whole"), [(13.0, True), (14.5, False)])
-def test_what_grows_beyond_hope_is_not_flown_in_one_go(
-    rate: float, whole: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Errors grow by exp(26) = 2e11 or exp(29) = 4e12 over 2 s; the logarithmic norm says the same of a diagonal."""
-    s, flown = arc(plain([[rate, 0.0], [0.0, -1.0]])), []
-    far = feasibility.Worst(1.0, "far off")
-    monkeypatch.setattr(
-        feasibility, "worst_terminal_error", lambda _, anew=(): flown.append(len(anew)) or far
-    )
-    found = feasibility.propagation([s], 1e-5)
-    assert flown == ([0, 1] if whole else [1])
-    assert (found.result, found.sufficient) == (
-        ConditionResult.INCONCLUSIVE,
-        True,
-    ) and found.where == "far off, in parts"
-
-
-def test_growth_of_what_has_no_derivative() -> None:
-    model = go.Model("root")
-    x, u = model.state("x", 2), model.control("u")
-    model.ode({x: ca.vertcat(ca.sqrt(x[1]), u)})
-    problem = go.Problem("root")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    problem.minimize(leg.final_state("x")[0])
-    assert feasibility._growth(arc(problem, breaks=(0.0, 1.9, 2.0))) == 1.0
-
-
-@pytest.mark.parametrize(
     ("origin", "off", "excused"), [(0.0, 5e-9, True), (0.0, 5e-7, False), (1e6, 5e-7, True)]
 )
 def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
@@ -132,7 +88,7 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     legs = replace(s.leg, final_time=origin + 2.0 - off, final_time_bounds=by_hand.interval(-np.inf, np.inf))
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.of(legs, s.functions)]
-    condition = feasibility.boundary(solution, samples, ends_of(solution), np.zeros(0), 1e-9)
+    condition = feasibility.boundary(solution, samples, ends_of(solution), given_scales(samples), 1e-9)
     assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
         assert condition.value == pytest.approx((off - 1e-8) / 2.0, rel=1e-3)
@@ -156,13 +112,6 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
     values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
     np.testing.assert_allclose(_unexplained(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
     np.testing.assert_allclose(_unexplained(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
-
-
-def test_room_to_the_limit_that_could_push() -> None:
-    """0.3 above the lower and 0.7 below the upper limit, at most the scale of 0.5."""
-    box = by_hand.interval([0.0, 0.0], [1.0, np.inf])
-    offence = _slack_offence(np.array([[2.0, -2.0], [2.0, -2.0]]), np.full((2, 2), 0.3), box, np.full(2, 0.5))
-    np.testing.assert_allclose(offence, [[1.0, 0.6], [1.0, 0.6]])
 
 
 def test_difference_in_shares_of_the_larger() -> None:
@@ -257,49 +206,6 @@ def quadratic_problem() -> go.Problem:
 
 B = np.array([[1.0, 0.5], [0.0, 2.0]])
 WEIGHT = np.array([[3.0, 0.5, 0.2, -0.4], [0.5, -1.0, 0.6, 0.1], [0.2, 0.6, 2.0, 0.3], [-0.4, 0.1, 0.3, 4.0]])
-
-
-def linear_system(s: PhaseSamples, t: float, free: list[int]) -> Array:
-    """The linear Hamiltonian system in shares of the states' sizes, by hand."""
-    a = np.array([[0.1, 1 + 0.5 * t], [-2.0, 0.3]])
-    b, q, n, r = B[:, free], WEIGHT[:2, :2], WEIGHT[:2, 2:][:, free], WEIGHT[2:, 2:][np.ix_(free, free)]
-    inverse = np.linalg.inv(r) if free else np.zeros((0, 0))
-    own, push, bend = a - b @ inverse @ n.T, -b @ inverse @ b.T, -(q - n @ inverse @ n.T)
-    size, worth = np.array([3.0, 2.0]), _worth(s)
-    d, e = np.diag(size), np.diag(1 / size)
-    return np.block([[e @ own @ d, worth * e @ push @ e], [d @ bend @ d / worth, -d @ own.T @ e]])
-
-
-@pytest.mark.parametrize("free", [[0, 1], [0], [1], []])
-def test_linear_hamiltonian_system(free: list[int]) -> None:
-    """Controls on their bounds do not answer to variations."""
-    box = by_hand.interval([-9.0 if 0 in free else 0.5, -9.0 if 1 in free else -1.0], [9.0, 9.0])
-    s = by_hand.samples(
-        quadratic_problem(),
-        lambda t, k: np.array([1 + t, 2 - t**2 / 2]),
-        lambda t, k: np.array([0.5 + 0 * t, -1.0 + 0 * t]),
-        lambda t, k: np.array([1 + t, 1 - t]),
-        weights=(1.0,), breaks=(0.0, 0.5, 2.0), control_bounds=box,
-    )  # fmt: skip
-    equations = AccessoryEquations(s.leg, s.functions, s.control_scale)
-    found = equations.matrices(np.array([0.25, 1.5]), _worth(s), lambda u: _free(s, u))
-    for k, t in enumerate((0.25, 1.5)):
-        np.testing.assert_allclose(found[k], linear_system(s, t, free), rtol=1e-9, atol=1e-12)
-    if free != [0, 1]:
-        return
-    times, flows = _system(s, np.linspace(0.0, 2.0, 41))
-    whole = np.linalg.multi_dot(flows[::-1])
-    exact = scipy.integrate.solve_ivp(
-        lambda t, y: (linear_system(s, t, free) @ y.reshape(4, 4)).ravel(), (0.0, 2.0), np.eye(4).ravel(),
-        rtol=1e-10, atol=1e-12, method="DOP853",
-    )  # fmt: skip
-    np.testing.assert_allclose(whole, exact.y[:, -1].reshape(4, 4), rtol=2e-6, atol=2e-6)
-    assert times.size == 41 and flows.shape == (40, 4, 4)
-    back = equations.flows(times, _worth(s), backward=True)
-    np.testing.assert_allclose(back @ flows, np.tile(np.eye(4), (40, 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(
-        equations.matrices(times, 7.0), equations.matrices(times, 7.0, lambda u: _free(s, u))
-    )
 
 
 # --- pushes -----------------------------------------------------------------------------------------------
@@ -487,7 +393,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
-    exact, weights = _state_rows(transcription), _quadrature(transcription)
+    exact, weights = _adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}), _quadrature(transcription)
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
     for places in (collocation.point_states, collocation.point_controls):
@@ -613,55 +519,6 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
     assert has_costates([s], ends, amount) is told
 
 
-def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
-    """H at free ends against the cost's slopes by the times, with the duration's multiplier, which has a sign."""
-    problem = plain(np.zeros((2, 2)))
-    base = arc(problem)
-    ends = ends_of(by_hand.solution(problem, base.leg))
-    free = by_hand.interval(-9.0, 9.0)
-    for limits, multiplier, counts in (
-        ((0.1, 2.0), 0.3, True),
-        ((2.0, 9.0), 0.3, False),
-        ((2.0, 9.0), -0.3, True),
-    ):
-        leg = replace(
-            base.leg, initial_time_bounds=free, final_time_bounds=free,
-            duration_bounds=by_hand.interval(*limits), duration_multiplier=multiplier,
-        )  # fmt: skip
-        s = PhaseSamples.of(leg, base.functions)
-        # H = lambda_1 u = (1 + 2 t) t: 0 at the start, 10 at the end; the cost does not depend on the times.
-        np.testing.assert_allclose(s.hamiltonian[[0, -1]], [0.0, 10.0], atol=1e-9)
-        offence = 10.0 + (multiplier if counts else 0.0)
-        worst = _time_transversality(s, ends, np.zeros(2))
-        assert (
-            worst.value == pytest.approx(offence / s.hamiltonian_scale)
-            and worst.where == "phase leg, H at its end"
-        )
-
-
-def test_ranges_of_the_program_s_variables() -> None:
-    """By what they vary, or by their limits; what rests counts by its size, each state by its own, and 0 by 1."""
-    problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
-    problem.phases["leg"].bounds(a=(-2.0, 8.0))
-    states = np.array([2e13 + 0 * t, (t - 0.5) / 2])
-    fitted = fit(Samples(t, states, (0 * t)[None]), lambda t, x, u: np.array([0 * t, 0.5 + 0 * t]))
-    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
-    x = _variables(transcription, problem, {"leg": fitted}, np.array([-3.0]))
-    scales = _ranges(transcription, problem, {"leg": fitted}, x)
-    (part,) = transcription.parts.values()
-    collocation = part.collocation
-    varied = np.ptp(x[collocation.point_states[1]])
-    np.testing.assert_allclose(scales[collocation.point_states[0]], 2e13)
-    np.testing.assert_allclose(scales[collocation.point_states[1]], varied)
-    np.testing.assert_allclose(scales[collocation.boundary_states[0]], 2e13)
-    np.testing.assert_allclose(scales[collocation.boundary_states[1]], varied)
-    np.testing.assert_allclose(scales[collocation.point_controls], 10.0)
-    np.testing.assert_allclose(scales[part.times], 2.0)
-    np.testing.assert_allclose(scales[transcription.parameter_places], 3.0)
-    none = _ranges(transcription, free_cart(), {"leg": fitted}, x)
-    np.testing.assert_allclose(none[collocation.point_controls], 1.0)
-
-
 def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     """Or the variable that varies most, if that is none; controls of other phases vary less."""
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
@@ -694,42 +551,6 @@ def test_doubt_says_whether_it_is_flat() -> None:
     assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_hamiltonian_off_to_either_side(sign: float) -> None:
-    """H = lambda_0, as the rates are (1, 0): 3, and in the last segment more or less by 1."""
-    model = go.Model("drift")
-    x, y, u = model.state("x"), model.state("y"), model.control("u")
-    model.ode({x: 1.0, y: u})
-    problem = go.Problem("drift")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    problem.minimize(leg.final_state("x"))
-    s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([t, 0 * t]),
-        lambda t, k: np.array([0 * t]),
-        lambda t, k: np.array([3.0 + sign * (k == 1) + 0 * t, 0 * t]),
-        weights=(),
-        breaks=(0.0, 1.5, 2.0),
-        degree=4,
-    )
-    # As many samples in each segment: the median is in between, and either half is off by 0.5.
-    condition = hamiltonian([s], 1e-5)
-    assert condition.result is ConditionResult.FAIL
-    assert condition.value == pytest.approx(0.5 / s.hamiltonian_scale)
-    lone = by_hand.samples(
-        problem,
-        lambda t, k: np.array([t, 0 * t]),
-        lambda t, k: np.array([0 * t]),
-        lambda t, k: np.array([3.0 + sign * (k == 2) + 0 * t, 0 * t]),
-        weights=(),
-        breaks=(0.0, 0.5, 1.5, 2.0),
-    )
-    condition = hamiltonian([lone], 1e-5)
-    assert condition.value == pytest.approx(1.0 / lone.hamiltonian_scale)
-    assert condition.where.endswith(f"H = {3 + sign:g} (median 3)")
 
 
 @pytest.mark.parametrize(("side", "expected"), [(1.0, [0.5, 0.0, 0.5]), (-1.0, [0.0, 1.0, 1.0])])

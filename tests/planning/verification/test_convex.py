@@ -255,7 +255,7 @@ def test_one_bang_whose_costate_vanishes_at_a_free_end_is_the_only_minimum(order
 
 def test_a_switching_function_that_touches_zero_leaves_nothing_open_and_one_that_rests_there_does() -> None:
     touching = priced(lambda t, q, u: (t - 1) ** 2 * u)
-    assert touching.minimum and "one solution only" in touching["strict switches"].where
+    assert touching.minimum and "one solution only" in touching["switching times"].where
     resting = priced(lambda t, q, u: ca.if_else(t < 1, 1 - t, 0.0) * u)  # from 1 s on any push costs nothing
     assert resting.ok and not resting.minimum
     assert not priced(lambda t, q, u: (t - 0.9) * u).ok

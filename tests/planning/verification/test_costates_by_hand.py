@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.given_scales import given_scales
 
 import gnc_opt as go
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -67,10 +68,10 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
     ends = ends_of(by_hand.solution(drifting(), s.leg))
-    found = _time_transversality(s, ends, np.zeros(2))
+    found = _time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
-        assert found.value == pytest.approx(level / s.hamiltonian_scale, rel=1e-9)
+        assert found.value == pytest.approx(level * 2.0 / 4.0, rel=1e-9)  # over the 2 s, of a cost of 4
         assert found.where == f"phase leg, H at its {'start' if end == 'initial' else 'end'}"
     else:
         assert found.value == 0.0
@@ -104,8 +105,9 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         f"{other}_bounds": by_hand.interval(fixed, fixed),
     }
     s = drift(drifting(), **changes)
-    condition = transversality([s], ends_of(by_hand.solution(drifting(), s.leg)), 1e-6)
-    assert condition.value == pytest.approx(abs(gap) * s.state_scale[row] / s.cost_scale, rel=1e-9)
+    scales = given_scales([s], cost=4.0, radius=3.0)
+    condition = transversality([s], ends_of(by_hand.solution(drifting(), s.leg)), scales)
+    assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
         # A limit along the whole phase exerts what one of the end does.
@@ -115,7 +117,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
             along.lower[row], along.upper[row] = given[row], 99.0
         held = PhaseSamples.of(replace(s.leg, state_bounds=along), s.functions)
         ends = ends_of(by_hand.solution(drifting(), held.leg))
-        assert transversality([held], ends, 1e-6).value == 0.0
+        assert transversality([held], ends, scales).value == 0.0
 
 
 @pytest.mark.parametrize(
@@ -139,9 +141,8 @@ def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: f
         states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
     )
-    found = _impulses(s)
-    assert s.state_scale[1] <= 9.0
-    assert found.value == pytest.approx(left * s.state_scale[1] / s.cost_scale, abs=1e-12)
+    found = _impulses(s, given_scales([s], cost=4.0, radius=3.0))
+    assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"
 
 
@@ -152,9 +153,9 @@ def test_impulses_need_the_limit_that_exerts_them() -> None:
         impulses[0, [0, 1, 2]] = 7.0, impulse, 7.0  # those at the ends are for transversality
         limits = by_hand.interval([1.25, -99.0], [1.5, 99.0])
         s = drift(drifting(), state_impulses=impulses, state_bounds=limits)
-        assert _impulses(s).value == pytest.approx(2.0 * room / s.cost_scale, abs=1e-12)
+        assert _impulses(s, given_scales([s], 4.0)).value == pytest.approx(2.0 * room / 4.0, abs=1e-12)
     lone = drift(drifting(), breaks=(0.0, 2.0), state_impulses=np.full((2, 2), 5.0))
-    assert _impulses(lone).value == 0.0
+    assert _impulses(lone, given_scales([lone])).value == 0.0
 
 
 @pytest.mark.parametrize("name", ["mixed", "pure", "u", "x[0]"])
@@ -176,11 +177,10 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     )
     s = PhaseSamples.of(leg, base.functions)
     solution = by_hand.solution(problem, leg)
-    condition = complementarity(solution, [s], ends_of(solution), np.zeros(0), 1e-6)
-    share = leg.rules[1].weights[j - 4] / 2
-    worth = s.joint_worth if name in ("mixed", "u") else s.cost_scale / 2.0
+    condition = complementarity(solution, [s], ends_of(solution), given_scales([s], cost=4.0))
+    lasts = leg.rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
-    assert condition.value == pytest.approx(5.0 * room * share / worth, rel=1e-9)
+    assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
     assert condition.where == f"phase leg, t = {t:.6g} s, multiplier of {name}"
 
 
@@ -191,35 +191,35 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
     problem.constrain("a", leg.final_state("x")[0], lower=2.75, upper=3.5)
     problem.constrain("b", leg.final_state("x")[1], upper=-2.0)
     s = drift(problem)
-    other = replace(s, cost_magnitude=1e9)
     for nu, amount, expected in ((2.0, 9.0, 1.0), (-2.0, 9.0, 0.5), (2.0, 0.3, 0.6), (-2.0, 0.2, 0.4)):
         solution = by_hand.solution(
             problem, s.leg, constraint_labels=("a", "b"), constraint_multipliers=np.array([nu, 7.0])
         )
-        amounts = np.array([amount, 1.0])
-        found = complementarity(solution, [s], ends_of(solution), amounts, 1e-6)
-        assert found.value == pytest.approx(expected / s.cost_scale, rel=1e-9)
+        rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
+        scales = given_scales([s], cost=4.0, constraints=rows)
+        found = complementarity(solution, [s], ends_of(solution), scales)
+        assert found.value == pytest.approx(expected / 4.0, rel=1e-9)
         assert found.where == "multiplier of constraint a"
-        both = complementarity(solution, [s, other], ends_of(solution), amounts, 1e-6)
-        assert other.cost_scale > 1e4 and both.value == pytest.approx(expected / other.cost_scale, rel=1e-9)
 
 
 def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
     """lam_0' = lam_1' = 0 is right: costates (3 - a t, 1) leave a times the segment, and jump by b."""
-    for slope, jump, row in ((0.5, 0.0, 0), (0.0, 0.25, 1), (0.0, -0.25, 1)):
+    for slope, jump in ((0.5, 0.0), (0.0, 0.25), (0.0, -0.25)):
         s = drift(
             drifting(),
             lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]),
         )
-        condition = adjoint([s], 1e-6)
+        condition = adjoint([s], given_scales([s], cost=4.0, radius=3.0), 1e-6)
         offence = slope * 1.5 if slope else abs(jump)
-        assert condition.value == pytest.approx(offence * s.state_scale[row] / s.cost_scale, rel=1e-9)
+        assert condition.value == pytest.approx(offence * 3.0 / 4.0, rel=1e-9)
         where = (
-            "segment 2 (0.5 to 2 s), costate of x[0]" if slope else "t = 0.5 s, jump of the costate of x[1]"
+            "segment 2 (0.5 to 2 s), adjoint equation of x[0]"
+            if slope
+            else "t = 0.5 s, jump of the costate of x[1]"
         )
         assert condition.where == f"phase leg, {where}"
     right = drift(drifting(), breaks=(0.0, 2.0), lam=lambda t, k: np.array([3.0 + 0 * t, 1.0 + 0 * t]))
-    assert adjoint([right], 1e-6).value == pytest.approx(0.0, abs=1e-12)
+    assert adjoint([right], given_scales([right]), 1e-6).value == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +231,7 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
         (0.0, -3.0, 4.0, 0.75),
         (5.0, -3.0, 4.0, 0.0),
         (5.0, 3.0, 4.0, 0.75),
-        (1.0, 0.0, 0.0, 0.0),  # nothing depends on it
+        (1.0, 0.0, 1.0, 0.0),  # nothing depends on it
     ],
 )
 def test_a_parameter_is_stationary_or_pushes_at_its_limit(
@@ -248,6 +248,5 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
     problem.minimize(leg.final_state("x") + slope * k)
     one = (lambda t, k: np.array([t]),) * 3
     solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
-    condition = parameters(solution, [], ends_of(solution), np.array([amount]), 1e-6)
-    assert condition.value == pytest.approx(left) and condition.where == "parameter k"
-    assert condition.name == "parameters" and not condition.sufficient
+    found = parameters(solution, [], ends_of(solution), given_scales([], cost=amount, parameters=[1.0]))
+    assert found.value == pytest.approx(left) and found.where == "parameter k"

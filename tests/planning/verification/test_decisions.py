@@ -13,13 +13,11 @@ from testing import constructed_solutions as by_hand
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.accessory import fine_times
-from gnc_opt.planning.solution.propagation import state_magnitudes
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import (
     bang_bang_second_order as second_order,
 )
 from gnc_opt.planning.verification import (
-    conjugate_points,
     reduced_hessian,
 )
 from gnc_opt.planning.verification import (
@@ -266,9 +264,6 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL
 
 
-# --- conjugate points -------------------------------------------------------------------------------------
-
-
 def resting(duration: float = 2.0, start: float = 1.0) -> PhaseSamples:
     model = go.Model("integrator")
     x, u = model.state("x"), model.control("u")
@@ -282,107 +277,12 @@ def resting(duration: float = 2.0, start: float = 1.0) -> PhaseSamples:
     return by_hand.samples(problem, flat, flat, flat, weights=(1.0,), breaks=breaks)
 
 
-def turning(s: PhaseSamples, frequency: float, steps: int = 200) -> tuple[Any, Any]:
-    """X = sin(w t) from X = 0: Lambda turns into X."""
-    times = np.linspace(s.times[0], s.times[-1], steps + 1)
-    angle = frequency * (times[1] - times[0])
-    flow = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return times, np.repeat(flow[None], steps, axis=0)
-
-
-@pytest.mark.parametrize("end", [conjugate_points.START, conjugate_points.END])
-@pytest.mark.parametrize("frequency", [1.0, 1.5, 2.0, 5.0, 11.0])
-def test_first_zero_of_a_sine(end: int, frequency: float) -> None:
-    """At pi / w from the end that is fixed, if that is within the 2 s."""
-    s = resting()
-    time = conjugate_points._first_crossing(s, turning(s, frequency), np.array([[0.0], [1.0]]), end)
-    share = np.pi / frequency
-    expected = 1.0 + share if end == conjugate_points.START else 3.0 - share
-    assert time == (pytest.approx(expected, abs=1e-3) if share < 2.0 else np.inf)
-
-
-@pytest.mark.parametrize(("still", "told"), [(30, True), (50, False), (200, False)])
-def test_directions_that_controls_reach_too_late(still: int, told: bool) -> None:
-    """Nothing is said where the first fifth of the phase, 40 of 200 steps, turns nothing."""
-    s = resting()
-    times, flows = turning(s, 2.0)
-    flows[:still] = np.eye(2)
-    found = conjugate_points._first_crossing(
-        s, (times, flows), np.array([[0.0], [1.0]]), conjugate_points.START
-    )
-    assert (found is not None) is told
-    broken = np.full_like(flows, np.nan)
-    assert conjugate_points._first_crossing(s, (times, broken), np.eye(2)[:, 1:], 0) is None
-
-
 def test_steps_of_the_system() -> None:
     """300 over the phase and 4 more in every segment, at the breaks too."""
     times = fine_times(resting().leg, 300, 4)
     assert times.size == 75 + 4 + 225 + 4 + 1
     np.testing.assert_allclose(times[[0, 79, -1]], [1.0, 1.5, 3.0])
     np.testing.assert_allclose(np.diff(times)[[0, 78, 79]], [0.5 / 79, 0.5 / 79, 1.5 / 229])
-
-
-def ended(limit: float | None = None) -> go.Problem:
-    """Three states, the first given at the start; at the end y + 2 z is, and x costs 3 x^2 + x y z(0)."""
-    model = go.Model("three")
-    states = model.state("x"), model.state("y"), model.state("z")
-    controls = [model.control(name) for name in ("a", "b", "c")]
-    model.ode(dict(zip(states, controls, strict=True)))
-    problem = go.Problem("three")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    leg.initial(x=1.0)
-    if limit is not None:
-        leg.bounds(z=(-9.0, limit))
-    x, y, z = (leg.final_state(name) for name in "xyz")
-    problem.constrain("sum", y + 2 * z + y * z, upper=100.0)
-    problem.minimize(
-        3 * x**2 + x * y * leg.initial_state("z") + leg.integral(0.5 * sum(c**2 for c in controls))
-    )
-    return problem
-
-
-def frame_of(problem: go.Problem, end: int) -> tuple[PhaseSamples, Any]:
-    bounds = problem.get_phase().numbers
-    leg = by_hand.phase(
-        problem,
-        lambda t, k: np.array([1 + t, 2 - t / 2, 1 + t**2]),
-        lambda t, k: np.array([1 + 0 * t, -0.5 + 0 * t, 2 * t]),
-        lambda t, k: np.ones((3, t.size)),
-        breaks=(0.0, 0.5, 2.0), state_bounds=bounds.states, initial_bounds=bounds.initial, final_bounds=bounds.final,
-    )  # fmt: skip
-    s = PhaseSamples.of(leg, by_hand.functions(problem, (1.0,)))
-    solution = by_hand.solution(
-        problem, leg, constraint_labels=("sum",), constraint_multipliers=np.array([0.5])
-    )
-    return s, conjugate_points._end_frame(solution, s, end)
-
-
-def test_frame_of_an_end_is_what_its_conditions_admit() -> None:
-    """At (3, 1, 5), from z = 1, the constraint holds dy (1 + z) + dz (2 + y), and the cost and 0.5 y z curve."""
-    for limit in (None, 5.0):
-        s, frame = frame_of(ended(limit), conjugate_points.END)
-        size, worth = np.diag(state_magnitudes(s.leg)), conjugate_points._worth(s)
-        rows = np.array([[0.0, 6.0, 3.0]]) @ size
-        held = rows if limit is None else np.vstack([rows, [0.0, 0.0, 1.0]])
-        curvature = size @ np.array([[6.0, 1.0, 0.0], [1.0, 0.0, 0.5], [0.0, 0.5, 0.0]]) @ size / worth
-        x, costates = frame[:3], frame[3:]
-        np.testing.assert_allclose(held @ x, 0.0, atol=1e-9)
-        assert np.linalg.matrix_rank(x) == 3 - len(held) and np.linalg.matrix_rank(frame) == 3
-        varied = np.linalg.norm(x, axis=0) > 1e-9
-        np.testing.assert_allclose(costates[:, varied], -curvature @ x[:, varied], atol=1e-9)
-        np.testing.assert_allclose(x.T @ costates, costates.T @ x, atol=1e-9)  # Lagrangian
-
-
-def test_frame_of_the_start() -> None:
-    """x is given there, y and z are free and cost nothing."""
-    _, frame = frame_of(ended(), conjugate_points.START)
-    np.testing.assert_allclose(np.abs(frame[0]), 0.0, atol=1e-12)
-    assert np.linalg.matrix_rank(frame[1:3]) == 2
-    varied = np.linalg.norm(frame[:3], axis=0) > 1e-9
-    np.testing.assert_allclose(frame[3:, varied], 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.abs(frame[3:, ~varied]), [[1.0], [0.0], [0.0]], atol=1e-12)
 
 
 # --- the verdict ------------------------------------------------------------------------------------------

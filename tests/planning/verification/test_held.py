@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.second_order import second_order_of
 from testing.wrong_solutions import scaled, with_leg
 
 import gnc_opt as go
@@ -14,8 +15,8 @@ PASS, UNTOLD = go.ConditionResult.PASS, go.ConditionResult.INCONCLUSIVE
 
 
 def curvature(solution: go.Solution) -> set[go.ConditionResult]:
-    verdict = go.verify(solution)
-    return {verdict[name].result for name in ("Legendre-Clebsch", "singular arcs")}
+    found = second_order_of(solution)
+    return {found[name].result for name in ("Legendre-Clebsch", "singular arcs")}
 
 
 def along_a_slope(unit: float, *, others: int = 0) -> go.Solution:
@@ -47,7 +48,7 @@ def test_a_control_fixed_by_a_mixed_constraint_is_not_singular(unit: float) -> N
 
 
 def test_another_control_beside_it_stays_singular() -> None:
-    condition = go.verify(along_a_slope(1.0, others=1))["singular arcs"]
+    condition = second_order_of(along_a_slope(1.0, others=1))["singular arcs"]
     assert condition.result is UNTOLD and ", w, " in condition.where
 
 

@@ -68,7 +68,7 @@ def test_costates_that_are_no_rounding_fail() -> None:
     lam = replace(leg.lam, values=tuple(v + 1.0 for v in leg.lam.values))
     kept = {n: getattr(leg, n) + 1.0 for n in ("lam_start", "lam_end", "point_costates")}
     forged = replace(followed, phases={"leg": replace(leg, lam=lam, **kept)})
-    told = {"transversality", "stationarity"}
+    told = {"stationarity"}
     assert not told & failed(go.verify(followed)) and told <= failed(go.verify(forged))
 
 
@@ -97,7 +97,7 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
     right, wrong = stiff(weight, False), stiff(weight, True)
     assert right.ok
     assert not any("least that there can be" in c.where for c in wrong.conditions)
-    assert not wrong.minimum and wrong.ok is (weight > 1e8)  # a gain below 1e-9 of the whole is not told
+    assert not wrong.ok
 
 
 def test_sums_are_taken_apart() -> None:

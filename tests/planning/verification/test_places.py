@@ -66,19 +66,18 @@ def multiplied(phase: str, field: str, row: int, column: int) -> go.Solution:
 PLACES: list[tuple[str, Callable[[], go.Solution], str, tuple[float, float] | None]] = [
     ("dynamics", lambda: added("there", "u", 0, E, 2), "phase there, segment 3 (0.5 to 0.75 s), v[0]", None),
     ("dynamics", lambda: added("back", "u", 1, E, 1), "phase back, segment 2 (1.25 to 1.5 s), v[1]", None),
-    ("propagation", lambda: added("back", "u", 1, E, 1), "phase back, v[1] misses by 0.0025", None),
-    ("bounds", lambda: limited("there", "state_bounds", 3, 2.9), "phase there", (0.4, 0.6)),
-    ("bounds", lambda: limited("back", "control_bounds", 0, 5.9), "phase back", (1.9, 2.0)),
-    ("adjoint equation", lambda: added("back", "lam", 3, E, 2), "phase back", (1.5, 1.75)),
-    ("Hamiltonian", lambda: added("there", "lam", 1, 5.0, 3), "phase there", (0.75, 0.8)),
+    ("limits", lambda: limited("there", "state_bounds", 3, 2.9), "phase there", (0.4, 0.6)),
+    ("dynamics", lambda: limited("back", "control_bounds", 0, 5.9), "phase back, segment 4 (1.75 to 2 s)", None),
+    ("stationarity", lambda: added("back", "lam", 3, E, 2), "phase back", (1.5, 1.75)),
+    ("stationarity", lambda: added("there", "lam", 1, 5.0, 3), "phase there", (0.75, 0.8)),
     ("stationarity", lambda: added("there", "u", 1, E, 2), "phase there", (0.5, 0.75)),
     ("stationarity", lambda: added("back", "lam", 2, E, 0), "phase back", (1.0, 1.25)),
     ("minimum principle", lambda: added("back", "u", 0, 10.0, 3), "phase back", (1.75, 2.0)),
-    ("complementarity", lambda: multiplied("there", "control_multipliers", 1, 7), "phase there", (0.25, 0.5)),
-    ("complementarity", lambda: multiplied("back", "state_multipliers", 2, 12), "phase back", (1.5, 1.75)),
-    ("complementarity", lambda: multiplied("back", "state_impulses", 3, 1), "phase back", (1.25, 1.25)),
+    ("active set", lambda: multiplied("there", "control_multipliers", 1, 7), "phase there", (0.25, 0.5)),
+    ("active set", lambda: multiplied("back", "state_multipliers", 2, 12), "phase back", (1.5, 1.75)),
+    ("active set", lambda: multiplied("back", "state_impulses", 3, 1), "phase back", (1.25, 1.25)),
 ]  # fmt: skip
-LABELS = ["", "", "", "v[1]", "a[0]", "v[1]", "H = ", "a[1]", "a[0]", "", "a[1]", "v[0]", "v[1]"]
+LABELS = ["", "", "v[1]", "[0]", "a[1]", "q[1]", "a[1]", "a[0]", "", "a[1]", "v[0]", "v[1]"]
 
 
 @pytest.mark.parametrize(("name", "wrong", "start", "span", "label"),

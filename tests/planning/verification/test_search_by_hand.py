@@ -57,7 +57,7 @@ def flown(problem: go.Problem, u: float = 0.5, w: float = 1.0, **changes: Any) -
 
 
 def search(s: PhaseSamples, group: Any = (0, 1)) -> _Search:
-    return _Search(s, np.array(group), np.arange(s.times.size))
+    return _Search(s, np.array(group), np.arange(s.times.size), cost_rate=1e-6)
 
 
 def bowl(t: Any, x: Any, u: Any, w: Any) -> Any:
@@ -277,12 +277,12 @@ def test_only_a_convex_quadratic_function_has_one_minimum_for_sure(cost: Any, on
     """Convex at all times, and without steps or kinks elsewhere."""
     s = flown(coupled(cost))
     assert search(s).only_one_minimum is one
-    gains, searched = coupled_gains(s, 1e-5)
+    gains, searched = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert len(gains) == 1 and searched is not one
 
 
 def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
-    """From (0.5, 1) to (1.5, 1): H falls by its difference; half the span of u is worth its slope or curvature."""
+    """From (0.5, 1) to (1.5, 1): H falls by its difference; the span of u is worth its slope or curvature."""
     s = flown(coupled(bowl))
     found, at = search(s), np.arange(s.times.size)
     better = found._flown.copy()
@@ -291,8 +291,8 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     gain, share = found._gain(better, value, at)
     before, after = hamiltonian(0.5, 1.0, s.times), hamiltonian(1.5, 1.0, s.times)
     np.testing.assert_allclose(gain, np.maximum(before - after, 0.0), atol=1e-12)
-    half = 0.5 * s.control_span[0]
-    worth = max(abs(6 * -0.5 + 1) * half, 0.3 * half, 0.5 * 6 * half**2)
+    span = s.control_span[0]
+    worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
     np.testing.assert_allclose(found._worth(-7.0 * (better - found._flown)), worth, rtol=1e-9)
     none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
@@ -302,7 +302,7 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
 
 
 def test_points_are_anywhere_or_off_in_one_channel() -> None:
-    """Every other point differs from the flown control in u or in w alone, in turn; bounds are among them."""
+    """Half of them are near the applied control, and half of both differ in u or in w alone; bounds are among them."""
     s = flown(coupled(bowl))
     found = search(s)
     shares, at = found._points()
@@ -310,12 +310,17 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
     moved = np.abs(shares - found._flown[:, at]) > 1e-12
-    assert np.all(np.sum(moved[:, 1::2], axis=0) <= 1)
-    assert np.all(np.sum(moved[:, ::2], axis=0) == 2)
-    counts = np.sum(moved[:, 1::2], axis=1)
+    kind = np.arange(at.size) % 4
+    assert np.all(np.sum(moved[:, kind >= 2], axis=0) <= 1)
+    assert np.all(np.sum(moved[:, kind < 2], axis=0) == 2)
+    counts = np.sum(moved[:, kind >= 2], axis=1)
     np.testing.assert_allclose(counts, np.full(2, at.size / 4), rtol=1e-3)
+    # Distances from the applied control are log-uniform from 1e-8 of the range.
+    near = np.log10(np.abs(shares - found._flown[:, at])[:, kind == 1])
+    assert np.min(near) == pytest.approx(-8.0, abs=0.1)
+    np.testing.assert_allclose(np.quantile(near, [0.25, 0.5], axis=1), [[-6.0] * 2, [-4.0] * 2], atol=0.1)
     # 0.05 of the range beyond each bound is clipped to it.
-    for row in shares[:, ::2]:
+    for row in shares[:, kind == 0]:
         assert np.mean(row == 0.0) == pytest.approx(0.05 / 1.1, rel=0.05)
         assert np.mean(row == 1.0) == pytest.approx(0.05 / 1.1, rel=0.05)
         inner = row[(row > 0) & (row < 1)]
@@ -332,7 +337,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 
     problem = coupled(cost)
     s = flown(problem, -1.0, 0.0, breaks=(0.0, 1.0, 2.0))
-    gains, searched = coupled_gains(s, 1e-5)
+    gains, searched = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert searched and len(gains) == 1
     (gain,) = gains
     # To first order in the tilt, the better well gains twice the tilt.
@@ -341,7 +346,9 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
     assert np.max(gain.gain[early]) < 0.02
     assert gain.gain.shape == gain.share.shape == gain.times.shape
     assert np.all((gain.share >= 0) & (gain.share < 1)) and np.max(gain.share) > 1e-2
-    calm, _ = coupled_gains(s, 0.99)  # nothing beyond the tolerance: what was found is told as it is
+    calm, _ = coupled_gains(
+        s, 0.5 * s.control_span, 1.0, 0.99
+    )  # nothing beyond the tolerance: what was found is told as it is
     assert np.max(calm[0].gain) == pytest.approx(np.max(gain.gain), rel=0.1)
     assert np.argmax(calm[0].gain) >= np.sum(early)
 
@@ -349,7 +356,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 def test_times_are_no_more_than_four_hundred() -> None:
     s = flown(coupled(bowl), breaks=tuple(np.linspace(0.0, 2.0, 41)))
     assert s.times.size > least_hamiltonian._MOST_TIMES
-    (gain,), _ = coupled_gains(s, 1e-5)
+    (gain,), _ = coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert gain.times.size == least_hamiltonian._MOST_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
+from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
 
 import gnc_opt as go
@@ -19,12 +18,12 @@ NAME = "generalised Legendre-Clebsch"
 TIMES = np.linspace(0.0, 1.0, 11)
 
 
-def judged(problem: go.Problem, **controls: Any) -> go.Condition:
+def judged(problem: go.Problem) -> go.Condition:
     """Of the trajectory that rests at zero."""
     leg = next(iter(problem.phases.values()))
     x = np.zeros((leg.model.states.size, TIMES.size))
-    u = {name: np.zeros_like(TIMES) for name in leg.model.controls.names} | controls
-    return go.verify_trajectory(problem, TIMES, x, u)[NAME]
+    u = np.zeros((leg.model.controls.size, TIMES.size))
+    return second_order_of(of_samples(problem, TIMES, x, u))[NAME]
 
 
 def chain(order: int, sign: float) -> go.Problem:
@@ -113,9 +112,8 @@ def test_beside_a_control_that_the_hamiltonian_determines(
 ) -> None:
     """r and w move along the arc, x rests; K is the cost's coefficient of x^2 times 2."""
     problem = singular_problem(stiffness)
-    states = {"x": np.zeros_like(TIMES), "r": TIMES}
-    verdict = go.verify_trajectory(problem, TIMES, states, {"u": 0.0 * TIMES, "w": np.ones_like(TIMES)})
-    condition = verdict[NAME]
+    states, controls = np.stack([0 * TIMES, TIMES]), np.stack([0 * TIMES, 1 + 0 * TIMES])
+    condition = second_order_of(of_samples(problem, TIMES, states, controls))[NAME]
     assert condition.result is result, condition
     # H's terms amount to |lam_r w| = 1, as w^2 / 2 is constant; and 1 + r is least at the start.
     assert condition.value == pytest.approx(-2 * stiffness * 2**2 * (1 if stiffness > 0 else 2), rel=1e-4)
@@ -131,7 +129,7 @@ def test_no_singular_arc() -> None:
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(0.5 * u**2))
-    condition = go.verify(go.solve(problem, mesh="1x4", tol=None))[NAME]
+    condition = second_order_of(go.solve(problem, mesh="1x4", tol=None))[NAME]
     assert (condition.result, condition.where) == (go.ConditionResult.PASS, "no singular arc")
 
 
@@ -166,12 +164,14 @@ def along_the_arc(gradient: float) -> go.Solution:
 @pytest.mark.parametrize(("gradient", "right"), [(1e-8, True), (3e-6, True), (3e-4, False), (1e-2, False)])
 def test_rounding_of_costates_that_vanish_is_no_offence(gradient: float, right: bool) -> None:
     """What cancels in the rate of the costate of y moves it by up to pi: that is what it is measured against."""
-    verdict = go.verify(along_the_arc(gradient))
+    solution = along_the_arc(gradient)
+    verdict = go.verify(solution)
     told = {c.name: c.result for c in verdict.conditions}
     passed = [told[name] is go.ConditionResult.PASS for name in ("stationarity", "minimum principle")]
     assert all(passed) if right else not any(passed), verdict.explain()
     if right:
-        assert told["singular arcs"] is told[NAME] is go.ConditionResult.PASS
+        parts = second_order_of(solution)
+        assert parts["singular arcs"].result is parts[NAME].result is go.ConditionResult.PASS
         # y = A cos t after a jump costs nothing for any A: the end is the focal point.
         assert told["second order"] is go.ConditionResult.INCONCLUSIVE
 
@@ -190,7 +190,7 @@ def test_a_path_constraint_that_determines_a_control_does_so_in_any_unit(factor:
     leg.path("wall", factor * x, lower=factor)
     problem.minimize(leg.integral(x) + leg.final_state("y"))
     solution = go.solve(problem, mesh="2x4")
-    assert go.verify(solution)[NAME].where == "no singular arc"
+    assert second_order_of(solution)[NAME].where == "no singular arc"
 
 
 def coupled(coupling: float, start: float = 1.0) -> go.Problem:

@@ -48,7 +48,7 @@ OTHERS = {
     "control": Units(a=30.0),
     "time": Units(t=20.0),
     "cost": Units(cost=0.03),
-    "path constraints": Units(limits=40.0),
+    "limits": Units(limits=40.0),
     "parameter": Units(k=25.0),
     "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5),
     "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
@@ -176,7 +176,9 @@ def test_figures_and_places_do_not_depend_on_units(units: Units) -> None:
         twin = other[condition.name]
         assert twin.result is condition.result
         if condition.name != "second order":  # whose sign counts
-            assert twin.value == pytest.approx(condition.value, rel=1e-3, abs=1e-9), condition.name
+            assert twin.value == pytest.approx(condition.value, rel=1e-3, abs=1e-9, nan_ok=True), (
+                condition.name
+            )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -187,11 +189,13 @@ def test_verdict_does_not_depend_on_any_affine_change_of_variables(seed: int) ->
         twin = other[condition.name]
         assert twin.result is condition.result, condition.name
         if condition.name != "second order":  # whose sign counts
-            assert twin.value == pytest.approx(condition.value, rel=1e-4, abs=1e-9), condition.name
+            assert twin.value == pytest.approx(condition.value, rel=1e-4, abs=1e-9, nan_ok=True), (
+                condition.name
+            )
 
 
 def test_every_figure_is_worth_comparing() -> None:
     figures = {c.name: abs(c.value) for c in go.verify(offended(Units())).conditions}
     silent = {name for name, value in figures.items() if not value > 1e-6}
-    feasible = {"boundary conditions", "propagation", "cost", "stored numbers"}
-    assert silent <= feasible | {"singular arcs", "generalised Legendre-Clebsch", "normality", "second order"}
+    feasible = {"boundary conditions", "dynamics", "cost"}
+    assert silent <= feasible | {"kinks", "second order", "switching times"}

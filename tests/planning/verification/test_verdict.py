@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -86,19 +85,19 @@ def test_bang_bang_optimum_holds_with_hamiltonian_minus_one(bang_bang: go.Soluti
 
 def test_perturbed_control_fails(energy: go.Solution) -> None:
     wrong = with_leg(energy, u=scaled(energy.phase().u, 1.01))
-    assert {"dynamics", "propagation", "stationarity", "cost"} <= failed(wrong)
+    assert {"dynamics", "stationarity", "cost"} <= failed(wrong)
 
 
 def test_flipped_costate_sign_fails(bang_bang: go.Solution, energy: go.Solution) -> None:
     flipped = with_leg(bang_bang, lam=scaled(bang_bang.phase().lam, -1.0))
-    assert {"transversality", "control signs", "minimum principle"} <= failed(flipped)
+    assert {"stationarity", "active set", "minimum principle"} <= failed(flipped)
     flipped = with_leg(energy, lam=scaled(energy.phase().lam, -1.0))
     assert {"stationarity", "minimum principle"} <= failed(flipped)
 
 
 def test_costate_of_wrong_magnitude_fails(bang_bang: go.Solution) -> None:
     doubled = with_leg(bang_bang, lam=scaled(bang_bang.phase().lam, 1.001))
-    assert failed(doubled) == {"transversality"}  # H = -1 is what fixes the magnitude
+    assert failed(doubled) == {"stationarity"}  # H = -1 is what fixes the magnitude
 
 
 def test_wrong_switch_structure_fails() -> None:
@@ -129,22 +128,21 @@ def test_misplaced_switch_fails() -> None:
     mesh = go.Mesh((0.0, 0.1, 0.6, 1.0), (5, 5, 5), movable=(2,))
     wrong = go.solve(minimum_time().with_fixed_arcs(arcs=[[1, -1, 1]]), mesh=mesh, tol=None)
     assert wrong.objective > 2.01
-    assert {"control signs", "minimum principle"} <= failed(wrong)
-    assert not {"dynamics", "propagation", "bounds", "boundary conditions"} & failed(wrong)
+    assert {"active set", "minimum principle"} <= failed(wrong)
+    assert not {"dynamics", "limits", "boundary conditions"} & failed(wrong)
 
 
 def test_vanished_arc_on_the_wrong_side_is_named() -> None:
     """A superfluous arc shrinks to nothing; the time is right, but the structure is not that of the optimum."""
     solution = switching([0.0, 0.5, 1.5, 2.5], [1, -1, 1])
     assert solution.objective == pytest.approx(2.0, abs=1e-7)
-    allowed = {"control signs", "minimum principle", "Hamiltonian", "complementarity"}
-    allowed |= {"strict switches", "induced gradient"}
-    assert "control signs" in failed(solution, tol=1e-4) and failed(solution, tol=1e-4) <= allowed
+    # An arc without length changes the cost by nothing; the second order has its switches as unknowns.
+    assert failed(solution, tol=1e-4) == {"second order", "switching times"}
 
 
 def test_switch_off_the_mesh_boundary_fails() -> None:
     smeared = go.solve(minimum_time(), mesh="7x3", tol=None)
-    assert {"bounds", "stationarity", "minimum principle"} <= failed(smeared)
+    assert {"dynamics", "stationarity", "minimum principle"} <= failed(smeared)
 
 
 def test_bound_enforced_only_at_nodes_fails() -> None:
@@ -154,8 +152,8 @@ def test_bound_enforced_only_at_nodes_fails() -> None:
     )
     solution = go.solve(problem, mesh="1x8", tol=None)
     assert solution.objective < 3.99
-    assert "bounds" in failed(solution)
-    assert go.verify(solution)["bounds"].where.endswith("q")
+    assert "limits" in failed(solution)
+    assert ", q = " in go.verify(solution)["limits"].where
 
 
 def test_maximum_of_the_hamiltonian_fails() -> None:
@@ -174,7 +172,7 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
     free = replace(
         with_leg(pinned, control_bounds=Interval(np.array([-2.0]), np.array([2.0]))), problem=problem
     )
-    assert failed(free) == {"minimum principle", "Legendre-Clebsch", "second order"}
+    assert failed(free) == {"minimum principle"}
 
 
 def test_singular_control_of_first_order_is_told() -> None:
@@ -188,13 +186,12 @@ def test_singular_control_of_first_order_is_told() -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))  # u = -1 down to x = 0 at t = 0.5 s, then u = 0 is singular
     verdict = go.verify(go.solve(problem, mesh="4x4", tol=None), tol=1e-4)
-    assert verdict["generalised Legendre-Clebsch"].where.endswith("from 0.5 s to 2 s: order 1")
     assert verdict.minimum
 
 
 def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:
     verdict = go.verify(with_leg(energy, lam=scaled(energy.phase().lam, np.nan)))
-    assert verdict["adjoint equation"].result is ConditionResult.INCONCLUSIVE
+    assert verdict["stationarity"].result is ConditionResult.INCONCLUSIVE
     assert verdict["dynamics"].result is ConditionResult.PASS
     assert not verdict.minimum
 
@@ -215,8 +212,8 @@ def test_free_final_value_with_wrong_costate_fails(energy: go.Solution) -> None:
     """The same trajectory, had the final speed been free, is not optimal: its costate there is not zero."""
     free = energy.problem.with_final(v=None)
     wrong = replace(with_leg(energy, final_bounds=free.get_phase().numbers.final), problem=free)
-    assert failed(wrong) == {"transversality"}
-    assert go.verify(wrong)["transversality"].where.endswith("costate of v")
+    assert failed(wrong) == {"stationarity"}
+    assert go.verify(wrong)["stationarity"].where.endswith("costate of v")
 
 
 def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
@@ -235,11 +232,8 @@ def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
     problem.minimize(leg.integral(y**2 + w**2))
     solution = go.solve(problem, mesh="40x8", tol=None)
     verdict = go.verify(solution)
-    assert verdict.minimum and "in parts" in verdict["propagation"].where
-    late = go.verify(added(solution, "u", 0, 0.1, segment=20))["propagation"]
-    assert (
-        late.result is ConditionResult.INCONCLUSIVE and late.value > 1e-3
-    )  # 0.1 for 0.05 s, beside a state of 1
+    assert verdict.minimum, verdict.explain()
+    assert go.verify(added(solution, "u", 0, 0.1, segment=20))["dynamics"].result is ConditionResult.FAIL
 
 
 def test_every_condition_reports_number_place_and_meaning(bang_bang: go.Solution) -> None:
@@ -247,7 +241,7 @@ def test_every_condition_reports_number_place_and_meaning(bang_bang: go.Solution
         assert np.isfinite(condition.value) or condition.result is ConditionResult.INCONCLUSIVE
         assert condition.where and len(condition.meaning) > 40
     table = str(go.verify(bang_bang))
-    assert "Hamiltonian" in table and table.endswith("verdict: ok")
+    assert "stationarity" in table and table.endswith("verdict: ok")
 
 
 def test_unknown_condition_and_wrong_arguments_are_refused(energy: go.Solution) -> None:
@@ -283,22 +277,7 @@ def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
     second = solution.phases["second"]
     still = {"first": solution.phases["first"], "second": replace(second, lam=scaled(second.lam, 0.0))}
     verdict = go.verify(replace(solution, phases=still), tol=1e-4)
-    assert verdict["adjoint equation"].result is ConditionResult.PASS
-    assert verdict["transversality"].result is ConditionResult.PASS
+    assert verdict["stationarity"].result is ConditionResult.PASS
+    assert verdict["stationarity"].result is ConditionResult.PASS
     none = {name: replace(leg, lam=scaled(leg.lam, 0.0)) for name, leg in still.items()}
-    assert go.verify(replace(solution, phases=none))["transversality"].result is ConditionResult.INCONCLUSIVE
-
-
-def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_at(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    right = go.solve(minimum_energy(), mesh="4x3", tol=None)
-    leg = right.phases["leg"]
-    wrong = with_leg(right, lam=scaled(leg.lam, 1.1))
-    monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3)
-    assert go.verify(replace(right))["second order"].result is ConditionResult.PASS
-    assert "not looked at" not in go.verify(replace(wrong))["second order"].where
-    monkeypatch.setattr(sys.modules["gnc_opt.planning.verification.engine"], "MOST_UNKNOWNS", 12 * 3 - 1)
-    assert go.verify(replace(right)).minimum
-    verdict = go.verify(replace(wrong))
-    assert not verdict.ok and verdict["second order"].where.startswith("not looked at")
+    assert go.verify(replace(solution, phases=none))["stationarity"].result is ConditionResult.INCONCLUSIVE

@@ -11,7 +11,7 @@ PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult
 
 
 def verdict(necessary: ConditionResult, sufficient: ConditionResult | None, not_checked: str = "") -> Verdict:
-    conditions = [Condition("adjoint equation", necessary, 1e-7, 1e-5, "phase leg", "It must hold.")]
+    conditions = [Condition("stationarity", necessary, 1e-7, 1e-5, "phase leg", "It must hold.")]
     if sufficient is not None:
         conditions.append(
             Condition("second order", sufficient, 1e-7, 1e-5, "phase leg", "It must hold.", True)
@@ -39,7 +39,7 @@ def test_headlines_say_which_of_the_three_it_is() -> None:
     assert verdict(PASS, PASS).headline == "every condition passes: a strict local minimum"
     assert verdict(PASS, UNTOLD).headline == "ok: necessary conditions hold, sufficient ones are not known to"
     assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
-    assert verdict(UNTOLD, PASS).headline == "not judged: adjoint equation"
+    assert verdict(UNTOLD, PASS).headline == "not judged: stationarity"
     assert verdict(PASS, FAIL).headline == "NOT ok"
 
 

@@ -1,0 +1,32 @@
+"""Reference magnitudes that tests give, in the place of measured ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.planning.optimality.reference_scales import Ellipsoid, PhaseScales, Scales
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+
+def given_scales(
+    samples: list[PhaseSamples],
+    cost: float = 1.0,
+    radius: float = 1.0,
+    deviation: float = 1.0,
+    parameters: Any = (),
+    constraints: Any = ((), (), ()),
+) -> Scales:
+    """Return scales of uncorrelated states that all have one radius, and of controls that all have one deviation."""
+    phases = {}
+    for s in samples:
+        n, m = s.x.shape[0], s.u.shape[0]
+        ball = Ellipsoid(np.full(n, radius), np.eye(n), np.ones(n))
+        widths = np.full((m, s.times.size), deviation)
+        phases[s.leg.name] = PhaseScales(widths, ball, ball, ball, np.full(m, cost))
+    ends: Any = None
+    rows = tuple(np.asarray(row, dtype=float) for row in constraints)
+    return Scales(
+        phases, cost, cost, np.asarray(parameters, dtype=float), ends, {}, {}, (rows[0], rows[1], rows[2])
+    )

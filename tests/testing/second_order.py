@@ -1,0 +1,30 @@
+"""The parts of the condition "second order", whatever the first order says."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gnc_opt as go
+from gnc_opt.planning.optimality.cost_scale import Magnitudes
+from gnc_opt.planning.optimality.costate_jumps import settle_edges
+from gnc_opt.planning.optimality.trajectory_fit import Samples
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.planning.verification.verify_trajectory import _solution
+
+Array = NDArray[np.float64]
+
+
+def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> dict[str, go.Condition]:
+    """The second variation, normality, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
+    solution = from_problem(solution)
+    samples = list(solution.samples().values())
+    magnitude = Magnitudes.of(solution, samples).cost
+    samples = [settle_edges(s.with_cost_magnitude(magnitude), tol) for s in samples]
+    return {c.name: c for c in second_order_parts(solution, samples, ends_of(solution), tol)}
+
+
+def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:
+    """The solution of a problem with one phase whose costates explain samples (n_times,), (n, n_times) best."""
+    return _solution(problem, {next(iter(problem.phases)): Samples(t, x, u)}, np.zeros(0))
