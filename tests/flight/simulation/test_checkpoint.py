@@ -131,13 +131,13 @@ import gnc_opt.simulation.campaign_batch as mission
 from test_checkpoint import fly
 import os
 os.cpu_count = lambda: 2
-fly_batch = mission.Mission.fly
+fly_batch = mission.CampaignTask.fly
 def slowly(self, batch):
     time.sleep(0.1)
     return fly_batch(self, batch)
-slowly.__qualname__ = "Mission.fly"
+slowly.__qualname__ = "CampaignTask.fly"
 slowly.__module__ = mission.__name__
-mission.Mission.fly = slowly
+mission.CampaignTask.fly = slowly
 fly(60, executor=None, checkpoint=sys.argv[1])
 """
 
