@@ -217,13 +217,11 @@ def _say(console: Console, text: Any) -> None:
 
 def _show(console: Console, solution: Solution, verdict: Verdict | None, conditions: bool) -> None:
     """Print the summary, the iterations of a refinement that did not converge, and the optimality check."""
-    from gnc_opt.report.verdict_table import verdict_text
-
     _say(console, str(solution))
     if solution.history is not None and not solution.history.converged:
         _say(console, str(solution.history))
     if verdict is not None:
-        _say(console, verdict_text(verdict, 200) if conditions else str(verdict))
+        _say(console, verdict.table() if conditions else str(verdict))
 
 
 def _write(

@@ -17,7 +17,6 @@ from rich.console import Console
 
 import gnc_opt as go
 from gnc_opt.report import summary_dict, write_report
-from gnc_opt.report.verdict_table import verdict_table
 
 Array = NDArray[np.float64]
 
@@ -137,7 +136,7 @@ def comparison(objective: float, reference: Reference) -> str:
 
 def _show(console: Console, solution: go.Solution, verdict: go.Verdict, explained: Mapping[str, str]) -> None:
     _say(console, str(solution))
-    console.print(verdict_table(verdict))
+    _say(console, str(verdict))
     for condition in verdict.failed:
         reason = explained.get(condition.name)
         _say(console, f"{condition.name}: {f'expected. {reason}' if reason else condition.meaning}")

@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.summary import (
     mesh_text,
     objective_text,
 )
-from gnc_opt.planning.solution.verdict import ConditionResult, Verdict, most_severe
+from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe
 from gnc_opt.report.document import chip, command_text, document, figures_of_user, picture
 from gnc_opt.report.problem_statement import problem_statement
 from gnc_opt.text import table
@@ -133,8 +133,11 @@ def check_lines(verdict: Verdict) -> list[tuple[str, str, str, str]]:
 
 
 def what_fails(verdict: Verdict) -> list[str]:
-    """Return a sentence for each condition that fails or is inconclusive though necessary: place, size, meaning."""
-    return [f"{c.name} {c.result.value.lower()} at {c.location_text}. {c.meaning}" for c in verdict.open]
+    """Return place, size, meaning and remedy of each condition that fails or is inconclusive though necessary."""
+    return [
+        f"{c.name} {c.result.value.lower()} at {c.location_text}. {c.meaning} {REMEDIES.get(c.name, '')}".rstrip()
+        for c in verdict.open
+    ]
 
 
 def _facts(solution: Solution) -> str:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from testing.internals import verdict_text
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
@@ -193,26 +192,6 @@ def test_json_of_a_failed_solve(failed: go.Solution) -> None:
     assert told["verdict"] is None
     assert told["solved"] is False
     assert told["violations"][0]["name"] == failed.violations[0].name
-
-
-# --- verdict ------------------------------------------------------------------------------------------
-
-
-def test_verdict_table_shows_everything() -> None:
-    text = verdict_text(VERDICT, width=100)
-    assert "verdict on 'cart': NOT ok (1 pass, 1 fail, 1 inconclusive)" in text
-    assert re.search(r"dynamics +PASS +2\.1e-10 +1e-05 +phase leg, q", text)
-    assert re.search(r"active set +FAIL +2\.5e-01 +1e-05 +phase leg, t = 1 s, a\[0\]", text)
-    assert re.search(r"second order +INCONCLUSIVE +- +1e-05 +nowhere", text)
-    assert "\x1b" not in text
-    assert max(map(len, text.splitlines())) <= 100
-
-
-def test_verdict_table_of_a_true_verdict(good: go.Solution) -> None:
-    verdict = go.verify(good)
-    text = verdict_text(verdict)
-    assert all(c.name in text for c in verdict.conditions)
-    assert "ok (" in text and "NOT ok" not in text
 
 
 # --- progress -----------------------------------------------------------------------------------------

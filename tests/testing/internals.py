@@ -47,7 +47,6 @@ from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
 from gnc_opt.plot.style import new_figure
-from gnc_opt.report.verdict_table import verdict_text
 from gnc_opt.simulation.confidence_intervals import pass_rate
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.simulation.dormand_prince import dormand_prince

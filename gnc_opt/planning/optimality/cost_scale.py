@@ -16,7 +16,6 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.problem.functions import end_values
-from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import MINOR, PhaseSamples
 from gnc_opt.planning.solution.scales import RESOLUTION
 from gnc_opt.planning.solution.solution import Solution
@@ -72,11 +71,6 @@ def least_for_long(times: Array, values: Array) -> int:
     ends = np.searchsorted(times, times[firsts] + length, "right")
     peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]
     return int(peaks[np.argmin(values[peaks])])
-
-
-def cost_unit(problem: Problem) -> str:
-    """Return `Problem.cost_unit`."""
-    return problem.cost_unit
 
 
 @dataclass(frozen=True)

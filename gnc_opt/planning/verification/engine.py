@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.planning.optimality.cost_scale import Magnitudes, cost_unit
+from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.costate_jumps import settle_edges
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.expressions import table_uses
@@ -218,7 +218,7 @@ def _first_order(
     return [
         judge("stationarity", gradient, tol, _STATIONARITY),
         judge("active set", active, tol, _ACTIVE_SET),
-        controls.minimum(lasting, scales, tol, cost_unit(solution.need_problem("verify"))),
+        controls.minimum(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
 
