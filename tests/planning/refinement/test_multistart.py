@@ -353,7 +353,8 @@ def test_ctrl_c_stops_running_workers(
 def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     arguments = ["multistart", __file__, "--n", "10000", "--mesh", MESH, "--json", str(target)]
-    terminal = os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"}  # progress is shown as it is made
+    path = os.pathsep.join(sys.path)  # for what this file imports
+    terminal = os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200", "PYTHONPATH": path}  # shows progress
     with subprocess.Popen(
         [sys.executable, "-m", "gnc_opt.cli", *arguments], stderr=subprocess.PIPE, env=terminal
     ) as run:
