@@ -22,8 +22,6 @@ from gnc_opt.report.document import (
     write_page,
 )
 from gnc_opt.report.page import TRAJECTORY_CAPTION
-from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
-from gnc_opt.simulation.confidence_intervals import share_below_maximum
 from gnc_opt.text import preformatted, table
 
 if TYPE_CHECKING:
@@ -193,6 +191,8 @@ def write_campaign_report(
 
 def _outcomes(campaign: Campaign) -> str:
     """Return how the runs ended, and the share of all possible runs that stay below each maximum."""
+    from gnc_opt.simulation.confidence_intervals import share_below_maximum
+
     below = 100 * share_below_maximum(len(campaign))
     events = "".join(f"; event {name} in {count} runs" for name, count in campaign.event_totals.items())
     return (
@@ -221,6 +221,8 @@ def _percents(rate: float, low: float, high: float) -> tuple[str, str]:
 
 def _percentiles(campaign: Campaign) -> str:
     """Return percentiles of each measure with their intervals."""
+    from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
+
     rows = []
     for name in shown_measures(campaign):
         found = [campaign.percentile(name, level) for level in LEVELS]
