@@ -212,13 +212,16 @@ def _spare_pushes(s: PhaseSamples) -> Array:
 
 
 def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
-    """Integrate the costates again in segments where a state constraint becomes active or inactive."""
+    """Integrate the costates again in segments where a state constraint becomes active or inactive.
+
+    Where they then miss the end of the segment, the polynomials stay.
+    """
     residual = s.adjoint_residual
     edges = []
     for k in np.flatnonzero(_reached_or_left(s)):
         if np.max(residual[:, k]) > tolerance:
             edge = _integrate_anew(s, int(k), tolerance)
-            if edge is not None:
+            if edge is not None and np.max(edge.offence) <= tolerance:
                 edges.append(edge)
     return replace(s, edges=tuple(edges)) if edges else s
 

@@ -53,8 +53,9 @@ def control_worth(s: PhaseSamples, scales: Scales) -> Array:
 def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
     """Return what controls between their bounds gain in H to first order, or by which share they miss its minimum.
 
-    In the mean of each segment, with its sign; inside a segment, where deviations change the cost to second order
-    only, the root of the tolerance holds.
+    Root mean square over the phase of the means of segments, with their sign: the largest change of the cost by
+    deviations whose own root mean square is one (module `reference_scales`). Inside a segment, where deviations
+    change the cost to second order only, the root of the tolerance holds.
     """
     worst = NOTHING
     for s in samples:
@@ -63,8 +64,11 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
         share = loss / control_worth(s, scales)[:, None]
         offence = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
         signed = np.copysign(offence, s.control_gradient)
-        offence = np.fmax(np.abs(_segment_means(s, signed)), offence * np.sqrt(tolerance))
-        worst = worst.or_worse(_worst_control(s, lasting(s.times, offence), "dH/du of "))
+        means = lasting(s.times, np.abs(_segment_means(s, signed)))
+        root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
+        peak = np.max(means, axis=1, initial=TINY)
+        offence = np.fmax(means * (root_mean / peak)[:, None], lasting(s.times, offence) * np.sqrt(tolerance))
+        worst = worst.or_worse(_worst_control(s, offence, "dH/du of "))
     return worst
 
 

@@ -107,11 +107,11 @@ def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Wo
         total = np.add.reduceat(residual, starts, axis=1)
         running = np.cumsum(residual, axis=1)
         running -= (running[:, starts] - residual[:, starts])[:, s.segments]
-        for edge in s.edges:
-            total[:, edge.segment] = edge.offence * s.cost_scale / s.state_scale
-            running[:, s.segments == edge.segment] = 0.0
         inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
         share = np.fmax(along.change(total), inside) / cost
+        for edge in s.edges:  # inside, a polynomial through a jump is off; costates integrated again are not
+            own = along.change((edge.offence * s.cost_scale / s.state_scale)[:, None])[0] / cost
+            share[edge.segment] = np.fmin(share[edge.segment], own)
         share = np.where(np.all(np.isfinite(total), axis=0), share, np.inf)
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
