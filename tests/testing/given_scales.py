@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.planning.optimality.reference_scales import Ellipsoid, PhaseScales, Scales
+from gnc_opt.planning.optimality.reach import Ellipsoid
+from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 

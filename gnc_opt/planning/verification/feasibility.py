@@ -16,7 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.reference_scales import Ellipsoid, Scales
+from gnc_opt.planning.optimality.reach import Ellipsoid
+from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem

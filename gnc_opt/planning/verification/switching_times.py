@@ -23,7 +23,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reference_scales import Scales, cells_of, exponentials
+from gnc_opt.planning.optimality.reach import cells_of, exponentials
+from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients, end_values
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

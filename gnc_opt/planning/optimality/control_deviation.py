@@ -1,0 +1,114 @@
+"""Control deviation: how far the applied control is from its mean over the phase, or is pulled from it.
+
+See the module `reference_scales` for its definition.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.scales import steering
+from gnc_opt.tolerances import TINY
+
+STEADY_SHARE = 1e-7
+"""A control that moves, or is pulled, by less than this share of its size is constant; least reach in sizes."""
+
+PEAK_SHARE = 1e-2
+"""Least rms deviation of a control, in shares of its largest one."""
+
+MEAN_SHARE = 0.1
+"""Least deviation of a control at any time, in shares of its mean over the phase."""
+
+MOST_PULL = 10.0
+"""Most deviation by the pull of H, in deviations of a control that moves."""
+
+REST_SHARE = 1e-7
+"""A control below this share of what the motion asks for, or below its square of its span, is rounding."""
+
+BESIDE = 1.3
+"""Multiple of a control at which its effect is compared with that at its value."""
+
+LEAST_COST_SHARE = 1e-9
+"""Least cost scale, in shares of the objective."""
+
+
+def control_deviation(s: PhaseSamples) -> Array:
+    """Return how far the applied control deviates, or is pulled, from its mean (m, n_samples); zero if idle."""
+    lasts, u = max(float(np.sum(s.weights)), TINY), s.u
+    about = finite(np.abs(u - (u @ s.weights / lasts)[:, None]))
+    size = np.max(np.abs(finite(u)), axis=1, initial=0.0)
+    mean = about @ s.weights / lasts
+    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), PEAK_SHARE * np.max(about, axis=1, initial=0.0))
+    bends = np.sqrt(finite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
+    bounds = s.leg.control_bounds
+    extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
+    slope = np.abs(finite(s.switching))
+    pull = np.where(slope > 0, np.inf, 0.0)
+    pull = np.minimum(np.divide(slope, bends[:, None], out=pull, where=bends[:, None] > 0), extent[:, None])
+    moves = moved > STEADY_SHARE * size
+    pull = np.where(moves[:, None], np.minimum(pull, MOST_PULL * moved[:, None]), pull)
+    pull = np.where(np.isfinite(pull), pull, size[:, None])
+    deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
+    pulled = np.sqrt(pull**2 @ s.weights / lasts) > STEADY_SHARE * size
+    steady = ~moves & ~pulled
+    deviation = np.where(steady[:, None], _steady(s, size, bends)[:, None], deviation)
+    return np.fmax(deviation, _at_rest(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None])
+
+
+def _steady(s: PhaseSamples, size: Array, bends: Array) -> Array:
+    """Return the deviation of controls that are constant (m,): their size, unless that is nothing beside the cost."""
+    lasts = max(float(np.sum(s.weights)), TINY)
+    cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
+    worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
+    idle = size <= LEAST_COST_SHARE * worth
+    still = np.max(np.abs(s.x - s.x[:, :1]), initial=0.0) <= LEAST_COST_SHARE * np.max(
+        np.abs(s.x), initial=1.0
+    )
+    return np.where(idle, worth if still else 0.0, size)
+
+
+def _at_rest(s: PhaseSamples, size: Array) -> Array:
+    """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero.
+
+    It is what the motion asks of them; where nothing moves either, their span in the program is all that is left.
+    """
+    asked, rounding = steering(s.leg, s.functions), REST_SHARE**2 * s.control_span
+    if not np.all(size <= np.fmax(REST_SHARE * asked, rounding)):
+        return np.zeros_like(size)
+    # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.
+    own, beside = (
+        np.max(
+            np.abs(finite(s.functions.input_jacobian(s.times, s.x, factor * s.u))), axis=(0, 2), initial=0.0
+        )
+        for factor in (1.0, BESIDE)
+    )
+    share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
+    if not np.all(size <= share * np.fmax(REST_SHARE * asked, rounding)):
+        return np.zeros_like(size)
+    return np.asarray(np.where(asked > rounding, asked, s.control_span))
+
+
+def resolved_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+    """Return deviations of controls in which H curves that are no smaller than those that a least cost allows."""
+    bends = np.abs(finite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    least = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
+    return np.fmax(deviation, least[:, None])
+
+
+def with_idle_controls(s: PhaseSamples, deviation: Array, cost: float) -> Array:
+    """Return deviations with idle controls at what costs as much as those of all others."""
+    idle = np.max(deviation, axis=1, initial=0.0) <= 0
+    if not np.any(idle):
+        return deviation
+    lasts = max(float(np.sum(s.weights)), TINY)
+    bends = np.abs(finite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
+    equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
+    extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
+    other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
+    return np.where(idle[:, None], other[:, None], deviation)
+
+
+def finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, 0.0)

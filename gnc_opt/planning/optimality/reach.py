@@ -1,0 +1,297 @@
+"""Reach of the states: the ellipsoid of displacements that control deviations bring about.
+
+It is that of the weighted controllability Gramian, see the module `reference_scales`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE, finite
+from gnc_opt.planning.problem.functions import end_values
+from gnc_opt.planning.problem.interval import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import RANK, magnitude
+
+STILL_SHARE = 1e-4
+"""A state that moves by less than this share of its reach is still."""
+
+LEAST_CORRELATION = 1e-6
+"""Least eigenvalue of the correlation matrix of the reach."""
+
+CELLS = 40
+"""Cells of a phase, at least, in which its linearised dynamics are constant."""
+
+_LARGEST_GROWTH = 60.0
+"""Logarithm of the largest growth of errors that is told."""
+
+_EXPONENT = 25.0
+"""Largest entry of an exponent, against overflow along dynamics that are much faster than a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """Displacements of the states that control variations bring about.
+
+    Attributes
+    ----------
+    radius : array (n,)
+        Largest displacement of each state.
+    axes : array (n, n)
+        Eigenvectors of the correlation matrix, in columns.
+    shares : array (n,)
+        Square roots of its eigenvalues.
+    """
+
+    radius: Array
+    axes: Array
+    shares: Array
+
+    @classmethod
+    def of(cls, gramian: Array, radius: Array) -> Ellipsoid:
+        """Take the correlation from a Gramian (n, n), and the sizes as given (n,)."""
+        sizes = np.sqrt(np.maximum(np.diag(gramian), 0.0))
+        reached = sizes > 0
+        scale = np.where(reached, sizes, 1.0)
+        correlation = gramian / scale / scale[:, None]
+        correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
+        correlation[np.diag_indices_from(correlation)] = 1.0
+        values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
+        return cls(radius, axes, np.sqrt(np.clip(values, LEAST_CORRELATION, None)))
+
+    def displacement(self, moved: Array) -> Array:
+        """Return displacements (n, ...) in shares of the ellipsoid (...)."""
+        parts = np.tensordot(self.axes.T, _shares(moved, self.radius), 1)
+        return np.asarray(np.linalg.norm(parts / _column(self.shares, parts), axis=0))
+
+    def change(self, gradient: Array) -> Array:
+        """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
+        scaled = np.asarray(gradient) * _column(self.radius, gradient)
+        parts = np.tensordot(self.axes.T, scaled, 1)
+        return np.asarray(np.linalg.norm(parts * _column(self.shares, parts), axis=0))
+
+    @property
+    def principal(self) -> Array:
+        """Principal semi-axes (n, n), in columns."""
+        return np.asarray(self.radius[:, None] * self.axes * self.shares)
+
+    @property
+    def directions(self) -> Array:
+        """The same with 1 for states that nothing moves: derivatives exist there too."""
+        radius = np.where(self.radius > 0, self.radius, 1.0)
+        return np.asarray(radius[:, None] * self.axes * self.shares)
+
+
+Reach = tuple[Ellipsoid, Ellipsoid, Ellipsoid, Ellipsoid]
+"""At the start, along a phase, at its end; at its end with the integrals."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Gramian:
+    """W at the start, its mean and W at the end of a phase (n, n); at its end with the integrals; growth of errors."""
+
+    start: Array
+    mean: Array
+    end: Array
+    whole: Array
+    growth: float = 1.0
+
+
+def reach_gramians(
+    links: Mapping[str, Mapping[str, Array]],
+    samples: list[PhaseSamples],
+    deviations: Mapping[str, Array],
+    columns: Mapping[str, Array],
+) -> dict[str, _Gramian]:
+    """Return the Gramian of every phase, in the order of their initial times."""
+    found: dict[str, _Gramian] = {}
+    for s in samples:
+        others = {name: row for name, row in links[s.leg.name].items() if name}
+        start = _start_covariance(s, others, links[s.leg.name][""], found)
+        found[s.leg.name] = _gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
+    return found
+
+
+def _gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
+    leg = s.leg
+    if not s.has_length:
+        return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
+    n, n_integrals = start.shape[0], leg.integrals.size
+    edges, parts = cells_of(leg.breaks), -(-CELLS // leg.mesh.segments)
+    middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
+    x, u = leg.x(middles), leg.flown(middles)
+    with np.errstate(all="ignore"):
+        by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
+        by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
+        integrands = [_integrand_gradients(s, middles, x, u, i) for i in range(n_integrals)]
+    by_state, by_control = finite(by_state), finite(by_control)
+    if n_integrals:  # integrals are states that nothing depends on
+        slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
+        by_state = np.concatenate([by_state, finite(slopes[0])], axis=1)
+        by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
+        by_control = np.concatenate([by_control, finite(slopes[1])], axis=1)
+        start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
+    half = exponentials(0.5 * widths[:, None, None] * by_state)
+    weighted = deviation * s.weights
+    starts = np.searchsorted(s.segments, np.arange(leg.mesh.segments))
+    per_cell = np.repeat(np.add.reduceat(weighted, starts, axis=1) / parts, parts, axis=1)
+    strength = np.sum(weighted, axis=1)[:, None] * per_cell
+    moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
+    total, mean, lasts = start.copy(), np.zeros_like(start), float(edges[-1] - edges[0])
+    whole = total
+    for k, width in enumerate(widths):
+        push = half[k] @ by_control[k]
+        step = half[k] @ half[k]
+        following = step @ total @ step.T + (push * strength[:, k]) @ push.T
+        if columns is not None:
+            moved = step @ moved + width * half[k] @ columns[k]
+        if not np.all(np.isfinite(following)):
+            break
+        total, before = following, whole
+        whole = total + moved @ moved.T
+        mean += 0.5 * width / lasts * (before + whole)
+    fastest = np.max(np.linalg.eigvals(by_state).real, axis=1, initial=0.0)
+    growth = float(np.exp(min(float(np.sum(fastest * widths)), _LARGEST_GROWTH)))
+    return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, growth)
+
+
+def exponentials(matrices: Array) -> Array:
+    """Return matrix exponentials (n_matrices, n, n); those of large norm, of matrices that are reduced to it."""
+    sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)
+    reduced = np.minimum(1.0, np.divide(_EXPONENT, sizes, out=np.ones_like(sizes), where=sizes > 0))
+    return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
+
+
+def cells_of(breaks: Array) -> Array:
+    """Return the edges of the cells of a phase with given mesh boundaries: segments in equal parts."""
+    parts = -(-CELLS // (breaks.size - 1))
+    shares = np.arange(parts) / parts
+    return np.append((breaks[:-1, None] + shares * np.diff(breaks)[:, None]).ravel(), breaks[-1])
+
+
+def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
+    """Return derivatives of an integrand by states and controls (n_times, n) and (n_times, m)."""
+    alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
+    none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
+    return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
+
+
+def reach_of(s: PhaseSamples, gramian: _Gramian) -> Reach:
+    """Return the reach at the start, along the phase and at the end, there also with the integrals."""
+    size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(finite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    along, end, start = (
+        np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
+    )
+    if not s.has_length:  # nothing moves: sizes have to do
+        along = end = magnitude(size)
+    moving = (moved > STILL_SHARE / gramian.growth * along) & (moved > STEADY_SHARE * size)
+    radius = np.where(moving, np.minimum(along, moved), along)
+    final = np.where(moving, np.minimum(end, moved), end)
+    if not s.lasts_as_told:  # what controls do not reach is reached by the time at which the flow arrives
+        radius, final = (np.where(r > STILL_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final))
+    least = STEADY_SHARE * size
+    radius, final = np.fmax(radius, least), np.fmax(final, least)
+    initial = np.where(start > 0, start, radius)
+    return (
+        Ellipsoid.of(gramian.start, initial),
+        Ellipsoid.of(gramian.mean, radius),
+        Ellipsoid.of(gramian.end, final),
+        Ellipsoid.of(gramian.whole, np.append(final, np.sqrt(np.diag(gramian.whole)[final.size :]))),
+    )
+
+
+def _start_covariance(
+    s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
+) -> Array:
+    """Return W at the start of a phase: zero where given, by links to other phases, else by the size of the state."""
+    size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
+    moved = np.max(np.abs(finite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.where(moved > STEADY_SHARE * size, moved, size)
+    size = np.where(size > 0, size, width(s.leg.state_bounds))
+    own = left * np.where(size > 0, size, 1.0)
+    covariance = own @ own.T
+    for name, response in links.items():
+        covariance = covariance + response @ found[name].end @ response.T
+    return covariance
+
+
+def start_links(
+    problem: Problem, solution: Solution, samples: list[PhaseSamples]
+) -> dict[str, dict[str, Array]]:
+    """Return how the start of each phase follows the ends of earlier ones (n, n_other), by linear constraints."""
+    jacobians, found = link_jacobians(problem, solution), {}
+    for k, s in enumerate(samples):
+        leg = s.leg
+        free = np.flatnonzero(~leg.initial_bounds.fixed)
+        size = np.max(np.abs(finite(s.x)), axis=1, initial=0.0)
+        unit = np.where(size > 0, size, 1.0)[free]
+        own = jacobians[leg.name][0][:, free] * unit
+        linked = np.any(own != 0, axis=1)
+        earlier = [other.leg.name for other in samples[:k]]
+        for name, (at_start, at_end) in jacobians.items():
+            linked &= ~np.any(at_start != 0, axis=1) if name != leg.name else True
+            linked &= ~np.any(at_end != 0, axis=1) if name not in earlier else True
+        others = [name for name in earlier if np.any(jacobians[name][1][linked])]
+        linked &= (
+            np.any([np.any(jacobians[name][1] != 0, axis=1) for name in others], axis=0) if others else False
+        )
+        inverse = np.linalg.pinv(own[linked], rcond=RANK)
+        left = np.zeros((leg.states.size, leg.states.size))
+        left[np.ix_(free, free)] = unit[:, None] * (np.eye(free.size) - inverse @ own[linked]) / unit
+        found[leg.name] = {"": left}
+        for name in others:
+            response = np.zeros((leg.states.size, solution.phases[name].states.size))
+            response[free] = -unit[:, None] * (inverse @ jacobians[name][1][linked])
+            found[leg.name][name] = response
+    return found
+
+
+def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
+    """Return derivatives of the boundary constraints by initial and final states (n_constraints, n), by phase."""
+    function = problem.once("end jacobians", lambda: _end_jacobians(problem))
+    arguments: list[Any] = []
+    for leg in solution.phases.values():
+        arguments += end_arguments(leg)
+    found = function(*arguments, solution.parameter_values)
+    found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
+    return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
+
+
+def _end_jacobians(problem: Problem) -> Any:
+    ends = end_values(problem)
+    arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
+    column = ends(*arguments)[:-1]
+    states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]
+    return ca.Function("end_jacobians", arguments[:-1], [ca.densify(ca.jacobian(column, v)) for v in states])
+
+
+def end_arguments(leg: PhaseSolution) -> list[Any]:
+    first, last = leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left")
+    return [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
+
+
+def _column(scale: Array, values: Array) -> Array:
+    return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
+
+
+def _shares(values: Array, scale: Array) -> Array:
+    """Return values (n, ...) in shares of a scale (n,); zero stays zero, anything else over zero is infinite."""
+    column = np.broadcast_to(_column(scale, values), np.shape(values))
+    nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)
+    return np.divide(values, column, out=nothing, where=column > 0)
+
+
+def width(box: Interval) -> Array:
+    width = box.upper - box.lower
+    return np.where(np.isfinite(width), width, 0.0)
