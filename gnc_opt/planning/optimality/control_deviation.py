@@ -72,7 +72,8 @@ def _steady(s: PhaseSamples, size: Array, bends: Array) -> Array:
 def _at_rest(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero.
 
-    It is what the motion asks of them; where nothing moves either, their span in the program is all that is left.
+    It is a share of what the motion asks of them, since it moves by itself; where nothing moves, their span in
+    the program is all that is left.
     """
     asked, rounding = steering(s.leg, s.functions), REST_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(REST_SHARE * asked, rounding)):
@@ -87,7 +88,7 @@ def _at_rest(s: PhaseSamples, size: Array) -> Array:
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
     if not np.all(size <= share * np.fmax(REST_SHARE * asked, rounding)):
         return np.zeros_like(size)
-    return np.asarray(np.where(asked > rounding, asked, s.control_span))
+    return np.asarray(np.where(asked > rounding, PEAK_SHARE * asked, s.control_span))
 
 
 def resolved_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:
