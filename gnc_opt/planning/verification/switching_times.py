@@ -127,9 +127,15 @@ def _are_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: Scales
 
 
 def _is_limited(s: PhaseSamples, scales: Scales) -> bool:
-    """Whether a limit of states, or a path constraint, acts for more than rounding."""
-    pushes = np.max(np.abs(s.state_multiplier), axis=1, initial=0.0) * scales.phases[s.leg.name].along.radius
-    pushes = np.append(pushes, np.max(np.abs(s.mu), axis=1, initial=0.0) * s.path_scale)
+    """Whether a limit of states is reached inside the phase, or another path constraint acts for more than rounding."""
+    reach, pure = scales.phases[s.leg.name].along.radius, np.zeros(len(s.leg.path_labels), dtype=bool)
+    pure[s.pure_paths] = True
+    paths = s.functions.paths(s.times, s.x, s.u)
+    at_states = np.logical_or(*s.leg.state_bounds.near(s.x, AT_LIMIT * reach))
+    at_paths = np.logical_or(*s.leg.path_bounds.near(paths, AT_LIMIT * s.path_scale))[pure]
+    if np.any(at_states[:, 1:-1]) or np.any(at_paths[:, 1:-1]):
+        return True
+    pushes = np.max(np.abs(s.mu[~pure]), axis=1, initial=0.0) * s.path_scale[~pure]
     return bool(np.max(pushes, initial=0.0) * s.span > LIMIT_SHARE * scales.cost)
 
 

@@ -1,0 +1,49 @@
+"""Shifted switches: a switch beside an arc held by a state limit of second order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+
+HEIGHT = 0.25
+"""Upper limit of q, below 1/3: the arc of least effort follows it from t = 3 HEIGHT on (Bryson and Denham, 1963)."""
+
+
+def switched(share: float, time: float) -> go.Verdict:
+    """Verdict on a bang-bang u beside the limited double integrator.
+
+    J = int a^2 + (t - time) u dt - share / 2 (x(2) - 2 time + 2)^2: shifting the switch by d changes the cost by
+    (1 - 2 share) d^2, so that the stated switch is a minimum below share = 1/2.
+    """
+    model = go.Model("cart and switch")
+    x, q, v = model.state("x"), model.state("q"), model.state("v")
+    u, a = model.control("u"), model.control("a")
+    model.ode({x: u, q: v, v: a})
+    problem = go.Problem("cart and switch")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0, q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.bounds(u=(-1, 1), q=(None, HEIGHT))
+    end = leg.final_state("x") - (2 * time - 2)
+    problem.minimize(leg.integral(a**2) + leg.integral((model.time - time) * u) - share / 2 * end**2)
+    entry = 3 * HEIGHT
+    t = np.unique(np.concatenate([np.linspace(0, 2, 161), [time, entry, 2 - entry]]))
+    t = np.sort(np.append(t, time))
+    first = np.arange(t.size) <= np.searchsorted(t, time)
+    s = np.minimum(np.minimum(t, 2 - t) / entry, 1.0)
+    states = {
+        "x": np.where(first, t, 2 * time - t),
+        "q": HEIGHT * (1 - (1 - s) ** 3),
+        "v": (1 - s) ** 2 * np.where(t > 1, -1, 1),
+    }
+    controls = {"u": np.where(first, 1.0, -1.0), "a": -2 * (1 - s) / entry}
+    return go.verify_trajectory(problem, t, states, controls)
+
+
+@pytest.mark.parametrize("time", [1.0, 0.5])
+def test_a_switch_beside_an_arc_at_a_state_limit(time: float) -> None:
+    assert switched(0.45, time).minimum
+    assert not switched(0.55, time).ok
