@@ -37,7 +37,9 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
                 raise
             known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
             unknown = next(name for name in keywords if name not in known)
-            raise TypeError(f"{error}: {did_you_mean(unknown, known)}") from None
+            # Python 3.13 has a suggestion of its own, from 3.10 on for attributes only.
+            text = str(error).split(". Did you mean")[0]
+            raise TypeError(f"{text}: {did_you_mean(unknown, known)}") from None
 
     return call
 

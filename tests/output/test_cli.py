@@ -213,13 +213,14 @@ def test_options_of_refining_are_passed_on(
     cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...], tol: float, check: bool, work: float
 ) -> None:
     module = importlib.import_module("gnc_opt.planning.solver")
-    refine, seen = module.refine, []
+    stages, seen = module.Stages, []
 
-    def noted(solution: go.Solution, **more: Any) -> Any:
-        seen.append((more["tol"], more["check"], more["limits"].max_work))
-        return refine(solution, **more)
+    def noted(problem: go.Problem, *given: Any, **more: Any) -> Any:
+        within, limits, _, checked = given
+        seen.append((within, checked, limits.max_work))
+        return stages(problem, *given, **more)
 
-    monkeypatch.setattr(module, "refine", noted)
+    monkeypatch.setattr(module, "Stages", noted)
     assert run("solve", cart, *asked, "--quiet") == 0
     assert seen == [(tol, check, work)]
 

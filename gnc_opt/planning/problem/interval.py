@@ -167,7 +167,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     """
     if value is None:
         return free(size)
-    if size == 1 and isinstance(value, (list, np.ndarray)) and np.shape(value) == (2,):
+    if size == 1 and _is_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
         fixed = Interval(_end(value, -np.inf, size, what), _end(value, np.inf, size, what))
@@ -235,3 +235,12 @@ def checked(interval: Interval, what: str) -> Interval:
 def intersect(a: Interval, b: Interval) -> Interval:
     """Return the component-wise intersection (may be empty: lower > upper)."""
     return Interval(np.maximum(a.lower, b.lower), np.minimum(a.upper, b.upper))
+
+
+def _is_pair(value: Any) -> bool:
+    """Return whether a value is a list or an array of two numbers, or None."""
+    if isinstance(value, np.ndarray):
+        return bool(value.shape == (2,))
+    return (
+        isinstance(value, list) and len(value) == 2 and not any(isinstance(v, (list, tuple)) for v in value)
+    )

@@ -142,13 +142,6 @@ class Candidate:
         relative = self.estimate / self.solution.objective_error.scale if self.solved else math.inf
         return max(relative, tol), self.error
 
-    def improves(self, other: Candidate) -> bool:
-        """Whether it is the better start among two on the same mesh: a lower cost that its controls do not explain.
-
-        Its loss of the minimum principle is the smaller one, too, and so it is no worse an extremal.
-        """
-        return self.is_lower(other) or (self.solved and self.cost < other.cost and self.loss < other.loss)
-
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to another minimum with a lower cost, so many of both estimates considered.
 

@@ -16,7 +16,7 @@ hp     hp refinement of the best mesh so far, and programs with its arcs
 Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
 solve on the first mesh that is lower than the one before by more than the estimates of both begins the first stage
-anew, once each; one that is lower and loses less is where the next stage begins. At the end, at limits and after
+anew, once each; the next stage begins from one that is lower. At the end, at limits and after
 Ctrl-C the best candidate is returned (`candidates.best_of`).
 """
 
@@ -193,10 +193,9 @@ class Stages:
             if other is not None:
                 yield other
                 known = self._mesh_candidate(first)
-                if other.improves(known):
+                if other.is_lower(known):
                     first = other.solution
-                    if other.is_lower(known):
-                        yield from self._first(first, stage)
+                    yield from self._first(first, stage)
         middle = yield from self._middle(first)
         if not any(solved for _, solved in self._tried):
             yield from self._by_arcs(middle, structures_of(middle), "60, arcs")

@@ -117,6 +117,8 @@ def summary(solution: SummarisedSolution) -> str:
         lines += list(_between_nodes(quality))
     lines += list(_overshoot(solution))
     lines += [_line("table", str(found)) for found in left_tables(solution)]
+    if quality is not None and solution.problem is None:
+        lines.append(_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
 
 

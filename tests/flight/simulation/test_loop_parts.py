@@ -68,7 +68,7 @@ def test_values_of_a_run_by_name_or_all_at_once():
     assert np.isnan(loop.defaults[1])
     for x0, changes, message in (
         ([1.0, 2.0], None, "initial state of a run"),
-        (None, None, r"'initial\.q\[0\]' of a run is not a number"),
+        (None, None, "initial state of a run lacks 'q', 'v'"),
         ([1.0] * 4, {"plant.m": np.nan}, r"'plant\.m' of a run is not a number"),
         ([1.0] * 4, {"lag.tau": [1.0] * 3}, r"parameter 'lag\.tau' of a run"),
         ({"z": 1.0}, None, r"no parameter 'initial\.z'"),

@@ -26,6 +26,7 @@ ALLOWED = {
     "SystemExit": "the command line's exit code",
     "FileNotFoundError": "a missing file is what Python says it is",
     "__init__.py: AttributeError": "what Python expects of a module's __getattr__",
+    "arguments.py: TypeError": "what Python raises for an unknown keyword, with a suggestion",
     "arguments.py: AttributeError": "what Python expects where a class has not one of its protocols",
     "integration.py: EndedError": "caught at once: why a propagation ended",
     "integration.py: SpentError": "one of those",

@@ -232,11 +232,11 @@ def test_an_error_that_falls_fast_may_cost_twice_as_much(thin: go.Solution) -> N
 
 
 def test_what_the_verdict_leaves_open_is_resolved(thin: go.Solution) -> None:
-    """Within the tolerance the costates of the layer are off by 3e-5; the verdict forgives 1e-5."""
+    """In the layer the mesh is refined until the optimality check passes."""
     tol = 1e-6
     refined = go.refine(thin, tol=tol)
     assert refined.converged and go.verify(refined).ok and refined.history is not None
-    assert refined.history.tolerance == tol and refined.history.final.error < 1e-7
+    assert refined.history.tolerance == tol and refined.history.final.error < tol
     assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
 
 
