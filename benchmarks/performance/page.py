@@ -143,7 +143,7 @@ def _ending(row: Any) -> str:
     if row["objective"] is None:
         return str(row["status"]).replace("_", " ")
     words = [] if row["verdict_ok"] else [f"fails {', '.join(row['failed'])}"] if row["failed"] else []
-    words += [f"cannot tell {', '.join(row['inconclusive'])}"] if row["inconclusive"] else []
+    words += [f"inconclusive: {', '.join(row['inconclusive'])}"] if row["inconclusive"] else []
     return "; ".join(words) or "ok"
 
 

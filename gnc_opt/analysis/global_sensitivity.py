@@ -92,8 +92,8 @@ class SobolIndices(Printed):
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
-    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(scenario, "max(overshoot)", n=50, executor="serial")
     >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
     ('initial.q', 'initial.v', 'noise') 50 -0.13
     """
@@ -121,7 +121,7 @@ class SobolIndices(Printed):
 
 
 def sobol_indices(
-    experiment: Scenario,
+    scenario: Scenario,
     measure: str,
     *,
     n: int = 500,
@@ -132,10 +132,10 @@ def sobol_indices(
 
     Parameters
     ----------
-    experiment : Experiment
+    scenario : Scenario
         A vector that is dispersed is one factor.
     measure : str
-        As in `Campaign.measure`, or one of the experiment's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``judge``.
     n : int
         Rows; a row takes two runs and one more for each factor.
     confidence : float
@@ -156,17 +156,17 @@ def sobol_indices(
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
-    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(scenario, "max(overshoot)", n=50, executor="serial")
     >>> print(max(shares.total, key=lambda name: shares.total[name].value))
     initial.q
     """
     name = "sobol_indices()"
-    expect(experiment, Scenario, f"what {name} got", "give an Experiment")
-    experiment.require(measure)
+    expect(scenario, Scenario, f"what {name} got", "give a Scenario")
+    scenario.require(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
-    design = _Design(experiment, measure)
+    design = _Design(scenario, measure)
     shared = Shared.picklable(
         design, name, 'define judge= functions at the top of a module, or use executor="serial"'
     )
@@ -182,7 +182,7 @@ def sobol_indices(
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
-    return _indices(measure, design.factors, f[:, usable], count, level, experiment.seed)
+    return _indices(measure, design.factors, f[:, usable], count, level, scenario.seed)
 
 
 def _indices(
@@ -220,33 +220,33 @@ def estimates(f: Array) -> tuple[Array, Array]:
 class _Design:
     """The runs of rows."""
 
-    experiment: Scenario
+    scenario: Scenario
     measure: str
 
     @property
     def factors(self) -> tuple[str, ...]:
-        noise = (NOISE,) if self.experiment.noise_size else ()
-        return (*self.experiment.dispersions, *noise)
+        noise = (NOISE,) if self.scenario.noise_size else ()
+        return (*self.scenario.dispersions, *noise)
 
     def rows(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
-        flight, dispersions = self.experiment.flight, self.experiment.dispersions
+        flight, dispersions = self.scenario.flight, self.scenario.dispersions
         a, b = (
             np.stack([dispersed(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1)
-            for s in (2 * self.experiment.seed, 2 * self.experiment.seed + _OTHER)
+            for s in (2 * self.scenario.seed, 2 * self.scenario.seed + _OTHER)
         )
-        numbers = [[[2 * self.experiment.seed + k, i] for i in rows] for k in (0, _OTHER)]
+        numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, _OTHER)]
         found = [self._values(a, numbers[0]), self._values(b, numbers[1])]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)
             mixed[place] = b[place]
             found.append(self._values(mixed, numbers[0]))
-        if self.experiment.noise_size:
+        if self.scenario.noise_size:
             found.append(self._values(a, numbers[1]))
         return np.stack(found)
 
     def _values(self, P: Array, seeds: list[list[int]]) -> Array:
-        return self.experiment.values(self.measure, P, seeds)
+        return self.scenario.values(self.measure, P, seeds)
 
 
 @dataclass(frozen=True, eq=False)

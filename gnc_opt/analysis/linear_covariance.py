@@ -80,8 +80,8 @@ class CovarianceCheck(Printed):
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> result = go.linear_covariance(scenario, checks=0)
     >>> agreement = result.compare(campaign)
     >>> print(agreement.labels, agreement.runs, agreement.ok)
     ('q', 'v') 20 True
@@ -248,8 +248,8 @@ class LinearCovariance(Strict, Printed):
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> result = go.linear_covariance(scenario, checks=0)
     >>> print({source: f"{share:.0%}" for source, share in result.budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
     """
@@ -381,7 +381,7 @@ class LinearCovariance(Strict, Printed):
 @one_thread()
 @suggesting_keywords
 def linear_covariance(
-    experiment: Scenario,
+    scenario: Scenario,
     *,
     every: int = 1,
     checks: int = _NONLINEARITY_RUNS,
@@ -392,7 +392,7 @@ def linear_covariance(
 
     Parameters
     ----------
-    experiment : Experiment
+    scenario : Scenario
         Whose loop has no events. Only the means and covariances of its dispersions matter here; its seed is that of
         the runs to compare with.
     every : int
@@ -412,22 +412,22 @@ def linear_covariance(
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(experiment, checks=0)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> result = go.linear_covariance(scenario, checks=0)
     >>> print(result.sources)
     ('initial.q', 'initial.v', 'gauge')
     >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
-    expect(experiment, Scenario, "what linear_covariance() got", "give an Experiment")
+    expect(scenario, Scenario, "what linear_covariance() got", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
     checks = read_integer(checks, "the number of runs to compare with", 0)
-    flight, dispersions = experiment.flight, experiment.dispersions
+    flight, dispersions = scenario.flight, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
-    linearization = Linearization(flight, experiment.loop.wiring, columns)
+    linearization = Linearization(flight, scenario.loop.wiring, columns)
     if linearization.nominal_nis() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
-    return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
+    return _Pass(linearization, dispersions, every, checks, scenario.seed).result()
 
 
 class _Pass:

@@ -1,4 +1,4 @@
-"""Experiment: runs of a loop with chosen random numbers, and their measures.
+"""Scenario: runs of a loop with chosen random numbers, and their measures.
 
 All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the
 other, then those of the control steps. With these numbers a run can be repeated, varied or searched for the
@@ -64,8 +64,8 @@ class Scenario:
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> print(experiment.size, experiment.noise_size)  # random numbers of a run, and of each of its control steps
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> print(scenario.size, scenario.noise_size)  # random numbers of a run, and of each of its control steps
     2 1
     """
 
@@ -80,9 +80,9 @@ class Scenario:
     seed: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
-        expect(self.loop, ClosedLoop, "what an experiment flies", "give a ClosedLoop")
+        expect(self.loop, ClosedLoop, "what a scenario flies", "give a ClosedLoop")
         set_ = object.__setattr__
-        set_(self, "seed", read_integer(self.seed, "the seed of an experiment", 0))
+        set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.flight.layout, self.flight.nominal)
         set_(self, "dispersions", dict(self.dispersions))
         self.criteria.goal(self.flight)

@@ -76,9 +76,9 @@ class FailureProbability(Printed):
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
-    >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
+    >>> print(failure_probability(scenario, "max(overshoot)", 0.006, **asked))
     P(max(overshoot) > 0.006) = 0.000229 (3e-05 to 0.0017, 95 %), 638 runs in 3 repetitions
     """
 
@@ -100,7 +100,7 @@ class FailureProbability(Printed):
 
 
 def failure_probability(
-    experiment: Scenario,
+    scenario: Scenario,
     measure: str,
     limit: float,
     *,
@@ -116,10 +116,10 @@ def failure_probability(
 
     Parameters
     ----------
-    experiment : Experiment
+    scenario : Scenario
         The draws include the noise.
     measure : str
-        As in `Campaign.measure`, or one of the experiment's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``judge``.
     limit : float
         Largest permitted value.
     n : int
@@ -144,15 +144,15 @@ def failure_probability(
 
     Examples
     --------
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
-    >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
+    >>> rare = failure_probability(scenario, "max(overshoot)", 0.006, **asked)
     >>> print(rare.low < rare.probability < rare.high, rare.runs)
     True 638
     """
     name = "failure_probability()"
-    expect(experiment, Scenario, f"what {name} got", "give an Experiment")
-    experiment.require(measure)
+    expect(scenario, Scenario, f"what {name} got", "give a Scenario")
+    scenario.require(measure)
     bound = float(read_numbers(limit, f"the limit of '{measure}'").reshape(-1)[0])
     if not np.isfinite(bound):
         raise ArgumentError(f"the limit of '{measure}' is {bound:g}: give a finite number.")
@@ -163,7 +163,7 @@ def failure_probability(
         )
     repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
     confidence = read_probability(confidence, f"the confidence of {name}")
-    search = _Search(experiment, measure, bound, count)
+    search = _Search(scenario, measure, bound, count)
     shared = Shared.picklable(
         search, name, 'define judge= functions at the top of a module, or use executor="serial"'
     )
@@ -223,24 +223,22 @@ class Estimate:
 class _Search:
     """Common data of all repetitions."""
 
-    experiment: Scenario
+    scenario: Scenario
     measure: str
     limit: float
     count: int
 
     def repetition(self, index: int) -> Estimate:
         """Return the estimate of a repetition."""
-        generator = np.random.Generator(
-            np.random.Philox(np.random.SeedSequence([self.experiment.seed, index]))
-        )
-        noise = self.experiment.flight.n_steps * self.experiment.noise_size
-        return subset_simulation(self.value, self.experiment.size + noise, self.limit, self.count, generator)
+        generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([self.scenario.seed, index])))
+        noise = self.scenario.flight.n_steps * self.scenario.noise_size
+        return subset_simulation(self.value, self.scenario.size + noise, self.limit, self.count, generator)
 
     def value(self, z: Array) -> Array:
-        size = self.experiment.size
-        shape = (self.experiment.flight.n_steps, self.experiment.noise_size)
+        size = self.scenario.size
+        shape = (self.scenario.flight.n_steps, self.scenario.noise_size)
         numbers: list[Any] = [column.reshape(shape) for column in z[size:].T]
-        return self.experiment.values(self.measure, self.experiment.columns(z[:size]), numbers)
+        return self.scenario.values(self.measure, self.scenario.columns(z[:size]), numbers)
 
 
 def subset_simulation(

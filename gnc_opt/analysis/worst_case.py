@@ -53,8 +53,8 @@ class WorstCase(Printed):
     Examples
     --------
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
-    >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> worst = worst_case(scenario, "max(overshoot)", generations=3)
     >>> print(worst.value > worst.nominal, worst.runs)
     True 135
     """
@@ -77,7 +77,7 @@ class WorstCase(Printed):
 
 
 def worst_case(
-    experiment: Scenario,
+    scenario: Scenario,
     measure: str,
     *,
     generations: int = 40,
@@ -86,12 +86,12 @@ def worst_case(
 
     Parameters
     ----------
-    experiment : Experiment
+    scenario : Scenario
         Its dispersions are bounded: `Uniform`, `UniformInBall`, `Normal` with ``truncate`` and the like.
         How probable a value
         is does not matter; the seed is that of the search.
     measure : str
-        As in `Campaign.measure`, or one of the experiment's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``judge``.
     generations : int
         Of the search, at most; each simulates 15 runs per dispersed number (at least 30).
 
@@ -107,15 +107,15 @@ def worst_case(
     Examples
     --------
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> experiment = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
-    >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
+    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> worst = worst_case(scenario, "max(overshoot)", generations=3)
     >>> print(f"{worst.parameters['initial.q'][0]:.3f}")  # as far as it can be
     0.900
     """
-    expect(experiment, Scenario, "what worst_case() got", "give an Experiment")
-    experiment.require(measure)
+    expect(scenario, Scenario, "what worst_case() got", "give a Scenario")
+    scenario.require(measure)
     generations = read_integer(generations, "the number of generations of worst_case()", 1)
-    dispersions = experiment.dispersions
+    dispersions = scenario.dispersions
     if not dispersions:
         raise ArgumentError("nothing is dispersed, so the nominal run is the worst: give dispersions.")
     for name, dispersion in dispersions.items():
@@ -123,28 +123,28 @@ def worst_case(
             raise ArgumentError(
                 f"the dispersion of '{name}' has no bounds: give Uniform(), or truncate= to Normal()."
             )
-    flight = experiment.flight
-    quiet = np.zeros((flight.n_steps, experiment.noise_size))
+    flight = scenario.flight
+    quiet = np.zeros((flight.n_steps, scenario.noise_size))
     flown = 0
 
     def values(P: Array) -> Array:
         nonlocal flown
         flown += P.shape[1]
-        return experiment.values(measure, P, [quiet] * P.shape[1])
+        return scenario.values(measure, P, [quiet] * P.shape[1])
 
     def cost(cube: Array) -> Array:
-        columns = np.reshape(cube, (experiment.size, -1))
-        found = values(experiment.columns(normal_numbers(columns)))
+        columns = np.reshape(cube, (scenario.size, -1))
+        found = values(scenario.columns(normal_numbers(columns)))
         return -np.minimum(found, _FAILED)
 
-    people = max(15, 30 // experiment.size)
-    generator = np.random.default_rng(experiment.seed)
+    people = max(15, 30 // scenario.size)
+    generator = np.random.default_rng(scenario.seed)
     search = scipy.optimize.differential_evolution(
-        cost, [(0.0, 1.0)] * experiment.size, maxiter=generations, popsize=people, seed=generator,
+        cost, [(0.0, 1.0)] * scenario.size, maxiter=generations, popsize=people, seed=generator,
         vectorized=True, updating="deferred", polish=False, init="sobol",
     )  # fmt: skip
     best = _polished(cost, search.x)
-    P = experiment.columns(normal_numbers(best[:, None]))
+    P = scenario.columns(normal_numbers(best[:, None]))
     nominal = values(flight.nominal[:, None])[0]
     return WorstCase(
         measure,

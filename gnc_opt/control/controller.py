@@ -92,7 +92,7 @@ class Controller:
     alarms : tuple of str
         Entries of the memory that are 0 in normal operation and nonzero from the first step at which the law
         cannot meet its guarantees (a singular decoupling matrix, a failed QP, a NaN measurement).
-    explanation : Explanation
+    explanation : DesignReport
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; it is constant after the second. None: unknown.
     unbridged : Controller, optional

@@ -95,7 +95,7 @@ def with_dropout_handling(
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
     words = "the feedforward" if given is None else f"the command {given}"
     remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
-    told = inner.explanation
+    report = inner.explanation
     return replace(
         inner,
         step=step,
@@ -103,7 +103,7 @@ def with_dropout_handling(
         memory=Layout("memory", (*inner.memory.variables, *own), f"controller '{inner.name}'"),
         alarms=(*inner.alarms, INVALID),
         explanation=DesignReport(
-            told.title, (*told.facts, ReportEntry("dropouts", str(hold), remark=remark))
+            report.title, (*report.facts, ReportEntry("dropouts", str(hold), remark=remark))
         ),
         unbridged=inner,
         flight=flight,

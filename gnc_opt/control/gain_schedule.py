@@ -234,7 +234,7 @@ def _facts(
             f"{_where(middles[worst])} the interpolated gain leaves a pole at {poles[worst]:.3g} 1/s: "
             "give the grid more points there."
         )
-    told = "frozen, real part"
+    stability = "frozen, real part"
     given = (
         [ReportEntry("taken as given", ", ".join(points.given), "", "no control moves them")]
         if points.given
@@ -243,8 +243,10 @@ def _facts(
     return [
         ReportEntry("operating points", len(corners)),
         *given,
-        ReportEntry("slowest pole at the points", at_points, "1/s", told),
-        ReportEntry("slowest pole between them", poles[worst], "1/s", f"{told}, {_where(middles[worst])}"),
+        ReportEntry("slowest pole at the points", at_points, "1/s", stability),
+        ReportEntry(
+            "slowest pole between them", poles[worst], "1/s", f"{stability}, {_where(middles[worst])}"
+        ),
     ]
 
 

@@ -54,7 +54,7 @@ class Estimator:
         Of those that have one, the probability with which a right sample passes.
     dt : float
         Control step, s.
-    explanation : Explanation
+    explanation : DesignReport
 
     Examples
     --------

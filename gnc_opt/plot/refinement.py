@@ -51,7 +51,7 @@ def plot_verdict(verdict: Verdict) -> Figure:
         for result, (color, marker, label) in _LOOKS.items():
             chosen = [k for k, c in enumerate(verdict.conditions) if c.result is result]
             if chosen:
-                values = [_offence(verdict.conditions[k]) for k in chosen]
+                values = [_violation(verdict.conditions[k]) for k in chosen]
                 axes.hlines(rows[chosen], _VERDICT_LEAST, values, color=color, linewidth=2.5)
                 axes.plot(
                     values, rows[chosen], marker, color=color, markersize=7, label=f"{label} ({len(chosen)})"
@@ -60,7 +60,7 @@ def plot_verdict(verdict: Verdict) -> Figure:
         axes.set_xscale("log")
         axes.set_xlim(
             _VERDICT_LEAST,
-            10.0 ** np.ceil(np.log10(max(1.0, *map(_offence, verdict.conditions)) * 3)),
+            10.0 ** np.ceil(np.log10(max(1.0, *map(_violation, verdict.conditions)) * 3)),
         )
         axes.set_yticks(rows, [c.name for c in verdict.conditions])
         axes.tick_params(axis="y", length=0)
@@ -70,7 +70,7 @@ def plot_verdict(verdict: Verdict) -> Figure:
         return figure
 
 
-def _offence(condition: Condition) -> float:
+def _violation(condition: Condition) -> float:
     """Violation to draw, in tolerances; 1 or more fails."""
     value, tolerance = condition.value, condition.tolerance
     if not np.isfinite(value):

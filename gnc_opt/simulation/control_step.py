@@ -265,7 +265,7 @@ class ControlStep:
         if self.wiring.events:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
-        seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which keep what is not finite
+        seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
         self._watch(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told})

@@ -133,7 +133,7 @@ class Run(Strict, Printed):
     seed : str
     layouts : dict
         Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter, event.
-    events : tuple of Occurrence
+    events : tuple of EventOccurrence
         What happened between the control steps, in the order of time.
     replans : tuple of Replan
         What became of the re-plannings in flight, in the order of time.

@@ -1,9 +1,12 @@
 """Former names raise an error that names the present one, which exists."""
 
+import re
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
+import gnc_opt
 from gnc_opt.renamed import RENAMED, RenamedError
 
 
@@ -22,3 +25,21 @@ def test_an_import_of_a_former_name_reports_the_present_one() -> None:
         ImportError, match=r"gnc_opt\.control\.design_ekf is now gnc_opt\.estimation\.design_ekf"
     ):
         from gnc_opt.control import design_ekf  # noqa: F401
+
+
+def test_sources_use_no_former_name() -> None:
+    """Messages and docstrings included. Names that are ordinary words as well (Ball, Share) are left out."""
+    present = {name.rpartition(".")[2] for name in RENAMED.values()}
+    former = {name.rpartition(".")[2] for name in RENAMED} - present
+    former = {name for name in former if "_" in name or any(letter.isupper() for letter in name[1:])}
+    former |= {"Experiment", "Explanation", "Occurrence"}
+    assert len(former) > 12
+    pattern = re.compile(rf"\b({'|'.join(sorted(former))})\b")
+    package = Path(gnc_opt.__file__).parent
+    found = [
+        f"{path.relative_to(package)}: {name}"
+        for path in package.rglob("*.py")
+        if path.name != "renamed.py"
+        for name in pattern.findall(path.read_text())
+    ]
+    assert not found

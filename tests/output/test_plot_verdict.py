@@ -6,7 +6,7 @@ import pytest
 
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.plot import plot_verdict
-from gnc_opt.plot.refinement import _offence
+from gnc_opt.plot.refinement import _violation
 
 
 def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
@@ -33,7 +33,7 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
         (3e-5, 1e-5, ConditionResult.FAIL, 3.0),
         (2e-9, 1e-5, ConditionResult.PASS, 2e-4),
         (1e3, 1e4, ConditionResult.PASS, 0.1),  # a condition with a tolerance of its own
-        (-0.4, -1e-6, ConditionResult.PASS, 1e-12),  # a margin that is there is no offence, however large
+        (-0.4, -1e-6, ConditionResult.PASS, 1e-12),  # a margin that is there is no violation, however large
         (-0.4, 1e-5, ConditionResult.PASS, 1e-12),
         (2e-6, -1e-6, ConditionResult.FAIL, 3.0),  # one that is missing is
         (2e-5, 0.0, ConditionResult.FAIL, 2.0),
@@ -41,9 +41,9 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
         (float("nan"), 1e-5, ConditionResult.INCONCLUSIVE, 1.0),
     ],
 )
-def test_offences_are_drawn_in_tolerances(
+def test_violations_are_drawn_in_tolerances(
     value: float, tolerance: float, result: ConditionResult, drawn: float
 ) -> None:
-    offence = _offence(Condition("one", result, value, tolerance, "somewhere", "a meaning"))
-    assert offence == pytest.approx(drawn, rel=1e-12)
-    assert (offence > 1.0) == (result is ConditionResult.FAIL)
+    violation = _violation(Condition("one", result, value, tolerance, "somewhere", "a meaning"))
+    assert violation == pytest.approx(drawn, rel=1e-12)
+    assert (violation > 1.0) == (result is ConditionResult.FAIL)

@@ -71,7 +71,7 @@ def compiled(code, *more):
 
 
 def sanitized(code, *more):
-    """Compiled so that the address and undefined-behaviour sanitizers end the program at the first offence."""
+    """Compiled so that the address and undefined-behaviour sanitizers end the program at the first violation."""
     try:
         return compiled(code, *SANITIZERS, *more)
     except subprocess.CalledProcessError as error:

@@ -127,12 +127,12 @@ def export_c(
         Prefix of the C identifiers, by default the controller's name in small letters.
     span : (initial_time, final_time), optional
         Times between which the schedule changes, if the controller does not tell.
-    options : CodeOptions, optional
+    options : CCodeOptions, optional
         Single precision, and a flight over which the code is compared with the law.
 
     Returns
     -------
-    FlightCode
+    CCode
         Where the files are, and what they hold.
 
     Raises
@@ -175,13 +175,13 @@ def export_c(
 
 
 def _read_options(options: CCodeOptions | None) -> CCodeOptions:
-    told = CCodeOptions() if options is None else options
-    expect(told, CCodeOptions, "the options of export_c()", "give CodeOptions(...)")
-    if told.precision not in _NUMBERS:
+    chosen = CCodeOptions() if options is None else options
+    expect(chosen, CCodeOptions, "the options of export_c()", "give CCodeOptions(...)")
+    if chosen.precision not in _NUMBERS:
         raise ArgumentError(
-            f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
+            f"there is no precision {shown(chosen.precision)}: {did_you_mean(str(chosen.precision), list(_NUMBERS))}"
         )
-    return told
+    return chosen
 
 
 def _remark(options: CCodeOptions, missed: Array) -> str:

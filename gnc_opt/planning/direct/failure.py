@@ -62,15 +62,17 @@ def guess_to_give(problem: Problem) -> str:
         "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
         "coordinates), or a simpler problem's solution in go.guess_from_solution()."
     )
-    inconclusive = _untold(problem)
-    if not inconclusive:
+    names = _without_size(problem)
+    if not names:
         return hint
-    first = inconclusive[0]
-    names = ", ".join(f"'{name}'" for name in inconclusive)
-    return f"{hint} Begin with {names}: no bound, end or guess tells how large, as with_guess(phase, {first}=...) does."
+    listed = ", ".join(f"'{name}'" for name in names)
+    return (
+        f"{hint} Begin with {listed}: no bound, end value or guess gives the size; use "
+        f"with_guess(phase, {names[0]}=...)."
+    )
 
 
-def _untold(problem: Problem) -> list[str]:
+def _without_size(problem: Problem) -> list[str]:
     """Return the states of which neither a bound, nor an end, nor a guess is known in any phase."""
     told: dict[str, bool] = {}
     for leg in problem.phases.values():

@@ -30,20 +30,20 @@ SMEARED = 1e-4
 """A control that is between its bounds for less than this share of a phase is on its way from one to the other."""
 
 
-def lasting(times: Array, offence: Array) -> Array:
+def lasting(times: Array, violation: Array) -> Array:
     """Violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE` of the phase, since a kink between
     two nodes hardly
     affects the cost.
     """
     half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
-    areas = 0.5 * (offence[:, 1:] + offence[:, :-1]) * np.diff(times)
-    total = np.concatenate([np.zeros((offence.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
+    areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
+    total = np.concatenate([np.zeros((violation.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
     middle = np.clip(times, times[0] + half, times[-1] - half)
     means = [
         (np.interp(middle + half, times, row) - np.interp(middle - half, times, row)) / (2 * half)
         for row in total
     ]
-    return np.asarray(np.reshape(means, offence.shape))
+    return np.asarray(np.reshape(means, violation.shape))
 
 
 def without_switches(times: Array, inside: Mask) -> Mask:

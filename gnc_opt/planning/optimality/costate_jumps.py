@@ -221,7 +221,7 @@ def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
     for k in np.flatnonzero(_reached_or_left(s)):
         if np.max(residual[:, k]) > tolerance:
             edge = _integrate_anew(s, int(k), tolerance)
-            if edge is not None and np.max(edge.offence) <= tolerance:
+            if edge is not None and np.max(edge.violation) <= tolerance:
                 edges.append(edge)
     return replace(s, edges=tuple(edges)) if edges else s
 

@@ -195,7 +195,7 @@ _WRONG = 1e-7
 STEADY_SHARE = 1e-7
 """What moves by less than this share of its size is constant."""
 
-GROWTH, MOST_EXPONENT = 1e4, 20.0
+MAX_TRANSITION_NORM, MOST_EXPONENT = 1e4, 20.0
 """Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
 
 _ROUNDS = 8
@@ -342,7 +342,7 @@ class _CostateForm:
         return unknowns
 
     def residual(self, unknowns: Array, n_rows: int) -> Array:
-        """Return what is left of all rows (n_rows,); of freed ones the multiplier with its sign reversed."""
+        """Return the residuals of all rows (n_rows,); of freed ones the multiplier with its sign reversed."""
         left = np.zeros(n_rows)
         left[self._loose] = self.right + self.matrix @ unknowns
         left[self.freed] = -unknowns[self.columns.size :]
@@ -402,7 +402,7 @@ def _right_signs(
     # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
     only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
     one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
-    # They push by as much as they can everywhere, lest one vanishes at a point and pulls beside it.
+    # Multipliers are as large as possible, so that none vanishes at a point and has the wrong sign next to it.
     margin = np.ones((one_sided.shape[0], 1))
     loose = imposed & np.isin(np.arange(n_rows), form._loose)
     signs = [
@@ -475,7 +475,7 @@ def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indi
     steps, found, transition = scipy.linalg.expm(scaled), [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
         transition = transition @ steps[k]
-        if np.linalg.norm(transition, 2) > GROWTH:
+        if np.linalg.norm(transition, 2) > MAX_TRANSITION_NORM:
             found.append(k)
             transition = np.eye(size.size)
     return np.array(found[::-1], dtype=int)

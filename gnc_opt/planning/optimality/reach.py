@@ -33,7 +33,7 @@ CELLS = 40
 """Cells of a phase, at least, in which its linearised dynamics are constant."""
 
 _LARGEST_GROWTH = 60.0
-"""Logarithm of the largest growth of errors that is told."""
+"""Logarithm of the largest growth of errors that is reported."""
 
 _EXPONENT = 25.0
 """Largest entry of an exponent, against overflow along dynamics that are much faster than a cell."""

@@ -75,7 +75,7 @@ the reach of the states are those of singular arcs."""
 ROUGH_SAMPLES = 5
 """One of so many samples is used for a magnitude that need not be exact."""
 
-STEP_SHARE = 1e-4
+SECOND_DIFFERENCE_STEP_SHARE = 1e-4
 """Step of second differences by parameters, in shares of their size."""
 
 
@@ -188,20 +188,26 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
     second = 0.5 * np.einsum("ijt,it,jt,t->", bends, deviation, deviation, s.weights)
     slopes = np.abs(finite(s.cost_slope)), np.abs(finite(s.switching - s.cost_slope))
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
-    told = float(first + second)
-    return told if told > VANISHED_SHARE * terms else terms
+    change = float(first + second)
+    return change if change > VANISHED_SHARE * terms else terms
 
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the largest half second difference of the integral of H over the reach of the states, roughly."""
-    changes = second_differences(s, ellipsoid.principal, STEP_SHARE, ROUGH_SAMPLES)[1] / STEP_SHARE
+    changes = (
+        second_differences(s, ellipsoid.principal, SECOND_DIFFERENCE_STEP_SHARE, ROUGH_SAMPLES)[1]
+        / SECOND_DIFFERENCE_STEP_SHARE
+    )
     return float(np.max(np.abs(finite(changes)), initial=0.0))
 
 
 def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the sum of the half second differences of the integral of H over the reach of each state alone."""
     moves = np.diag(ellipsoid.radius)
-    changes = second_differences(s, moves, STEP_SHARE, ROUGH_SAMPLES)[1] / STEP_SHARE
+    changes = (
+        second_differences(s, moves, SECOND_DIFFERENCE_STEP_SHARE, ROUGH_SAMPLES)[1]
+        / SECOND_DIFFERENCE_STEP_SHARE
+    )
     return float(np.sum(np.abs(finite(changes))))
 
 
@@ -243,7 +249,7 @@ def _parameter_deviations(
     bends = np.zeros(values.size)
     for i in range(values.size):
         step = np.zeros(values.size)
-        step[i] = STEP_SHARE * size[i]
+        step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
         slopes = [_parameter_slope(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
     bends = np.where(np.isfinite(bends), bends, 0.0)
@@ -321,7 +327,7 @@ class EndPoints:
     def curvature(self, reach: Mapping[str, Reach], *, constrained: bool = False) -> float:
         """Return the largest half second difference of the end cost over the reach of the ends.
 
-        With the boundary constraints and their multipliers if asked for.
+        If requested with the boundary constraints and their multipliers.
         """
         found = self._differences(self._moves(reach))
         if found is None:
@@ -356,7 +362,7 @@ class EndPoints:
         return first, second, terms
 
     def _moves(self, reach: Mapping[str, Reach], *, still: bool = False) -> list[list[Array]]:
-        """Return moves of the ends along their principal axes, of length 1 for what nothing moves if asked for."""
+        """Return moves of the ends along their principal axes; if ``still``, those that nothing moves have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
@@ -377,7 +383,7 @@ class EndPoints:
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.fixed[0]:
                 rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
-                step = STEP_SHARE * s.span
+                step = SECOND_DIFFERENCE_STEP_SHARE * s.span
                 moves.append(self._move({place: finite(rate) * step, place + 2: np.array([step])}))
         return moves
 

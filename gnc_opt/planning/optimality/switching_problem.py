@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSa
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 
-GRIDS, RESOLVED = (1, 2, 4, 8, 16, 32), 1e-3
+GRIDS, RESOLVED_END_SHARE = (1, 2, 4, 8, 16, 32), 1e-3
 """By how much the steps of a flow may be refined, and how near the solution's end it then ends, in shares of what the
 states move: order and error of an integration are known where it resolves the dynamics only."""
 
@@ -248,7 +248,7 @@ def _grid(
     flows = []
     for finer in GRIDS:
         flows.append(bang_bang_flow(problem, s, pieces, free_start, finer))
-        if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED * s.state_scale):
+        if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED_END_SHARE * s.state_scale):
             return finer, flows[-1]
     which = 0 if np.isfinite(flows[0].final).all() else -1
     return GRIDS[which], flows[which]

@@ -192,12 +192,12 @@ def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
     guessed = try_along(problem, leg, times, start.states, start.controls, q)
     texts = []
     for kind, tried in try_along(problem, leg, times, start.states, still, q).items():
-        for row, what in _offences(leg, tried, guessed[kind]):
+        for row, what in _undefined_values(leg, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.where} has {what}: {_REMEDY}")
     return texts
 
 
-def _offences(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
+def _undefined_values(leg: Phase, tried: Tried, guessed: Tried) -> Iterator[tuple[int, str]]:
     """Yield rows with their faults at zero controls and at the guess."""
     n = leg.model.states.size
     columns = slice(n, n + leg.model.controls.size)

@@ -107,7 +107,7 @@ class WorkBudget:
 
     @property
     def left(self) -> float:
-        """What is left, s of the reference processor, and of CPU time in any case."""
+        """Remaining work, s of the reference processor; at most the remaining CPU time."""
         return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
     def charge(self, solution: Solution) -> None:

@@ -156,7 +156,7 @@ def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     """Return which candidate to keep: of those that pass the check, else of all, the one with the least estimate.
 
     Of several whose estimates are within the tolerance, the one with the least local error: their objectives differ by
-    less than is asked for, their trajectories may not. A clearly lower minimum wins in any case.
+    less than the tolerance, their trajectories may not. A clearly lower minimum wins in any case.
     """
     solved = [k for k, c in enumerate(candidates) if c.solved]
     if not solved:
@@ -262,5 +262,5 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
 
 def _on_singular_arcs(verdict: Verdict) -> str:
     """Say what may keep a refinement with singular arcs from its end, and where they are."""
-    part, _, where = verdict["second order"].where.partition(": ")
-    return f" {_CHATTERING.format(where=where)}" if part == "singular arcs" else ""
+    _, found, where = verdict["second order"].where.partition("singular arcs: ")
+    return f" {_CHATTERING.format(where=where.partition(';')[0])}" if found else ""

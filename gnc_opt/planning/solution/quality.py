@@ -53,7 +53,7 @@ _STEPS = DISTANCE_SEARCH_RADIUS * 4.0 ** np.arange(-22.0, 1.0)
 _PARTS, _DISTANCE_SEARCH_ITERATIONS = 16, 6
 
 
-def bound_offences(found: Violations, bounds: Interval, scale: Array) -> Array:
+def bound_violations(found: Violations, bounds: Interval, scale: Array) -> Array:
     """Return how far states or controls of given sizes (n,) are beyond their bounds, as shares (m,)."""
     rows = found.limits.rows
     here = Interval(bounds.lower[rows], bounds.upper[rows])
@@ -66,7 +66,7 @@ def shares(depth: Array, bounds: Interval, scale: Array) -> Array:
     return _shares(depth, np.where(width > PINNED, width, np.inf))
 
 
-def path_offences(found: Violations, samples: PhaseSamples) -> Array:
+def path_violations(found: Violations, samples: PhaseSamples) -> Array:
     """Return the distance of points from the feasible set of their path constraints, as shares (m,).
 
     If the gradient vanishes (the centre of a sphere) or no feasible point lies along it, the distance is that
@@ -457,10 +457,10 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
         found = violations(samples, Limits.of(signals, bounds))
         if found.times.size:
             scale = samples.state_scale if signals is _states else samples.control_scale
-            offences = bound_offences(found, bounds, scale)
-            i = int(np.argmax(offences))
+            shares = bound_violations(found, bounds, scale)
+            i = int(np.argmax(shares))
             place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
-            worst = worst.or_worse(Worst(float(offences[i]), place))
+            worst = worst.or_worse(Worst(float(shares[i]), place))
     return worst
 
 
@@ -475,10 +475,10 @@ def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) 
     found = violations(samples if at is None else at, Limits.of(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
-    offences = path_offences(found, samples)
-    i = int(np.argmax(offences))
+    shares = path_violations(found, samples)
+    i = int(np.argmax(shares))
     what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
-    return Worst(float(offences[i]), samples.place_at(found.times[i], what))
+    return Worst(float(shares[i]), samples.place_at(found.times[i], what))
 
 
 def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:

@@ -55,13 +55,13 @@ class EdgeSegment:
     ----------
     segment : int
     costates : array (n_states, n_samples of the segment)
-    offence : array (n_states,)
+    violation : array (n_states,)
         Residual that no multiplier of admissible sign explains, as a share of the cost.
     """
 
     segment: int
     costates: Array
-    offence: Array
+    violation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,7 +432,7 @@ class PhaseSamples:
         residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
         residual = residual * self.state_scale[:, None] / self.cost_scale
         for edge in self.edges:
-            residual[:, edge.segment] = edge.offence
+            residual[:, edge.segment] = edge.violation
         return np.asarray(residual)
 
     def place(self, column: int, what: str = "") -> str:

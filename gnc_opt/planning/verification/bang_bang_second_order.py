@@ -131,17 +131,19 @@ def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
-        offence = _offence_beside(s, int(i), times[channels == i], float(t))
-        if np.isnan(slope) or np.isnan(offence):
+        violation = _violation_beside(s, int(i), times[channels == i], float(t))
+        if np.isnan(slope) or np.isnan(violation):
             found.append(_Crossing(False, -np.inf, where))
-        elif slope < -GRAZES and offence <= GRAZES:
-            found.append(_Crossing(True, float(slope), f"{where}: the wrong sign by {offence:.1e} of H only"))
+        elif slope < -GRAZES and violation <= GRAZES:
+            found.append(
+                _Crossing(True, float(slope), f"{where}: the wrong sign by {violation:.1e} of H only")
+            )
         else:
             found.append(_Crossing(bool(slope >= -GRAZES), float(slope), where))
     return min(found)
 
 
-def _offence_beside(s: PhaseSamples, i: int, own: Array, time: float) -> float:
+def _violation_beside(s: PhaseSamples, i: int, own: Array, time: float) -> float:
     """The most by which a switching function has the wrong sign between the switches before and after one, of H."""
     before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
     near = (s.times >= before) & (s.times <= after)
@@ -178,12 +180,12 @@ class SecondOrder:
 
     Attributes
     ----------
-    offence : float
+    violation : float
         Largest component of the Lagrangian's gradient, or multiplier of the wrong sign.
-    offence_error : float
+    violation_error : float
         Estimated error of the gradient.
     where : str
-        Of the offence.
+        Of the violation.
     least : float
         Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
     error : float
@@ -194,8 +196,8 @@ class SecondOrder:
         Whether the direction of the smallest eigenvalue keeps all one-sided conditions.
     """
 
-    offence: float
-    offence_error: float
+    violation: float
+    violation_error: float
     where: str
     least: float
     error: float
@@ -272,9 +274,9 @@ def second_order(
         )
         for k, orders in enumerate(every)
     ]  # fmt: skip
-    off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
-    gradient = ConditionResult.PASS if off.offence <= tolerance else ConditionResult.FAIL
-    if off.where == NOT_FLOWN or tolerance < off.offence <= tolerance + off.offence_error:
+    off = max(found, key=lambda f: np.inf if np.isnan(f.violation) else f.violation)
+    gradient = ConditionResult.PASS if off.violation <= tolerance else ConditionResult.FAIL
+    if off.where == NOT_FLOWN or tolerance < off.violation <= tolerance + off.violation_error:
         gradient = ConditionResult.INCONCLUSIVE
     worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
@@ -290,7 +292,7 @@ def second_order(
     value = 0.0 if worst.freedom == 0 else -worst.least
     place = f"phase {phases}: {place}"
     return [
-        Condition(names[0], gradient, off.offence, tolerance, off.where, meanings[0], sufficient=True),
+        Condition(names[0], gradient, off.violation, tolerance, off.where, meanings[0], sufficient=True),
         Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
     ]
 
@@ -323,11 +325,11 @@ def _judge(
     shares = np.concatenate([np.abs(residual) / unknowns.worth[free], wrong])
     labels = [*np.array(unknowns.labels)[free], *(conditions.labels[k] for k in active)]
     place = int(np.argmax(shares)) if shares.size else -1
-    offence = float(shares[place]) if shares.size else 0.0
+    violation = float(shares[place]) if shares.size else 0.0
     every = np.zeros(conditions.values.size)
     every[active] = multipliers / norms
     gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
-    offence_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
+    violation_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
     # A condition without a multiplier, or an order without one, only restricts directions to one side.
     strong = (sides == 0) | (np.abs(multipliers) > WEAK_MULTIPLIER_SHARE * cost)
     kept = np.vstack([rows[strong], precedences[pushes > WEAK_MULTIPLIER_SHARE * cost]])
@@ -337,18 +339,18 @@ def _judge(
     null = _null_space(kept)
     if not null.shape[1]:
         return SecondOrder(
-            offence, offence_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
+            violation, violation_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
         )
     (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
     hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
-    error += EXACT + offence
+    error += EXACT + violation
     keeps = sided @ (null @ vectors[:, 0])
     attained = bool(np.all(keeps >= -HALF_SPACE_SLACK) or np.all(keeps <= HALF_SPACE_SLACK))
     least = float(eigenvalues[0]) / (size + cost)
-    return SecondOrder(offence, offence_error, labels[place], least, error, null.shape[1], attained)
+    return SecondOrder(violation, violation_error, labels[place], least, error, null.shape[1], attained)
 
 
 def least_squares(

@@ -1,7 +1,7 @@
-"""Pontryagin's minimum principle: the control minimises the Hamiltonian, along the flown control.
+"""Pontryagin's minimum principle: the applied control minimises the Hamiltonian.
 
-Offences are first-order or actual gains in H that are left, in shares of what the terms of H amount to along the
-phase. The module `costates` states the principle and its sources.
+Violations are gains of H by other controls, to first order or in full, in shares of the cost scale (module
+`reference_scales`). The module `costate_conditions` states the principle and its sources.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.feasibility import condition_of
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -33,7 +33,7 @@ CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
 
 SLOPE_MIN_SHARE = 1e-3
-"""Gain of H across a control's range, in shares of what all controls are worth, from which its slope has a sign."""
+"""Gain of H across a control's range, in shares of that of all controls, above which its slope has a sign."""
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -62,13 +62,13 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
         loss, on_bound = _losses(s, scales)
         loss = np.where(loss * s.span > RESOLVED_GAIN_SHARE * scales.cost, loss, 0.0)
         share = loss / control_worth(s, scales)[:, None]
-        offence = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
-        signed = np.copysign(offence, s.control_gradient)
-        means = lasting(s.times, np.abs(_segment_means(s, signed)))
+        gain = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
+        means = lasting(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
-        peak = np.max(means, axis=1, initial=TINY)
-        offence = np.fmax(means * (root_mean / peak)[:, None], lasting(s.times, offence) * np.sqrt(tolerance))
-        worst = worst.or_worse(_worst_control(s, offence, "dH/du of "))
+        # The place is that of the largest mean.
+        by_phase = np.where(means == np.max(means, axis=1, keepdims=True), root_mean[:, None], 0.0)
+        violation = np.maximum(by_phase, lasting(s.times, gain) * np.sqrt(tolerance))
+        worst = worst.or_worse(_worst_control(s, violation, "dH/du of "))
     return worst
 
 
@@ -97,8 +97,8 @@ def control_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _losses(s, scales)
-        offence = lasting(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.or_worse(_worst_control(s, offence, "switching function of "))
+        gain = lasting(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
+        worst = worst.or_worse(_worst_control(s, gain, "switching function of "))
     return worst
 
 
@@ -121,7 +121,7 @@ def _worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
 
 
 def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = "") -> Condition:
-    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere.
+    """No other admissible control has a smaller H: by formulas where H is affine or convex in it, else by a search.
 
     Its loss is the integral of H less its least value: what the cost changes to first order if the control is
     replaced, in ``unit``.
@@ -140,7 +140,7 @@ def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit:
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    found = judge("minimum principle", worst, tolerance, meaning)
+    found = condition_of("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -306,14 +306,14 @@ def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     inside : bool array (m, n_samples)
         Between the bounds, and active constraints leave all directions free.
     """
-    loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
+    loss, unit = _range_losses(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
     inside = _inside(s)
     some, whole = left(s, inside, unit, tolerance)
     singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
     return without_switches(s.times, singular), inside & whole
 
 
-def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
+def _range_losses(s: PhaseSamples) -> tuple[Array, Mask]:
     """First-order loss in H of each control, cost per second, and whether it sits on a bound."""
     bounds, scale = s.leg.control_bounds, s.control_span
     gradient = s.control_gradient

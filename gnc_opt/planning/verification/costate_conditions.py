@@ -4,12 +4,12 @@ With :math:`H = w^T L + \lambda^T f`, :math:`H_a = H + \mu^T c` and :math:`\tild
 satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995)
 
 * :math:`\dot\lambda = -\partial H_a/\partial x - z_x` with jumps only where a state
-  constraint pushes (module `pushes`),
+  constraint is active (module `costate_jumps`),
 * :math:`\lambda(t_0) = -\partial\tilde\Phi/\partial x_0` and :math:`\lambda(t_f) = \partial\tilde\Phi/\partial x_f`
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
-* :math:`dH/dt = \partial H_a/\partial t`, with jumps where a state constraint that moves pushes,
-* u minimises H among the admissible controls (module `controls`).
+* :math:`dH/dt = \partial H_a/\partial t`, with jumps where a moving state constraint is active,
+* u minimises H among the admissible controls (module `control_conditions`).
 
 Gradients count by what they change over the reach of the states, in shares of the cost scale
 (module `reference_scales`).
@@ -110,7 +110,7 @@ def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Wo
         inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
         share = np.fmax(along.change(total), inside) / cost
         for edge in s.edges:  # inside, a polynomial through a jump is off; costates integrated again are not
-            own = along.change((edge.offence * s.cost_scale / s.state_scale)[:, None])[0] / cost
+            own = along.change((edge.violation * s.cost_scale / s.state_scale)[:, None])[0] / cost
             share[edge.segment] = np.fmin(share[edge.segment], own)
         share = np.where(np.all(np.isfinite(total), axis=0), share, np.inf)
         k = int(np.argmax(share))
@@ -138,10 +138,10 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scal
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
             left = np.copysign(_unexplained(left, s.x[:, at], push.limits, s.state_scale), left)
-            offence = float(ellipsoid.change(left)) / scales.cost
+            violation = float(ellipsoid.change(left)) / scales.cost
             i = int(np.argmax(np.abs(left) * ellipsoid.radius))
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
-            worst = worst.or_worse(Worst(offence, place))
+            worst = worst.or_worse(Worst(violation, place))
         drifts = np.array([push.drift for push in pushes.values()])
         worst = worst.or_worse(_time_transversality(s, ends, drifts, scales))
     return worst
@@ -171,9 +171,9 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, sca
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     # Multipliers are known for times that are variables only.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    offence = np.maximum(_unexplained(gaps, times, box, span), told) * s.span / scales.cost
-    i = int(np.argmax(offence))
-    worst = Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
+    violation = np.maximum(_unexplained(gaps, times, box, span), told) * s.span / scales.cost
+    i = int(np.argmax(violation))
+    worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.or_worse(
         Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
     )
@@ -214,10 +214,10 @@ def complementarity(
             ),
         ):
             if labels:
-                offence = _slack_offence(multipliers, values, box, scale) * shares / scales.cost
-                i, j = worst_index(offence)
+                violation = _slack_violation(multipliers, values, box, scale) * shares / scales.cost
+                i, j = worst_index(violation)
                 where = f"phase {leg.name}, t = {times[j]:.6g} s, multiplier of {labels[i]}"
-                worst = worst.or_worse(Worst(float(offence[i, j]), where))
+                worst = worst.or_worse(Worst(float(violation[i, j]), where))
     return worst
 
 
@@ -228,9 +228,9 @@ def _end_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> 
         return NOTHING
     box = solution.need_problem("verify").constraint_interval()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
-    offence = _slack_offence(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
-    i = int(np.argmax(offence))
-    return Worst(float(offence[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
+    violation = _slack_violation(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
+    i = int(np.argmax(violation))
+    return Worst(float(violation[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
 
 
 def _impulses(s: PhaseSamples, scales: Scales) -> Worst:
@@ -241,14 +241,16 @@ def _impulses(s: PhaseSamples, scales: Scales) -> Worst:
     impulses, beside = leg.state_impulses[:, 1:-1], pushed_beside(s, leg.state_multipliers)
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
-    offence = _slack_offence(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
-    i, k = worst_index(offence)
+    violation = (
+        _slack_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius) / scales.cost
+    )
+    i, k = worst_index(violation)
     return Worst(
-        float(offence[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
+        float(violation[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
     )
 
 
-def _slack_offence(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _slack_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """|multiplier| times the room to the limit that could exert it (at most the scale)."""
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)
@@ -268,9 +270,9 @@ def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradien
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier a bound would have to exert is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
-    offence = _unexplained(-left, values, box, parameter_scale(solution)) * scales.parameters / scales.cost
-    i = int(np.argmax(offence))
-    return Worst(float(offence[i]), f"parameter {solution.free_parameters.labels[i]}")
+    violation = _unexplained(-left, values, box, parameter_scale(solution)) * scales.parameters / scales.cost
+    i = int(np.argmax(violation))
+    return Worst(float(violation[i]), f"parameter {solution.free_parameters.labels[i]}")
 
 
 def _parameter_atoms(s: PhaseSamples, ends: EndGradients) -> Array:

@@ -1,4 +1,4 @@
-"""verify: judge a solution by Pontryagin's minimum principle."""
+"""verify: check a solution by Pontryagin's minimum principle and second-order conditions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from gnc_opt.planning.verification import (
     feasibility,
 )
 from gnc_opt.planning.verification.costate_conditions import with_end_limits
-from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.feasibility import condition_of
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.normality import beside_normal, normality
 from gnc_opt.planning.verification.recomputed import (
@@ -73,6 +73,7 @@ from gnc_opt.planning.verification.switching_times import switching_times
 CONDITION_TOLERANCE = 1e-5
 
 _SECOND = ("second order", "switching times")
+SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
     "The cost may not change to first order with states (adjoint equation), ends and times (transversality), "
@@ -83,18 +84,18 @@ _ACTIVE_SET = (
     "function: a switch is in the wrong place, or an arc is missing."
 )
 _NO_EXTREMAL = (
-    "The second order tells extremals that are minima from others, and this is no extremal: see what fails."
+    "The second order distinguishes minima from other extremals, and this is no extremal: see what fails."
 )
 _AFTER_OTHERS = "not evaluated, as other conditions fail"
-_CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
+_CANNOT_VARY = "Costates or other numbers are missing: the cost of variations is unknown."
 
 
 @one_thread()
 def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
-    """Judge a solution's trajectory and costates against its problem, densely in time.
+    """Check a solution's trajectory and costates against its problem, densely in time.
 
     Nothing of the solver's residuals is used, and everything but times, states, controls, free parameters, costates
-    and multipliers is computed anew from the problem, so a trajectory from any source can be judged. All values are
+    and multipliers is computed anew from the problem, so a trajectory from any source can be checked. All values are
     dimensionless, see each condition's ``meaning``.
 
     Parameters
@@ -129,22 +130,22 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
     known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
     if known is None:
-        known = _judge(solution, tol)
+        known = _checked(solution, tol)
         if tol == CONDITION_TOLERANCE:  # the one field of a solution that is set after its construction
             object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
-def _judge(solution: Solution, tol: float) -> Verdict:
+def _checked(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, from_problem(solution)
     samples = list(solution.samples().values())
     ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
-    told = has_costates(samples, ends, amounts.cost)
-    missing = missing_number(stored, told)
+    with_costates = has_costates(samples, ends, amounts.cost)
+    missing = missing_number(stored, with_costates)
     samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
     scales = Scales.of(solution, samples)
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
-    kept = missing.or_worse(costates_kept_twice(samples) if told else NOTHING)
+    kept = missing.or_worse(costates_kept_twice(samples) if with_costates else NOTHING)
     limits = [feasibility.limits(solution, samples, scales, tol)]
     if any(table_uses(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.tables(solution))
@@ -155,50 +156,53 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         _joined(
             "cost",
             [
-                feasibility.cost(stored, samples, ends, told, scales, tol),
+                feasibility.cost(stored, samples, ends, with_costates, scales, tol),
                 stored_numbers(stored, solution, kept, tol),
             ],
         ),
     ]
     first = _first_order(solution, samples, ends, scales, tol)
-    concave = None if missing.value or not told else concave_kink(lasting, scales)
-    failed = told and any(c.result is ConditionResult.FAIL for c in first)
+    concave = None if missing.value or not with_costates else concave_kink(lasting, scales)
+    failed = with_costates and any(c.result is ConditionResult.FAIL for c in first)
     if failed and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
         first = [_of_least_cost(c) for c in first]
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
-    if fails and told:
-        second = [_untold(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
-        arcs = _singular_parts(problem, lasting, tol)[1]
-        if arcs.result is not ConditionResult.PASS:
-            second[0] = replace(second[0], where=f"{arcs.name}: {arcs.where}; {_AFTER_OTHERS}")
-    elif told and not missing.value:
+    if fails and with_costates:
+        second = [_inconclusive(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
+        second[0] = _naming_singular_arcs(second[0], _singular_parts(problem, lasting, tol))
+    elif with_costates and not missing.value:
         second = _second_order(solution, samples, ends, scales, tol, first[2].loss)
     else:
-        second = [_untold(name, missing.where, _CANNOT_VARY) for name in _SECOND]
-    judged = [*first, *second]
+        second = [_inconclusive(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+    checked = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
-        judged = [_without_length(c, vanished) for c in judged]
-    doubted = told and any(c.result is not ConditionResult.PASS for c in judged)
+        checked = [_without_length(c, vanished) for c in checked]
+    doubted = with_costates and any(c.result is not ConditionResult.PASS for c in checked)
     if doubted and reaches_least_cost(solution, samples, ends.cost, scales.change_of_cost, tol):
-        judged = [_of_least_cost(c) for c in judged]
-    if not fails and any(_leaves_open(c) for c in judged) and told and _is_only_one(problem, lasting):
-        judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
+        checked = [_of_least_cost(c) for c in checked]
+    if (
+        not fails
+        and any(_leaves_open(c) for c in checked)
+        and with_costates
+        and _is_only_one(problem, lasting)
+    ):
+        checked = [_of_one_solution(c) if _leaves_open(c) else c for c in checked]
     kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
     if concave is not None:
         kinks = smoothness(concave, False, falls=True)
     elif any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else roughness(problem, lasting, tol)
-        kinks = smoothness(rough, any(c.result is ConditionResult.FAIL for c in judged))
+        kinks = smoothness(rough, any(c.result is ConditionResult.FAIL for c in checked))
         if rough is not None:
-            judged = [beyond_theorems(c, rough) for c in judged]
+            checked = [beyond_theorems(c, rough) for c in checked]
     if missing.value:
-        judged = [_incomplete(c, missing.where) for c in judged]
-    if not told:
-        judged = [_without_costates(c) for c in judged]
-    conditions = (*trajectory, *judged[: len(first)], kinks, *judged[len(first) :])
-    return Verdict(solution.problem_name, conditions, not_checked="" if told else "no costates")
+        checked = [_incomplete(c, missing.where) for c in checked]
+    if not with_costates:
+        checked = [_without_costates(c) for c in checked]
+    conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
+    return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
 
 
 def _first_order(
@@ -216,8 +220,8 @@ def _first_order(
         costates.complementarity(solution, lasting, ends, scales)
     )
     return [
-        judge("stationarity", gradient, tol, _STATIONARITY),
-        judge("active set", active, tol, _ACTIVE_SET),
+        condition_of("stationarity", gradient, tol, _STATIONARITY),
+        condition_of("active set", active, tol, _ACTIVE_SET),
         controls.minimum(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 
@@ -250,9 +254,17 @@ def _second_order(
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_within_errors(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _joined("second order", parts),
+        _naming_singular_arcs(_joined("second order", parts), parts),
         _joined("switching times", [*strict, switching_times(solution, samples, ends, scales)]),
     ]
+
+
+def _naming_singular_arcs(condition: Condition, parts: list[Condition]) -> Condition:
+    """Return a condition that names the singular arcs which nothing determines, whatever decides its result."""
+    arcs = next((c for c in parts if c.name == SINGULAR_ARCS), None)
+    if arcs is None or arcs.result is ConditionResult.PASS or SINGULAR_ARCS in condition.where:
+        return condition
+    return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
 
 
 def _within_errors(condition: Condition) -> Condition:
@@ -280,10 +292,10 @@ def _singular_parts(problem: Problem, samples: list[PhaseSamples], tol: float) -
     undetermined = [controls.undetermined(s, tol) for s in samples]
     singular = [mask for mask, _ in undetermined]
     arcs = [singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)]
-    told_by_arcs = [of_first_order(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
+    determined = [of_first_order(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
     return [
         controls.legendre_clebsch(samples, tol, singular),
-        controls.singular_arcs(samples, tol, singular, told_by_arcs),
+        controls.singular_arcs(samples, tol, singular, determined),
         generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
     ]
 
@@ -296,16 +308,16 @@ def _second_variation(
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:
-        return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
+        return [_inconclusive("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     return [reduced_hessian(solution, samples, cone), _normality(solution, samples, rounding)]
 
 
 def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
-    """By the magnitudes of the program and, where those may be too large, by what the flight moves."""
+    """By the magnitudes of the program and, where those may be too large, by those of the trajectory."""
     cone = critical_cone(solution, rounding=rounding)
-    told = normality(cone)
-    if told.result is ConditionResult.PASS:
-        return beside_normal(told, cone)
+    found = normality(cone)
+    if found.result is ConditionResult.PASS:
+        return beside_normal(found, cone)
     return normality(critical_cone(solution, samples, rounding, visible_spans))
 
 
@@ -318,9 +330,9 @@ def _of_convex(condition: Condition) -> Condition:
 
 
 def _of_least_cost(condition: Condition) -> Condition:
-    """Where nothing can cost less, costates are rounding and say nothing against it; whether it is strict is open.
+    """Where no trajectory can cost less, costates are rounding errors and no evidence against it.
 
-    Constraints that leave the cost no say (normality) are told whatever it is.
+    Whether the minimum is strict stays open. Abnormality is reported in any case.
     """
     if condition.result is ConditionResult.PASS or condition.where.startswith("normality:"):
         return condition
@@ -341,16 +353,16 @@ def _leaves_open(condition: Condition) -> bool:
 
 
 def _of_one_solution(condition: Condition) -> Condition:
-    """Where the first order suffices for the only minimum there is, nothing else need be told."""
+    """Where the first order suffices and the minimum is unique, no other condition is needed."""
     where = f"{condition.where}; the problem is convex and has one solution only"
     return replace(condition, result=ConditionResult.PASS, where=where)
 
 
-def _untold(name: str, where: str, meaning: str) -> Condition:
+def _inconclusive(name: str, where: str, meaning: str) -> Condition:
     return Condition(name, ConditionResult.INCONCLUSIVE, float("nan"), 0.0, where, meaning, sufficient=True)
 
 
-def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
+def _without_value(condition: Condition, where: str, meaning: str) -> Condition:
     value = float("nan")
     return replace(
         condition,
@@ -364,7 +376,7 @@ def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
 
 
 def _without_costates(condition: Condition) -> Condition:
-    return _cannot_tell(
+    return _without_value(
         condition,
         "everywhere",
         "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
@@ -372,19 +384,19 @@ def _without_costates(condition: Condition) -> Condition:
 
 
 def _incomplete(condition: Condition, where: str) -> Condition:
-    """A pass without all numbers is none."""
+    """A condition does not pass if numbers are missing."""
     if condition.result is not ConditionResult.PASS:
         return condition
-    return _cannot_tell(condition, where, "It holds as far as can be seen, but a number is missing.")
+    return _without_value(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
 def _without_length(condition: Condition, phase: str) -> Condition:
     if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
-    inconclusive = _cannot_tell(
+    inconclusive = _without_value(
         condition,
         f"phase {phase}, which has no length",
-        "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
-        "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
+        "The phase has no length: its duration is at its lower bound of zero, and costates and controls have no "
+        "values along it. Leave the phase out, or require a positive duration.",
     )
-    return replace(inconclusive, sufficient=True)  # nothing to tell is not against the solution
+    return replace(inconclusive, sufficient=True)  # no evidence against the solution

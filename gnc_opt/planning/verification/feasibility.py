@@ -66,7 +66,7 @@ _DRAWN = 1e-8
 """A phase without length is drawn a little longer than it lasts (s)."""
 
 
-def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def condition_of(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
@@ -80,7 +80,7 @@ def dynamics(problem: Problem, samples: list[PhaseSamples], scales: Scales, tole
         for at in (s, s.finer(SCANNED)):
             worst = worst.or_worse(_worst_defect(s, at, scales, tolerance))
         worst = worst.or_worse(worst_of_parts(problem, s))
-    return judge(
+    return condition_of(
         "dynamics",
         worst,
         tolerance,
@@ -141,7 +141,7 @@ def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tole
             for at in (s, s.finer(SCANNED_PATHS)):
                 worst = worst.or_worse(_worst_path(s, at, scales))
             worst = worst.or_worse(_path_price(s, scales))
-    return judge(
+    return condition_of(
         "limits",
         worst,
         tolerance,
@@ -159,25 +159,25 @@ def _worst_control(s: PhaseSamples, scales: Scales) -> Worst:
     excess = np.maximum(bounds.lower[:, None] - u, u - bounds.upper[:, None])
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
     scale = np.maximum(scale, RESOLUTION * np.max(np.abs(u), axis=1))
-    offence = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
-    i, j = worst_index(offence)
-    return Worst(float(offence[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
+    violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
+    i, j = worst_index(violation)
+    return Worst(float(violation[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
 
 
 def _worst_state(s: PhaseSamples, scales: Scales) -> Worst:
     found = violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
-    offences = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
-    i = int(np.argmax(offences))
+    shares = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
+    i = int(np.argmax(shares))
     row = found.limits.rows[i]
     unit = s.leg.states.units[row]
     what = f"{s.leg.states.labels[row]} = {found.value(i)}{f' {unit}' if unit else ''}"
-    return Worst(float(offences[i]), s.place_at(found.times[i], what))
+    return Worst(float(shares[i]), s.place_at(found.times[i], what))
 
 
 def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
-    """By the distance to the limit along the constraint's own gradient, at peaks and at samples beside them.
+    """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it.
 
     Deep inside an excluded region the gradient may vanish, or grow without bound.
     """
@@ -281,7 +281,7 @@ def boundary(
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.or_worse(_worst_miss(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.or_worse(_worst_constraint(solution, ends, scales))
-    return judge(
+    return condition_of(
         "boundary conditions",
         worst,
         tolerance,
@@ -362,7 +362,7 @@ def cost(
             _, i = worst_index(errors)
             place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
             worst = worst.or_worse(Worst(float(errors[0, i]), place))
-    return judge(
+    return condition_of(
         "cost",
         worst,
         tolerance,
@@ -384,10 +384,10 @@ def _worst_miss(
         return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)
     scale = np.maximum(scale, RESOLUTION * np.abs(values))
-    offence = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
-    offence = np.where(np.isnan(values), np.inf, offence)
-    i = int(np.argmax(offence))
-    if not offence[i] > 0:
+    violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
+    violation = np.where(np.isnan(values), np.inf, violation)
+    i = int(np.argmax(violation))
+    if not violation[i] > 0:
         return NOTHING
     unit = f" {units[i]}" if units[i] else ""
-    return Worst(float(offence[i]), f"{labels[i]} off by {excess[i]:.3g}{unit}")
+    return Worst(float(violation[i]), f"{labels[i]} off by {excess[i]:.3g}{unit}")

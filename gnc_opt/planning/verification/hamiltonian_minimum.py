@@ -36,8 +36,8 @@ NEAREST = 1e-8
 _LEAST_BEND = 1e-3
 """Curvature, as a share of the slope, below which a step goes across the range."""
 
-LEAST_SHARE = 1e-11
-"""Least worth of a move, in shares of the mean cost scale: below, differences of H are rounding."""
+LEAST_MOVE_SHARE = 1e-11
+"""Least change of H by a move, in shares of the mean cost scale: below, differences of H are rounding."""
 
 RESOLVED_GAIN_SHARE = 3e-7
 """Gains in H below this share of the mean cost scale are errors of a solver's multipliers, as of a part with time to
@@ -344,13 +344,12 @@ class _Search:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
         least = max(ROUNDING * self.s.hamiltonian_scale, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
-        return gain, gain / (self._worth(better - self._flown[:, at]) + gain)
+        return gain, gain / (self._largest_change(better - self._flown[:, at]) + gain)
 
-    def _worth(self, moves: Array) -> Array:
-        """What moves (group, n), as long as the deviations of the controls, are worth in H at most along the phase.
+    def _largest_change(self, moves: Array) -> Array:
+        """Return the largest change of H along the phase by moves (group, n) that are scaled to the control deviations.
 
-        By slope or curvature in the direction of the move: a stiff combination of the controls does not count where
-        the move leaves it alone.
+        By slope or curvature in the direction of the move only.
         """
         s, group = self.s, self.group
         scale = s.control_span[group, None]
@@ -365,7 +364,9 @@ class _Search:
             curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
         return np.asarray(
-            np.maximum(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), LEAST_SHARE * self.cost_rate)
+            np.maximum(
+                np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), LEAST_MOVE_SHARE * self.cost_rate
+            )
         )
 
     def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:

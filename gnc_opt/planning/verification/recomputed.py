@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import judge
+from gnc_opt.planning.verification.feasibility import condition_of
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -78,7 +78,7 @@ def ends_of(solution: Solution) -> EndGradients:
 
 
 def missing_number(stored: Solution, told: bool) -> Worst:
-    """Return the first number that is not finite, as an endless offence, or nothing.
+    """Return the first number that is not finite, as an endless violation, or nothing.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance
                 off = float(np.max(_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return judge(
+    return condition_of(
         "stored numbers",
         worst,
         tolerance,
@@ -143,7 +143,7 @@ def costates_kept_twice(samples: list[PhaseSamples]) -> Worst:
 
 
 def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
-    """Whether there are costates to judge, all zero only where they may be.
+    """Whether there are costates to check, all zero only where they may be.
 
     They may where an integral has a weight, and where the cost is as good as independent of the end points.
 
@@ -212,7 +212,7 @@ def _refuse_other_sizes(problem: Problem, solution: Solution) -> None:
         if found[what] != value:
             raise ProblemError(
                 f"the solution of '{solution.problem_name}' does not fit problem '{problem.name}': {what} are "
-                f"{found[what]} instead of {value}; judge it by the problem that was solved."
+                f"{found[what]} instead of {value}; check it with the problem that was solved."
             )
 
 

@@ -232,7 +232,7 @@ def _doubt(curvature: Curvature, steep: float) -> str:
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
         return f"{_gained(curvature)}, which is rounding"
-    return f": flat (what is between -{steep:.0e} and {UPWARDS:.0e} is not told from zero)"
+    return f": flat (curvatures between -{steep:.0e} and {UPWARDS:.0e} count as zero)"
 
 
 def _rich(mesh: Mesh) -> Mesh:

@@ -15,7 +15,6 @@ orders. Shifts are measured by :math:`1/\sqrt{L_{kk}}`, lest a steep one hides a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +34,7 @@ from gnc_opt.tolerances import AT_LIMIT, RANK, SAME_TIME, TINY
 MOST_TOGETHER = 8
 """Jumps whose shifts are combined, at most."""
 
-STEP_SHARE = 0.02
+SHIFT_STEP_SHARE = 0.02
 """Larger one of the two steps, in shares of the shorter arc beside a jump."""
 
 VISIBLE = 1e-3
@@ -44,13 +43,13 @@ VISIBLE = 1e-3
 STEPS_PER_CELL = 2
 """Runge-Kutta steps of fourth order per cell of the mesh."""
 
-LEAST_GAIN, LEAST_SHARE = 1e-7, 1e-3
+LEAST_GAIN_SHARE, LEAST_CURVATURE_SHARE = 1e-7, 1e-3
 """Least gain at the smaller step, in shares of the cost scale, and of the curvatures of the single shifts."""
 
 SECOND_ORDER = (0.1, 0.6)
 """Ratios of the gains at both steps, one the half of the other, that are those of second order."""
 
-PRESSED_TIMES = 24
+ACTIVE_LIMIT_TIMES = 24
 """Times of a phase, at most, at which limits that act along arcs are kept."""
 
 LIMIT_SHARE = 1e-6
@@ -69,8 +68,8 @@ class Jump:
     phase : str
     time : float
     channel : int
-    room : float
-        Duration of the shorter arc of the control beside it, s.
+    shorter_arc : float
+        Duration of the shorter of the two arcs that it separates, s.
     beyond : str
         The phase after it, of a jump at a boundary of phases; else empty.
     """
@@ -78,7 +77,7 @@ class Jump:
     phase: str
     time: float
     channel: int
-    room: float
+    shorter_arc: float
     beyond: str = ""
 
 
@@ -145,8 +144,7 @@ def worst_fall(
     """Return the direction of switching times in which the Lagrangian falls most, or None."""
     found = []
     for group in _groups(jumps):
-        flight = _Flight.of(solution, samples, ends, scales, group)
-        fall = flight.fall() if flight is not None else None
+        fall = _ShiftedTrajectory.of(solution, samples, ends, scales, group).fall()
         if fall is not None:
             found.append(fall)
     return max(found, key=lambda f: f.value, default=None)
@@ -162,7 +160,7 @@ def jumps_of(samples: list[PhaseSamples]) -> list[Jump]:
         if inner.size:
             size = np.abs(leg.flown(inner) - leg.flown(inner, "left"))
             for i, k in np.argwhere(size > VISIBLE * np.maximum(change, TINY)[:, None]):
-                if not _pressed(s, int(i), float(inner[k])):
+                if not _is_held(s, int(i), float(inner[k])):
                     jumps.append((s, float(inner[k]), int(i), ""))
     for s, following in itertools.pairwise(order):
         a, b = s.leg, following.leg
@@ -172,15 +170,20 @@ def jumps_of(samples: list[PhaseSamples]) -> list[Jump]:
         change = np.maximum(np.ptp(s.u, axis=1), np.ptp(following.u, axis=1))
         size = np.abs(after - before)
         for i in np.flatnonzero(size > VISIBLE * np.maximum(change, size)):
-            straight = not (_pressed(s, int(i), a.breaks[-1]) or _pressed(following, int(i), b.breaks[0]))
+            straight = not (_is_held(s, int(i), a.breaks[-1]) or _is_held(following, int(i), b.breaks[0]))
             on_bounds = all(_on_bound(p, v, int(i)) for p, v in ((s, before), (following, after)))
             if straight and on_bounds:
                 jumps.append((s, float(a.breaks[-1]), int(i), b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
-    return [Jump(s.leg.name, t, i, _room(jumps, ends, s, t, i, beyond), beyond) for s, t, i, beyond in jumps]
+    return [
+        Jump(s.leg.name, t, i, _shorter_arc(jumps, ends, s, t, i, beyond), beyond)
+        for s, t, i, beyond in jumps
+    ]
 
 
-def _room(jumps: list[Any], ends: Any, s: PhaseSamples, time: float, channel: int, beyond: str) -> float:
+def _shorter_arc(
+    jumps: list[Any], ends: Any, s: PhaseSamples, time: float, channel: int, beyond: str
+) -> float:
     first, last = ends[s.leg.name]
     last = ends[beyond][1] if beyond else last
     others = [t for _, t, i, _ in jumps if i == channel and t != time]
@@ -193,7 +196,7 @@ def _on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
 
 
-def _pressed(s: PhaseSamples, i: int, time: float) -> bool:
+def _is_held(s: PhaseSamples, i: int, time: float) -> bool:
     """Whether an active path constraint, or one of the states, holds a control beside a time."""
     beside = int(np.argmin(np.abs(s.times - time)))
     at = np.unique(np.clip([beside - 3, beside + 3], 0, s.times.size - 1))
@@ -223,7 +226,7 @@ def _groups(jumps: list[Jump]) -> list[list[Jump]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Flight:
+class _ShiftedTrajectory:
     """The trajectory as a function of shifts of jumps and of amounts of regular control variations.
 
     Attributes
@@ -239,7 +242,6 @@ class _Flight:
     scales: Scales
     jumps: list[Jump]
     regular: list[tuple[str, Array, Array]]
-    starts: Mapping[str, Mapping[str, Array]]
 
     @classmethod
     def of(
@@ -249,10 +251,10 @@ class _Flight:
         ends: EndGradients,
         scales: Scales,
         jumps: list[Jump],
-    ) -> _Flight | None:
+    ) -> _ShiftedTrajectory:
         regular = [v for s in samples for v in _regular_variations(s, scales)]
         order = sorted(samples, key=lambda s: s.leg.initial_time)
-        return cls(solution, order, ends, scales, jumps, regular, scales.links)
+        return cls(solution, order, ends, scales, jumps, regular)
 
     def fall(self) -> Fall | None:
         """Return the direction in which the Lagrangian falls most, if it does so at second order."""
@@ -292,9 +294,13 @@ class _Flight:
             vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
             directions.append(vector / np.max(np.abs(vector)))
         chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
-        return self._judged(full @ chosen, single @ chosen**2)
+        return self._second_order_fall(full @ chosen, single @ chosen**2)
 
-    def _judged(self, directions: Array, terms: Array) -> Fall | None:
+    def _second_order_fall(self, directions: Array, terms: Array) -> Fall | None:
+        """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps.
+
+        ``terms`` (n,) are the sums of the curvatures of the single shifts.
+        """
         n = len(self.jumps)
         largest = np.max(np.abs(directions[:n]), axis=0)
         directions = directions / np.maximum(largest, TINY)
@@ -307,14 +313,14 @@ class _Flight:
         sizes = np.linalg.norm(misses, axis=0)
         kept = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
         falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept
-        falls &= (fine > LEAST_GAIN * self.scales.cost) & (fine > LEAST_SHARE * 0.25 * terms)
+        falls &= (fine > LEAST_GAIN_SHARE * self.scales.cost) & (fine > LEAST_CURVATURE_SHARE * 0.25 * terms)
         if not np.any(falls):
             return None
         best = int(np.argmax(np.where(falls, coarse, 0.0)))
         moved = np.argsort(-np.abs(directions[:n, best]))[:2]
         named = [
             f"{self._labels(self.jumps[k])} at t = {self.jumps[k].time:.6g} s by "
-            f"{directions[k, best] * STEP_SHARE * self.jumps[k].room:+.2g} s"
+            f"{directions[k, best] * SHIFT_STEP_SHARE * self.jumps[k].shorter_arc:+.2g} s"
             for k in moved
             if abs(directions[k, best]) > 1e-3
         ]
@@ -344,7 +350,7 @@ class _Flight:
         for s in self.samples:
             leg, name = s.leg, s.leg.name
             begin = np.repeat(leg.x(leg.breaks[0])[:, None], count, axis=1)
-            for other, by_end in self.starts.get(name, {}).items():
+            for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals and position[other] < position[name]:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
             x, integrals, extra, active_rows = self._phase(s, begin, amounts)
@@ -381,7 +387,7 @@ class _Flight:
         """Return final states, integrals, what active limits add to the Lagrangian, and their misses."""
         leg, name = s.leg, s.leg.name
         own = [k for k, j in enumerate(self.jumps) if name in (j.phase, j.beyond)]
-        step = {k: STEP_SHARE * self.jumps[k].room for k in own}
+        step = {k: SHIFT_STEP_SHARE * self.jumps[k].shorter_arc for k in own}
         # Outside of windows around the jumps all columns share their times.
         windows = [(self.jumps[k].time - 1.001 * step[k], self.jumps[k].time + 1.001 * step[k]) for k in own]
         base = cells_of(leg.breaks)
@@ -457,7 +463,7 @@ class _Flight:
             return np.concatenate([*parts, more[None]])
 
         y = np.concatenate([x, integrals, np.zeros((1, count))])
-        pressing, rows = _pressing(s, edges), []
+        active_limits, rows = _active_limits(s, edges), []
         for k, (a, b) in enumerate(itertools.pairwise(nodes)):
             h, middle = b - a, 0.5 * (a + b)
             if not np.any(h):
@@ -473,8 +479,8 @@ class _Flight:
             if time in marked:
                 extra += marked[time] @ moved
                 rows.append(marked[time] @ moved / self.scales.cost)
-            if time in pressing:
-                rows += [gradient @ moved for gradient in pressing[time]]
+            if time in active_limits:
+                rows += [gradient @ moved for gradient in active_limits[time]]
         return y[: x.shape[0]], y[x.shape[0] : -1], extra + y[-1], [row[None] for row in rows]
 
     def _side(self, jump: Jump, side: Any) -> float:
@@ -506,8 +512,8 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
     inside = ~(lower | upper)
     if leg.path_labels:
         jacobian = s.functions.path_control_jacobian(times, x, u)
-        pressed = np.abs(leg.path_multiplier(times)) > 0
-        inside &= ~np.any((jacobian != 0) & pressed[:, None], axis=0)
+        active = np.abs(leg.path_multiplier(times)) > 0
+        inside &= ~np.any((jacobian != 0) & active[:, None], axis=0)
     if not np.any(inside):
         return []
     halves = exponentials(0.5 * widths[:, None, None] * by_state)
@@ -523,17 +529,17 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
     for shape in shapes:
         largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None])
         if np.isfinite(largest) and largest > 0:
-            found.append((leg.name, times, STEP_SHARE * shape / largest))
+            found.append((leg.name, times, SHIFT_STEP_SHARE * shape / largest))
     return found
 
 
-def _pressing(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+def _active_limits(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return gradients (n,) of the limits that act along arcs, at some edges of cells, by what they change the cost."""
     leg, found = s.leg, {}
     chosen = edges[1:-1]
     if not chosen.size:
         return {}
-    chosen = chosen[:: max(1, chosen.size // PRESSED_TIMES)]
+    chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
     states, paths = leg.state_multiplier(chosen), leg.path_multiplier(chosen)
     x, u = leg.x(chosen), leg.flown(chosen)
     by_state = (

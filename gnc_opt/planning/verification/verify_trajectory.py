@@ -1,4 +1,4 @@
-"""verify_trajectory: judge a trajectory that another tool has found.
+"""verify_trajectory: check a trajectory that another tool has found.
 
 Samples of controls as a problem was stated, in those that it is solved in: parts, magnitudes and directions.
 """
@@ -99,7 +99,7 @@ PARTS = (2, 4)
 """Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
 change faster than the states."""
 
-RESOLVED, INTERPOLATION_GROWTH, FEWEST_SAMPLES = 1e-2, 4.0, 8
+RESOLVED_VIOLATION, INTERPOLATION_GROWTH, FEWEST_SAMPLES = 1e-2, 4.0, 8
 """Largest violation that may be an error of interpolation; its least growth if every second sample is left out; least
 number of samples of a phase to measure that."""
 
@@ -200,7 +200,7 @@ def _beyond_samples(
     """The same with failures inconclusive that are errors of interpolation: they grow with every second sample."""
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
-    if not failed or few or any(not c.value <= RESOLVED for c in failed):
+    if not failed or few or any(not c.value <= RESOLVED_VIOLATION for c in failed):
         return verdict
     coarse = verify(_solution(problem, {k: _thinned(leg) for k, leg in samples.items()}, q), tol=tol)
     doubted = {c.name for c in failed if coarse[c.name].value >= INTERPOLATION_GROWTH * c.value}

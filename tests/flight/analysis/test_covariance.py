@@ -311,9 +311,9 @@ def test_what_cannot_be_linearized_is_refused():
         go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions={"plant.m": Odd()}))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
         go.Scenario(model, **MISSION)
-    with pytest.raises(go.ArgumentError, match="give an Experiment"):
+    with pytest.raises(go.ArgumentError, match="give a Scenario"):
         go.linear_covariance(loop_of())
-    with pytest.raises(go.ArgumentError, match="seed of an experiment"):
+    with pytest.raises(go.ArgumentError, match="seed of a scenario"):
         go.Scenario(loop_of(), **MISSION, seed=-1)
     with pytest.raises(go.UnknownNameError, match=r"did you mean 'initial\.q'"):
         go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions={"initial.Q": Normal(1.0)}))

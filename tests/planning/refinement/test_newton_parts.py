@@ -169,7 +169,7 @@ def test_a_phase_without_switches_has_nothing_to_lose() -> None:
         ([1, 2, 3], [], [1, 2, 3]),
     ],
 )
-def test_offences_that_are_worst_at_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
+def test_violations_that_are_worst_at_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
     values = np.array(wrong, float)
     forgive(values, np.array(own, int))
     assert values.tolist() == left

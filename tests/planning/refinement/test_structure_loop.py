@@ -180,7 +180,7 @@ def test_a_polynomial_that_has_as_many_degrees_as_points_is_none(smooth: int, fo
 # --- kinks ------------------------------------------------------------------------------------------------
 
 
-def test_an_offence_reaches_to_its_first_zero() -> None:
+def test_an_violation_reaches_to_its_first_zero() -> None:
     times = np.array([0.0, 1.0, 2.0, 3.0])
     assert j._reach(times, lambda t: 1.25 - t) == pytest.approx(1.25)
     assert j._reach(times, lambda t: (t - 0.5) * (t - 1.5)) == pytest.approx(0.5)
@@ -291,8 +291,8 @@ def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
     times = (0.0, 1.0, 1.0 + share * 2 * m.PROPPED, 2.0)
     short = PhaseStructure(times, ((LOW, LOW), (UP, LOW), (UP, UP)))
     there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
-    offence = np.array([[1.0, 0.0, 0.0, wrong * m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN, 0.0, 1.0]])
-    monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
+    violation = np.array([[1.0, 0.0, 0.0, wrong * m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN, 0.0, 1.0]])
+    monkeypatch.setattr(m, "_structure_violations", lambda *_: (violation, None))
     assert (m.collapsed(there, Plan.of(short), set())[0] is not None) is dropped
     for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
         assert m.collapsed(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
@@ -339,15 +339,15 @@ def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours(st
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def test_offences_beside_own_switches_are_forgiven() -> None:
+def test_violations_beside_own_switches_are_forgiven() -> None:
     kinds = np.array([LOW, LOW, LOW, UP, UP, UP, UP], dtype=object)
     for before, after in (
         ([1, 2, 3, 4, 5, 0, 7], [0, 0, 0, 0, 0, 0, 7]), ([1, 0, 3, 4, -1, 6, 7], [1, 0, 0, 0, -1, 6, 7]),
         ([1, 2, -3, -4, 5, 6, 7], [1, 2, -3, -4, 5, 6, 7]), ([1, 2, 3, -4, 5, 6, 7], [0, 0, 0, -4, 5, 6, 7]),
     ):  # fmt: skip
-        offence = np.array(before, dtype=float) * 1e-6
-        m._forgive_own_switches(offence, kinds)
-        np.testing.assert_allclose(offence, np.array(after) * 1e-6, rtol=1e-14)
+        violation = np.array(before, dtype=float) * 1e-6
+        m._forgive_own_switches(violation, kinds)
+        np.testing.assert_allclose(violation, np.array(after) * 1e-6, rtol=1e-14)
     for before, after in (
         ([0, 1e-6, 2e-5, 2e-5, 1e-7, 0, 1], [0, 1e-6, 2e-5, 2e-5, 1e-7, 0, 1]),  # the wrong slope
         ([0, 1, 2, 9e-6, 1e-7, 0, 0], [0] * 7), ([0, 1e-7, 9e-6, 1, 2, 0, 0], [0] * 7),  # moved
@@ -362,12 +362,12 @@ def test_offences_beside_own_switches_are_forgiven() -> None:
 
 def test_a_wrong_interval_lies_between_zeros_around_the_worst_place() -> None:
     there: Any = SimpleNamespace(times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]))
-    for offence, interval_ in (
+    for violation, interval_ in (
         ([-1, 1, 3, 1, -1, 9e-1], (0.5, 3.5)), ([1, 2, 1, -1, -1, -1], (0.0, 2.5)),
         ([-3, -1, -1, 3, 4, 5], (2.25, 5.0)),
         ([1, 2, 3, 4, 5, 6], (0.0, 5.0)), ([5, -1, 1, 0, 7, -7], (3.0, 4.5)),
     ):  # fmt: skip
-        assert m._wrong_interval(there, np.array(offence, dtype=float)) == pytest.approx(interval_)
+        assert m._wrong_interval(there, np.array(violation, dtype=float)) == pytest.approx(interval_)
     assert m._zero(np.array([1.0, 3.0]), np.array([-1.0, 3.0]), 0, 1) == 1.5
 
 
@@ -393,15 +393,15 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
 def test_a_bang_of_the_wrong_sign_offends_by_its_gain_and_asks_for_the_other_bound() -> None:
     found = line(lambda t, k: [t - 1.5], lambda t, k: [1.0 + 0 * t])
     structure = PhaseStructure((0.0, 4.0), ((UP, FREE),), n_controls=1)
-    offence, asked = m._offences(found, structure, rows(found, [UP] * 4))
+    violation, asked = m._structure_violations(found, structure, rows(found, [UP] * 4))
     gain = 2 * (found.times - 1.5) / found.hamiltonian_scale
-    assert offence == pytest.approx(gain[None, :]) and set(asked.ravel()) == {LOW}
-    offence, asked = m._offences(found, structure, rows(found, [LOW] * 4))
-    assert offence == pytest.approx(-gain[None, :]) and set(asked.ravel()) == {UP}
-    offence, _ = m._offences(found, structure, rows(found, [SING] * 4))
-    assert not offence.any()
-    offence, _ = m._offences(found, structure, rows(found, [FREE] * 4))
-    assert not offence.any()
+    assert violation == pytest.approx(gain[None, :]) and set(asked.ravel()) == {LOW}
+    violation, asked = m._structure_violations(found, structure, rows(found, [LOW] * 4))
+    assert violation == pytest.approx(-gain[None, :]) and set(asked.ravel()) == {UP}
+    violation, _ = m._structure_violations(found, structure, rows(found, [SING] * 4))
+    assert not violation.any()
+    violation, _ = m._structure_violations(found, structure, rows(found, [FREE] * 4))
+    assert not violation.any()
 
 
 def test_a_convex_control_offends_at_its_bound_or_beyond_it() -> None:
@@ -413,18 +413,18 @@ def test_a_convex_control_offends_at_its_bound_or_beyond_it() -> None:
     kinds = (FREE, FREE, FREE, FREE, FREE)
     structure = PhaseStructure((0.0, 1.0), (kinds,), (True, False, False, False, False), 1, 2)
     every = np.array([[FREE] * found.times.size] * 5, dtype=object)
-    offence, asked = m._offences(found, structure, every)
+    violation, asked = m._structure_violations(found, structure, every)
     u = found.u_polynomial[0]
-    assert offence[0] == pytest.approx(np.maximum(u - 5, -4 - u) / 9) and not offence[1:].any()
-    assert offence.shape[0] == 3
-    out = offence[0] > 0
+    assert violation[0] == pytest.approx(np.maximum(u - 5, -4 - u) / 9) and not violation[1:].any()
+    assert violation.shape[0] == 3
+    out = violation[0] > 0
     assert np.all(asked[0][out & (u > 0)] == UP) and np.all(asked[0][out & (u < 0)] == LOW)
     every[0] = UP
-    offence, asked = m._offences(found, structure, every)
+    violation, asked = m._structure_violations(found, structure, every)
     pull = found.control_gradient[0] * 9 / found.hamiltonian_scale
-    assert offence[0] == pytest.approx(pull) and set(asked[0]) == {FREE}
+    assert violation[0] == pytest.approx(pull) and set(asked[0]) == {FREE}
     other = replace(structure, regular=(False,) * 5)
-    assert not m._offences(found, other, every)[0].any()
+    assert not m._structure_violations(found, other, every)[0].any()
 
 
 def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
@@ -438,15 +438,15 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
     every = np.array([[FREE] * found.times.size] * 5, dtype=object)
     values = found.functions.paths(found.times, found.x, found.u_polynomial)[0]
     size = np.max(np.abs(values))
-    offence, asked = m._offences(found, structure, every)
-    assert offence[1] == pytest.approx(np.maximum(values - 5, -3 - values) / size)
+    violation, asked = m._structure_violations(found, structure, every)
+    assert violation[1] == pytest.approx(np.maximum(values - 5, -3 - values) / size)
     assert np.all(asked[1][values > 5] == UP) and np.all(asked[1][values < -3] == LOW)
     every[1] = UP
-    offence, asked = m._offences(found, structure, every)
-    assert offence[1] == pytest.approx(-(found.times - 0.4) * size / found.hamiltonian_scale)
+    violation, asked = m._structure_violations(found, structure, every)
+    assert violation[1] == pytest.approx(-(found.times - 0.4) * size / found.hamiltonian_scale)
     assert set(asked[1]) == {FREE}
     every[1] = LOW
-    assert m._offences(found, structure, every)[0][1] == pytest.approx(
+    assert m._structure_violations(found, structure, every)[0][1] == pytest.approx(
         (found.times - 0.4) * size / found.hamiltonian_scale
     )
 
@@ -462,7 +462,7 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
 def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
     monkeypatch: pytest.MonkeyPatch, switches: tuple[float, ...], at: float, answer: Any
 ) -> None:
-    """Of (t - 2)^3 / 4, below `SMALL` from t = 1.57 to 2.43, where an offence asks for one bang more, and below `ALIKE`
+    """Of (t - 2)^3 / 4, below `SMALL` from t = 1.57 to 2.43, where a violation adds a bang, and below `ALIKE`
     times this from 1.71 to 2.29.
 
     Where such arcs are of second order, bangs remain bangs.
@@ -470,16 +470,17 @@ def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
     found = line(lambda t, k: [((t - 2) / 2) ** 3], lambda t, k: [0 * t])
     kinds = tuple(((LOW, UP)[k % 2], FREE) for k in range(len(switches) + 1))
     structure = PhaseStructure((0.0, *switches, 4.0), kinds, n_controls=1)
-    offence = np.zeros((1, found.times.size))
-    offence[0, np.argmin(np.abs(found.times - at))] = 2e-4
+    violation = np.zeros((1, found.times.size))
+    violation[0, np.argmin(np.abs(found.times - at))] = 2e-4
     problem: Any = None
     monkeypatch.setattr(m, "chatters", lambda *_: False)
-    assert m._chatter(found, structure, offence, problem) == answer
+    assert m._chatter(found, structure, violation, problem) == answer
     assert (
-        m._chatter(found, structure, m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN / 4e-4 * offence, problem) is None
+        m._chatter(found, structure, m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN / 4e-4 * violation, problem)
+        is None
     )
     monkeypatch.setattr(m, "chatters", lambda *_: True)
-    assert m._chatter(found, structure, offence, problem) is None
+    assert m._chatter(found, structure, violation, problem) is None
 
 
 def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:

@@ -24,9 +24,9 @@ from gnc_opt.planning.solution.quality import (
     Violations,
     _to_nearest_allowed,
     _unit,
-    bound_offences,
+    bound_violations,
     measure_quality,
-    path_offences,
+    path_violations,
     violations,
     worst_bound_violation,
     worst_defect,
@@ -84,7 +84,7 @@ def test_flown_controls_are_within_bounds_and_polynomials_need_not_be() -> None:
     assert over.u.max() == 5.0 and over.u.min() == -5.0 and over.u_polynomial.max() == pytest.approx(6.0)
 
 
-def test_edges_have_their_own_costates_and_offences(right: PhaseSamples) -> None:
+def test_edges_have_their_own_costates_and_violations(right: PhaseSamples) -> None:
     here = right.segments == 1
     anew = EdgeSegment(1, np.full((2, int(here.sum())), 7.0), np.array([0.25, 0.5]))
     edged = replace(right, edges=(anew,))
@@ -700,7 +700,7 @@ def test_a_bound_is_judged_by_its_own_width_where_that_is_small(width: float, sh
     """2 beyond, of a size of 10: a fifth; of a width of w sizes, 0.2 in `WIDTHS` w, and never in less than
     `DISTANCE_MIN_SCALE_SHARE`."""
     bounds = interval([0.0, 0.0], [10 * width, 1.0])
-    found = bound_offences(beyond(2.0, bounds), bounds, np.array([10.0, 1.0]))
+    found = bound_violations(beyond(2.0, bounds), bounds, np.array([10.0, 1.0]))
     assert found == pytest.approx([share], rel=1e-9)
     assert share == 0.2 or share == pytest.approx(0.2 / max(WIDTHS * width, DISTANCE_MIN_SCALE_SHARE))
 
@@ -735,7 +735,7 @@ def test_depth_beyond_a_circle_is_the_distance_to_it(
         np.array([[where], [0.0]]),
         np.zeros((1, 1)),
     )
-    assert path_offences(point, found) == pytest.approx([depth], rel=1e-6)
+    assert path_violations(point, found) == pytest.approx([depth], rel=1e-6)
 
 
 @pytest.mark.parametrize("limit", [-1.0, 1.0])
@@ -756,7 +756,7 @@ def test_what_sits_on_its_limit_keeps_it(limit: float) -> None:
     point = Violations(
         limits_, np.array([0.75]), np.array([2.25]), np.array([[limit + 1.5]]), np.zeros((1, 1))
     )
-    assert path_offences(point, found) == pytest.approx([0.75], rel=1e-6)
+    assert path_violations(point, found) == pytest.approx([0.75], rel=1e-6)
 
 
 def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> None:
@@ -766,11 +766,11 @@ def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> Non
         Limits.of(found.functions.paths, leg.path_interval()),
         np.array([0.5]), np.array([0.25]), np.zeros((2, 1)), np.zeros((1, 1)),
     )  # fmt: skip
-    assert path_offences(centre, found) == pytest.approx([0.5 / 1.0], rel=1e-6)
+    assert path_violations(centre, found) == pytest.approx([0.5 / 1.0], rel=1e-6)
     lost = Violations(
         centre.limits, centre.times, np.array([np.inf]), np.full((2, 1), np.nan), np.zeros((1, 1))
     )
-    assert path_offences(lost, found).tolist() == [np.inf]
+    assert path_violations(lost, found).tolist() == [np.inf]
 
 
 def test_the_way_to_the_nearest_sample_that_is_allowed() -> None:
@@ -794,7 +794,7 @@ def test_what_nothing_can_restore_counts_in_shares_of_its_values() -> None:
     found = samples(problem, lambda t, k: [1 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
     never = Limits(found.functions.paths, np.array([1]), np.array([1.0]), np.array([0.5]))
     point = Violations(never, np.array([1.0]), np.array([4.0]), np.array([[2.0], [0.0]]), np.zeros((1, 1)))
-    assert path_offences(point, found) == pytest.approx([4.0 / 3.0])
+    assert path_violations(point, found) == pytest.approx([4.0 / 3.0])
 
 
 def test_directions_have_length_one_however_long_they_were() -> None:

@@ -70,7 +70,7 @@ def arcs(monkeypatch: pytest.MonkeyPatch) -> Any:
         assert tol == TOLERANCE and np.all(np.diff(here) == 1)
         return channels.tolist(), regular.tolist(), float(s.times[here[0]]), float(s.times[here[-1]])
 
-    monkeypatch.setattr(singular, "_judge", judge)
+    monkeypatch.setattr(singular, "_checked", judge)
     none: Any = None
     return lambda s: singular_arcs(none, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
 
@@ -372,6 +372,6 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span."""
     s = flown(u=(value, value), lam=(slope, slope))
-    loss, on_bound = controls._offences(s)
+    loss, on_bound = controls._range_losses(s)
     np.testing.assert_allclose(loss[0], 2.0 * min(room, s.control_span[0]), atol=1e-9)
     assert np.all(on_bound[0] == (abs(value) == 1.0)) and not np.any(on_bound[1])

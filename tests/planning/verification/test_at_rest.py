@@ -1,4 +1,4 @@
-"""Controls that do nothing, and solutions that cost nothing: offences are not measured in shares of rounding."""
+"""Controls that do nothing, and solutions that cost nothing: violations are not measured in shares of rounding."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def with_rounding(solution: go.Solution, size: float) -> go.Solution:
 
 @pytest.mark.parametrize("noise", [0.0, 1e-100, 1e-15])
 @pytest.mark.parametrize("beside", [False, True])
-def test_rounding_about_a_solution_that_costs_nothing_is_no_offence(beside: bool, noise: float) -> None:
+def test_rounding_about_a_solution_that_costs_nothing_is_no_violation(beside: bool, noise: float) -> None:
     solution = with_rounding(go.solve(at_rest(beside=beside), mesh="4x4", tol=None), noise)
     verdict = go.verify(replace(solution, objective=0.0))
     assert verdict.minimum, verdict.explain()

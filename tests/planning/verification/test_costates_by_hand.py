@@ -210,8 +210,8 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
             lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]),
         )
         condition = adjoint([s], given_scales([s], cost=4.0, radius=3.0), 1e-6)
-        offence = slope * 1.5 if slope else abs(jump)
-        assert condition.value == pytest.approx(offence * 3.0 / 4.0, rel=1e-9)
+        violation = slope * 1.5 if slope else abs(jump)
+        assert condition.value == pytest.approx(violation * 3.0 / 4.0, rel=1e-9)
         where = (
             "segment 2 (0.5 to 2 s), adjoint equation of x[0]"
             if slope

@@ -90,14 +90,14 @@ def of_orders(monkeypatch: pytest.MonkeyPatch, *orders: SecondOrder) -> list[go.
     monkeypatch.setattr(second_order, "obstacle", lambda samples: "")
     monkeypatch.setattr(second_order, "Switches", SimpleNamespace(of=lambda s: switches))
     monkeypatch.setattr(second_order, "Unknowns", SimpleNamespace(of=lambda *given: None))
-    monkeypatch.setattr(second_order, "_judge", lambda *given: next(left))
+    monkeypatch.setattr(second_order, "_checked", lambda *given: next(left))
     samples: Any = [SimpleNamespace(leg=SimpleNamespace(name="leg"))]
     nothing: Any = None
     return second_order.second_order(nothing, samples, nothing, 1e-6)
 
 
 @pytest.mark.parametrize(
-    ("offence", "error", "result"),
+    ("violation", "error", "result"),
     [
         (9e-7, 1e-9, PASS),
         (1e-6, 0.0, PASS),
@@ -107,14 +107,14 @@ def of_orders(monkeypatch: pytest.MonkeyPatch, *orders: SecondOrder) -> list[go.
     ],
 )
 def test_gradient_within_its_tolerance_and_error(
-    monkeypatch: pytest.MonkeyPatch, offence: float, error: float, result: ConditionResult
+    monkeypatch: pytest.MonkeyPatch, violation: float, error: float, result: ConditionResult
 ) -> None:
     """The worst of all orders counts."""
-    other, off = found(1.0), found(1.0, offence=offence, offence_error=error, where="there")
+    other, off = found(1.0), found(1.0, violation=violation, violation_error=error, where="there")
     for orders in ((other, off), (off, other)):
         gradient, second = of_orders(monkeypatch, *orders)
         assert (gradient.name, gradient.result, gradient.where) == ("induced gradient", result, "there")
-        np.testing.assert_equal(gradient.value, offence)
+        np.testing.assert_equal(gradient.value, violation)
         assert gradient.tolerance == 1e-6 and gradient.sufficient and second.result is PASS
 
 

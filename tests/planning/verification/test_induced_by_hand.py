@@ -88,7 +88,7 @@ def test_least_curvature_in_shares_of_its_terms(monkeypatch: pytest.MonkeyPatch)
     hessian = np.diag([5.0, -0.9, 7.0])
     found = judged(monkeypatch, np.zeros(3), hessian)
     assert found.least == pytest.approx(-0.9 / SIZE) and found.error == pytest.approx(EXACT)
-    assert (found.offence, found.freedom, found.attained) == (0.0, 3, True)
+    assert (found.violation, found.freedom, found.attained) == (0.0, 3, True)
     given = judged(monkeypatch, np.zeros(3), hessian, free=(True, False, True))
     assert given.least == pytest.approx(5.0 / SIZE) and given.freedom == 2
     other = judged(monkeypatch, np.zeros(3), hessian, scales=(3.0, 1.0))
@@ -112,20 +112,20 @@ def test_curvature_is_extrapolated_and_its_error_told(monkeypatch: pytest.Monkey
 
 def test_gradient_in_shares_of_what_each_unknown_is_worth(monkeypatch: pytest.MonkeyPatch) -> None:
     found = judged(monkeypatch, [0.1, -0.3, 0.2], np.eye(3))
-    assert found.offence == pytest.approx(0.15) and found.where == "b"
-    assert found.error == pytest.approx(EXACT + 0.15) and found.offence_error == 0.0
+    assert found.violation == pytest.approx(0.15) and found.where == "b"
+    assert found.error == pytest.approx(EXACT + 0.15) and found.violation_error == 0.0
     given = judged(monkeypatch, [0.1, -0.3, 0.4], np.eye(3), free=(True, False, True))
-    assert given.offence == pytest.approx(0.1) and given.where in ("a", "c")
+    assert given.violation == pytest.approx(0.1) and given.where in ("a", "c")
 
 
 def test_gradient_is_extrapolated_and_its_error_told(monkeypatch: pytest.MonkeyPatch) -> None:
     found = judged(monkeypatch, [0.0, 0.0, 0.8], np.eye(3), coarse=[0.0, 0.0, 0.2])
-    assert found.offence == pytest.approx((0.8 + 0.6 / 255) / 4.0) and found.where == "c"
-    assert found.offence_error == pytest.approx(0.6 / 255 / 4.0)
+    assert found.violation == pytest.approx((0.8 + 0.6 / 255) / 4.0) and found.where == "c"
+    assert found.violation_error == pytest.approx(0.6 / 255 / 4.0)
 
 
 @pytest.mark.parametrize(
-    ("sides", "slope", "offence", "freedom"),
+    ("sides", "slope", "violation", "freedom"),
     [
         ((0.0, 9.0), 2.0, 0.0, 2),  # at the lower limit a multiplier of -2 is right,
         ((0.0, 9.0), -2.0, 2.0 / 7.0, 2),  # +2 is not,
@@ -137,14 +137,14 @@ def test_gradient_is_extrapolated_and_its_error_told(monkeypatch: pytest.MonkeyP
     ],
 )
 def test_multipliers_have_the_sign_of_their_limit(
-    monkeypatch: pytest.MonkeyPatch, sides: tuple[float, float], slope: float, offence: float, freedom: int
+    monkeypatch: pytest.MonkeyPatch, sides: tuple[float, float], slope: float, violation: float, freedom: int
 ) -> None:
     """L = cost + multiplier * row: the row is a itself, so that the multiplier is the slope reversed."""
     rows = conditions([[1.0, 0.0, 0.0]], lower=sides[:1], upper=sides[1:])
     found = judged(monkeypatch, [slope, 0.0, 0.0], np.diag([-9.0, 1.0, 2.0]), rows)
-    assert found.offence == pytest.approx(offence) and found.freedom == freedom
+    assert found.violation == pytest.approx(violation) and found.freedom == freedom
     assert found.least == pytest.approx((1.0 if freedom == 2 else -9.0) / SIZE)
-    if offence:
+    if violation:
         assert found.where == ("row 0" if freedom == 2 else "a")
 
 
@@ -169,8 +169,8 @@ def test_error_of_the_gradient_with_that_of_the_conditions(monkeypatch: pytest.M
     gradient = np.array([2.0, 0.1 + 0.1 / 255, 0.0])
     multiplier = -gradient @ jacobian / (jacobian @ jacobian)
     left = gradient + multiplier * jacobian
-    assert found.offence == pytest.approx(np.max(np.abs(left) / [1.0, 2.0, 4.0]), rel=1e-9)
-    assert found.offence_error == pytest.approx(abs(0.1 + multiplier * 0.3) / 255 / 2.0, rel=1e-9)
+    assert found.violation == pytest.approx(np.max(np.abs(left) / [1.0, 2.0, 4.0]), rel=1e-9)
+    assert found.violation_error == pytest.approx(abs(0.1 + multiplier * 0.3) / 255 / 2.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(("tilt", "attained"), [(0.0, True), (1.0, True), (-1.0, True)])
@@ -223,9 +223,9 @@ def test_orders_of_simultaneous_switches_push_too(
     """b must not come before a: what the cost gains from that the order explains, and then holds."""
     order = np.array([[-1.0, 1.0, 0.0]])
     found = judged(monkeypatch, [-push, push, 0.0], np.diag([1.0, 1.0, 9.0]), precedences=order)
-    assert found.offence == pytest.approx(0.0, abs=1e-12) and found.freedom == freedom
+    assert found.violation == pytest.approx(0.0, abs=1e-12) and found.freedom == freedom
     wrong = judged(monkeypatch, [push, -push, 0.0], np.eye(3), precedences=order)
-    assert wrong.offence == pytest.approx(push) and wrong.where == "a"
+    assert wrong.violation == pytest.approx(push) and wrong.where == "a"
     two = np.array([[-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
     least = np.diag([-1.0, 1.0, 1.0])
     assert not judged(monkeypatch, np.zeros(3), least, precedences=two).attained
@@ -236,7 +236,7 @@ def test_nothing_is_left_to_vary(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = conditions(np.eye(3), lower=np.zeros(3), upper=np.zeros(3))
     found = judged(monkeypatch, [2.0, -4.0, 1.0], -np.eye(3), rows)
     assert (found.freedom, found.least, found.error, found.attained) == (0, np.inf, 0.0, True)
-    assert found.offence == pytest.approx(0.0, abs=1e-12)
+    assert found.violation == pytest.approx(0.0, abs=1e-12)
 
 
 # --- what forbids it --------------------------------------------------------------------------------------

@@ -169,13 +169,13 @@ def test_a_jump_within_a_segment_is_followed_where_the_limit_pushes_outwards(
     here = np.flatnonzero(s.segments == 1)
     edge = _integrate_anew(s, 1, 1e-6)
     if not legitimate:
-        assert edge is None or np.max(edge.offence) > 0.1
+        assert edge is None or np.max(edge.violation) > 0.1
         return
     assert edge is not None and edge.segment == 1
     np.testing.assert_allclose(edge.costates[:, 0], s.lam[:, here[0]], atol=1e-12)
     np.testing.assert_allclose(edge.costates[:, -1], s.lam[:, here[-1]], atol=1e-2)
     worth = s.state_scale / s.cost_scale
-    np.testing.assert_allclose(edge.offence, np.abs(edge.costates[:, -1] - s.lam[:, here[-1]]) * worth)
+    np.testing.assert_allclose(edge.violation, np.abs(edge.costates[:, -1] - s.lam[:, here[-1]]) * worth)
     # Between the samples one by one the costate follows its equation, or falls by a push along x_0.
     t = s.times[here]
     for j in range(t.size - 1):
@@ -229,8 +229,8 @@ def test_a_control_between_its_bounds_has_a_say_in_the_measure() -> None:
     s = flown(0.8, 1.2)
     inside = flown(0.8, 1.2, control_bounds=by_hand.interval(-9.0, 9.0))
     bound, free = _integrate_anew(s, 1, 1e-6), _integrate_anew(inside, 1, 1e-6)
-    assert bound is not None and np.max(bound.offence) < 1e-2
-    assert free is None or np.max(free.offence) > np.max(bound.offence)
+    assert bound is not None and np.max(bound.violation) < 1e-2
+    assert free is None or np.max(free.violation) > np.max(bound.violation)
 
 
 # --- multipliers of a trajectory without any --------------------------------------------------------------

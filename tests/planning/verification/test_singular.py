@@ -162,7 +162,7 @@ def along_the_arc(gradient: float) -> go.Solution:
 
 
 @pytest.mark.parametrize(("gradient", "right"), [(1e-8, True), (3e-6, True), (3e-4, False), (1e-2, False)])
-def test_rounding_of_costates_that_vanish_is_no_offence(gradient: float, right: bool) -> None:
+def test_rounding_of_costates_that_vanish_is_no_violation(gradient: float, right: bool) -> None:
     """What cancels in the rate of the costate of y moves it by up to pi: that is what it is measured against."""
     solution = along_the_arc(gradient)
     verdict = go.verify(solution)

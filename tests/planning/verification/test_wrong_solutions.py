@@ -311,7 +311,7 @@ def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
          "phase leg, start, costate of q"),
     ],
 )  # fmt: skip
-def test_place_of_the_worst_offence(condition: str, wrong: Callable[[], go.Solution], where: str) -> None:
+def test_place_of_the_worst_violation(condition: str, wrong: Callable[[], go.Solution], where: str) -> None:
     found = go.verify(wrong())[condition]
     assert (found.result, found.where) == (go.ConditionResult.FAIL, where)
 

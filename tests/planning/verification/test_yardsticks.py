@@ -1,4 +1,4 @@
-"""What offences are measured against: what the flight moves, not how far away the origin or the cost's zero are."""
+"""What violations are measured against: what the flight moves, not how far away the origin or the cost's zero are."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def test_a_state_that_waits_is_not_measured_by_what_controls_could_do_meanwhile(
 def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
     """Rest to rest over 1 in 3 s for the least fuel: with 0.8 of the thrust for longer it takes more.
 
-    Beside the coast sqrt(a^2 + e^2) curves as 1 / e, by which offences elsewhere were measured: it was ok.
+    Beside the coast sqrt(a^2 + e^2) curves as 1 / e, by which violations elsewhere were measured: it was ok.
     """
     model = go.Model("cart")
     q, v, a = model.state("q", 2), model.state("v", 2), model.control("a", 2)

@@ -102,10 +102,10 @@ def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float
             here, side = here[::-1], "left"
         index = row if row < n_controls else row - n_controls
 
-        def offence(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
+        def violation(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
             return direction * signals(samples, index, direction, side, t)[number]
 
-        reach = _reach(samples.times[here], offence)
+        reach = _reach(samples.times[here], violation)
         if reach is not None:
             return reach
     return plan.structure.times[boundary]
@@ -130,12 +130,12 @@ def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: 
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 
-def _reach(times: Array, offence: Callable[[Array], Array]) -> float | None:
+def _reach(times: Array, violation: Callable[[Array], Array]) -> float | None:
     """Return up to where a violation that starts at the first time reaches, or None if there is none."""
-    over = offence(times) > 0
+    over = violation(times) > 0
     if not over[0]:
         return None
     if np.all(over):
         return float(times[-1])
     k = int(np.argmin(over))
-    return float(crossings(offence, times[k - 1 : k], times[k : k + 1])[0])
+    return float(crossings(violation, times[k - 1 : k], times[k : k + 1])[0])

@@ -43,7 +43,7 @@ at one time its length falls like the square root of the barrier, which ends at 
 
 CHATTER, CHATTER_MIN_SWITCHES = 5, 30.0
 """So many switches of one control where its switching function stays small are no bangs. All but one of them at least
-are between bangs that leave no more than so many times the offence."""
+are between bangs that leave no more than so many times the violation."""
 
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
@@ -148,8 +148,8 @@ def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
     if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
         return False
     pieces = plan.segment_pieces[samples.segments]
-    offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
-    return bool(np.max(offence[:, pieces == piece], initial=0.0) > SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN)
+    violation, _ = _structure_violations(samples, structure, structure.matrix()[:, pieces])
+    return bool(np.max(violation[:, pieces == piece], initial=0.0) > SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN)
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
@@ -170,29 +170,29 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     pieces = plan.segment_pieces[samples.segments]
     kinds = plan.structure.matrix()[:, pieces]
-    offence, asked = _offences(samples, plan.structure, kinds)
-    curved = _curved_rows(samples, offence.shape[0])
+    violation, asked = _structure_violations(samples, plan.structure, kinds)
+    curved = _curved_rows(samples, violation.shape[0])
     jumps = [
         (plan.structure.jumped_to(k), np.flatnonzero(pieces == k)[0] - 1)
         for k in range(1, plan.structure.pieces)
     ]
-    for i in range(offence.shape[0]):
+    for i in range(violation.shape[0]):
         jumped = [int(j) for rows, j in jumps if i in rows]
-        _forgive_own_switches(offence[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE, jumped)
-    if offence.size and (found := _chatter(samples, plan.structure, offence, problem)):
+        _forgive_own_switches(violation[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE, jumped)
+    if violation.size and (found := _chatter(samples, plan.structure, violation, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
         return plan.structure.with_arc(
             i, start, end, ArcKind.SINGULAR
         ), f"{label} singular from {start:.4g} s"
-    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    structure, action = _with_worst(samples, plan.structure, violation, asked)
     if structure is not None and structure.bends:
-        structure = _with_bends(samples, structure, offence, asked)
+        structure = _with_bends(samples, structure, violation, asked)
     return structure, action
 
 
 def _chatter(
-    samples: PhaseSamples, structure: PhaseStructure, offence: Array, problem: Problem
+    samples: PhaseSamples, structure: PhaseStructure, violation: Array, problem: Problem
 ) -> tuple[int, float, float] | None:
     """Return control, start and end of bangs that stand in for a singular arc, if the largest violation is among them.
 
@@ -200,9 +200,9 @@ def _chatter(
     about as large as the violation; bangs beside the arc leave a larger one. Of second order the arc would meet bangs
     by chattering: few of them will do.
     """
-    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     if (
-        offence[i, j] < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN
+        violation[i, j] < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN
         or i >= samples.leg.controls.size
         or not affine_channels(samples)[i]
     ):
@@ -210,7 +210,7 @@ def _chatter(
     gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
     small = _among(switches, samples.times, gain > SMALL, j)
-    alike = _among(switches, samples.times, gain > CHATTER_MIN_SWITCHES * offence[i, j], j)
+    alike = _among(switches, samples.times, gain > CHATTER_MIN_SWITCHES * violation[i, j], j)
     if len(small) < CHATTER or len(alike) < CHATTER - 1 or chatters(problem, samples, i):
         return None
     return i, alike[0], alike[-1]
@@ -225,27 +225,27 @@ def _among(switches: Sequence[float], times: Array, large: Mask, j: int) -> list
 
 
 def _with_worst(
-    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+    samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that the largest violation asks for and what was done, or None."""
-    if not offence.size or offence.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
+    if not violation.size or violation.max() < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         return None, ""
-    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
-    start, end = _wrong_interval(samples, offence[i])
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
+    start, end = _wrong_interval(samples, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
     return mended, f"arc of {label} added at {start:.4g} s"
 
 
 def _with_bends(
-    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+    samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> PhaseStructure:
     """Return the structure with all short interior arcs that bangs ask for where H bends in a control.
 
     Those of different switches know little of each other; one after the other, each would cost a solve.
     """
-    curved = _curved_rows(samples, offence.shape[0])[:, None]
-    left = np.where(curved & (asked == ArcKind.INTERIOR), offence, 0.0)
+    curved = _curved_rows(samples, violation.shape[0])[:, None]
+    left = np.where(curved & (asked == ArcKind.INTERIOR), violation, 0.0)
     while left.max(initial=0.0) >= SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
         i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
         start, end = _wrong_interval(samples, left[i])
@@ -261,7 +261,9 @@ def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
     return curved
 
 
-def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
+def _structure_violations(
+    samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
+) -> tuple[Array, KindArray]:
     """Violation of each control and path constraint where it is, and the place that it asks for.
 
     A control on a bound with a switching function of the wrong sign violates by the gain in H; it asks for the other
@@ -286,10 +288,10 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     curved = np.append(curved_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
     judged = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
-    offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    violation = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
     opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return offence, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
+    return violation, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
 
 
 def _saturated(
@@ -314,13 +316,13 @@ def _saturated(
     unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
     jumps = np.where(gain > 0, at_lower, at_upper) | unseen
     reached = singular & stuck & affine_channels(samples)[:, None] & jumps
-    offence = np.zeros_like(gain)
+    violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
         here = _around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
-        offence[i, here] = np.abs(gain[i, here])
+        violation[i, here] = np.abs(gain[i, here])
     asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
-    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    structure, action = _with_worst(samples, plan.structure, violation, asked)
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
@@ -367,7 +369,7 @@ def _around(holds: Mask, j: int) -> slice:
 
 
 def _forgive_own_switches(
-    offence: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
+    violation: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
 ) -> None:
     """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
@@ -377,12 +379,12 @@ def _forgive_own_switches(
     """
     for j in set(np.flatnonzero(kinds[1:] != kinds[:-1])).difference(jumped):
         sides = (
-            _run_of(offence > 0, range(int(j), -1, -1)),
-            _run_of(offence > 0, range(int(j) + 1, offence.size)),
+            _run_of(violation > 0, range(int(j), -1, -1)),
+            _run_of(violation > 0, range(int(j) + 1, violation.size)),
         )
-        if min(np.max(offence[run], initial=0.0) for run in sides) < least:
+        if min(np.max(violation[run], initial=0.0) for run in sides) < least:
             for run in sides:
-                offence[run] = 0.0
+                violation[run] = 0.0
 
 
 def _run_of(holds: Mask, places: range) -> list[int]:
@@ -390,13 +392,13 @@ def _run_of(holds: Mask, places: range) -> list[int]:
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
-def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
-    """Return where there is a violation around the largest one: its zeros, from the samples beside them."""
-    times, j = samples.times, int(np.argmax(offence))
-    fine = np.flatnonzero(offence <= 0)
+def _wrong_interval(samples: PhaseSamples, violation: Array) -> tuple[float, float]:
+    """Return where there is a violation around the largest one: its zeros, from the neighbouring samples."""
+    times, j = samples.times, int(np.argmax(violation))
+    fine = np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
-    start = _zero(times, offence, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _zero(times, offence, after[0] - 1, after[0]) if after.size else times[-1]
+    start = _zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
 
 

@@ -166,7 +166,7 @@ def forgive(wrong: Array, switches: Indices) -> None:
     """Zero the violations of switches that are not quite at rest, a little too late or early.
 
     The sign is wrong from such a switch to the zero that it belongs to, and nowhere more so than at the switch. Where
-    the offence grows instead, the switching function has another zero, or the wrong slope at this one: a time of the
+    the violation grows instead, the switching function has another zero, or the wrong slope at this one: a time of the
     switch for which the cost is the largest, not the least.
     """
     for k in switches:
