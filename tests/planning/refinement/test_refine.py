@@ -70,7 +70,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.engine")
-    real, calls = module._judge, []
+    real, calls = module._checked, []
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         calls.append(tol)
@@ -103,7 +103,7 @@ def test_a_verdict_that_fails_is_no_convergence(
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.engine")
-    real = module._judge
+    real = module._checked
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         open_one = Condition(

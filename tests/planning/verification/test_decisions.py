@@ -90,7 +90,7 @@ def of_orders(monkeypatch: pytest.MonkeyPatch, *orders: SecondOrder) -> list[go.
     monkeypatch.setattr(second_order, "obstacle", lambda samples: "")
     monkeypatch.setattr(second_order, "Switches", SimpleNamespace(of=lambda s: switches))
     monkeypatch.setattr(second_order, "Unknowns", SimpleNamespace(of=lambda *given: None))
-    monkeypatch.setattr(second_order, "_checked", lambda *given: next(left))
+    monkeypatch.setattr(second_order, "_judge", lambda *given: next(left))
     samples: Any = [SimpleNamespace(leg=SimpleNamespace(name="leg"))]
     nothing: Any = None
     return second_order.second_order(nothing, samples, nothing, 1e-6)
