@@ -183,7 +183,7 @@ def test_another_start_than_the_problem_has_fails() -> None:
 
 
 def test_solution_of_other_sizes_is_refused() -> None:
-    with pytest.raises(go.ProblemError, match=r"does not fit problem 'cart': .* judge it by the problem"):
+    with pytest.raises(go.ProblemError, match=r"does not fit problem 'cart': .* check it with the problem"):
         go.verify(replace(two_integrals(1.0), problem=cart(1.0)))
     with pytest.raises(go.ProblemError, match="phases are"):
         go.verify(replace(energy(), phases={"lag": energy().phase()}))

@@ -294,7 +294,7 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     span = s.control_span[0]
     worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
-    np.testing.assert_allclose(found._worth(-7.0 * (better - found._flown)), worth, rtol=1e-9)
+    np.testing.assert_allclose(found._largest_change(-7.0 * (better - found._flown)), worth, rtol=1e-9)
     none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
     endless, share = found._gain(found._flown, np.full(at.size, -np.inf), at)  # a pole of H is no gain
