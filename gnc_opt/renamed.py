@@ -23,7 +23,6 @@ RENAMED = {
     "gnc_opt.control.GuidanceOptions": "gnc_opt.guidance.GuidanceOptions",
     "gnc_opt.control.Measurement": "gnc_opt.estimation.Measurement",
     "gnc_opt.control.MockupUnit": "gnc_opt.control.Fmu",
-    "gnc_opt.control.UnscentedOptions": "gnc_opt.estimation.UnscentedOptions",
     "gnc_opt.control.bridge_dropouts": "gnc_opt.control.with_dropout_handling",
     "gnc_opt.control.design_ekf": "gnc_opt.estimation.design_ekf",
     "gnc_opt.control.design_neighbouring_extremal": "gnc_opt.guidance.design_neighbouring_extremal",

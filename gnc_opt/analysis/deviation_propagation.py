@@ -13,20 +13,11 @@ from gnc_opt.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Sources of a loop's deviations: parameters, and the random numbers of every step.
+    """Sources of a loop's deviations: the dispersions, then the blocks that draw random numbers, by name.
 
-    The numbers of the first step are in the first sample and in the step, so they count among the parameters.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the dispersions, then of the blocks that draw numbers.
-    spreads : tuple of arrays
-        Covariance of the parameters of each.
-    numbers : tuple of slices
-        Places of the numbers of each block in those of a step.
-    deviations : array (n_dispersed, n_runs)
-        What was drawn for the dispersed parameters of some runs.
+    ``spreads`` are the covariances of their parameters, ``numbers`` the places of a block's numbers in those of a
+    step, ``deviations`` (n_dispersed, n_runs) the draws of some runs. The numbers of the first step count among the
+    parameters.
     """
 
     names: tuple[str, ...]
@@ -43,16 +34,8 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a column (n,) scatters.
-
-    Attributes
-    ----------
-    by_parameters : array (n, n_parameters)
-        Derivatives.
-    noise : sequence of arrays (n, n)
-        Covariances due to the numbers of each block since the first step.
-    runs : array (n, n_runs)
-        Linear predictions of its deviation in some runs.
+    """How a column (n,) scatters: derivatives (n, n_parameters), covariances (n, n) due to the numbers of each block
+    since the first step, and linear predictions (n, n_runs) of some runs.
     """
 
     sources: Sources

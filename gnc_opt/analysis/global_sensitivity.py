@@ -1,4 +1,4 @@
-r"""Drivers: which dispersion drives which measure.
+r"""Global sensitivity: the shares of dispersions and noise in the variance of a measure, and rank correlations.
 
 *Sobol' indices* divide the variance V of a measure f among the factors, the dispersions and the noise. With rows of
 two independent campaigns A and B, and A with one factor taken from B, :math:`AB_i`,
@@ -6,10 +6,8 @@ two independent campaigns A and B, and A with one factor taken from B, :math:`AB
 .. math::
     S_i = \frac{1}{V} \overline{f_B\,(f_{AB_i} - f_A)}, \qquad T_i = \frac{1}{2 V} \overline{(f_A - f_{AB_i})^2}:
 
-the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are percentiles
-of the same from rows drawn with replacement (bootstrap).
-
-*Correlations* need no runs of their own: Spearman's, of the ranks, from a campaign that is there.
+the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are bootstrap
+percentiles. *Correlations* are Spearman's, of the ranks, from an existing campaign.
 
 References
 ----------
@@ -61,9 +59,8 @@ class IntervalEstimate:
 
     Examples
     --------
-    >>> share = correlations(campaign, "max(overshoot)").ranks["initial.q"]
-    >>> print(share.low <= share.value <= share.high)
-    True
+    >>> print(IntervalEstimate(0.5, 0.4, 0.6))
+    0.500 (0.400 to 0.600)
     """
 
     value: float
@@ -128,7 +125,7 @@ def sobol_indices(
     confidence: float = CONFIDENCE,
     executor: Executor | Literal["serial"] | None = None,
 ) -> SobolIndices:
-    """Divide the variance of a measure among the dispersions and the noise.
+    """Return the shares of the dispersions and the noise in the variance of a measure.
 
     Parameters
     ----------
@@ -142,10 +139,6 @@ def sobol_indices(
         Of each interval, in (0, 1).
     executor : concurrent.futures.Executor or "serial", optional
         As in `monte_carlo`.
-
-    Returns
-    -------
-    SobolIndices
 
     Raises
     ------
@@ -286,8 +279,7 @@ class Correlations(Printed):
 def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFIDENCE) -> Correlations:
     """Return the rank correlations of the drawn values with a measure, from the runs of a campaign.
 
-    It detects monotonic dependence only. For a measure with its minimum inside the range (a norm of errors
-    with mean zero) use `sobol_indices`.
+    They detect monotonic dependence only. For a measure with its minimum inside the range use `sobol_indices`.
 
     Parameters
     ----------
@@ -296,10 +288,6 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
         See `Campaign.measure`.
     confidence : float
         Of each interval, in (0, 1).
-
-    Returns
-    -------
-    Correlations
 
     Raises
     ------

@@ -5,22 +5,17 @@ With the derivatives of `Linearization`, the deviations due to a dispersion with
 
 .. math:: \Phi_{k+1} = A_k \Phi_k + H_k, \qquad S_{k+1} = A_k S_k A_k^T + G_k G_k^T,
 
-so that each source has its own share of every covariance. Where the loop bends within the dispersions (a limit that is
-met, a quantum, a large angle) none of this holds. That is measured: a few runs are flown with random numbers for which
-the linear prediction is computed as well, number by number. If r is the root mean square of what they differ by,
-standard deviations lie within :math:`\sigma \pm r`, by the triangle inequality (but for the small number of runs).
+so that each source has its own share of every covariance. Nonlinearity within the dispersions is measured by runs whose
+random numbers also give the linear prediction: if r is the root mean square of the differences, standard deviations lie
+within :math:`\sigma \pm r`, by the triangle inequality.
 
-The gains of a filter are those of the nominal run if its innovations vanish there: a change of its covariance then has
-no effect to first order. Otherwise, as where the filter starts in error, its covariance is part of X.
+The gains of a filter are those of the nominal run if its innovations vanish there; otherwise its covariance is part
+of X.
 
 References
 ----------
 D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous onboard mission planning,
 Journal of Guidance, Control, and Dynamics 29 (2006), section III.
-
-Tables of analyses: linear covariances with their sources.
-
-Resolution: how many integration steps a linearization needs, by the modes of the plant along its nominal run.
 """
 
 from __future__ import annotations
@@ -73,8 +68,7 @@ class CovarianceCheck(Printed):
     ratio : array (n,)
         Variance of the runs over that predicted.
     band : array (2, n)
-        Of the ratio: quantiles of chi-square over its degrees of freedom, 2 / (kurtosis - 1) per run, by the kurtosis
-        of the runs (one per run for normal errors).
+        Of the ratio: chi-square with 2 / (kurtosis - 1) degrees of freedom per run.
     confidence : float
         Of all bands together (Bonferroni).
 
@@ -171,12 +165,8 @@ def _percent(share: float) -> str:
 
 
 class PlantModes:
-    """Requirements of a plant's modes along its nominal run.
-
-    Parameters
-    ----------
-    asked : float
-        Error of the modes per minor step, see `steps_for_modes`.
+    """Integration steps that a plant's modes need along its nominal run, for an error per minor step
+    (`steps_for_modes`).
     """
 
     def __init__(self, linearization: Linearization, asked: float) -> None:
@@ -221,8 +211,8 @@ _KINDS = {"command": "commands", "applied": "applied"}
 class LinearCovariance(Strict, Printed):
     """Covariances along a nominal run, by source; see `linear_covariance`.
 
-    A *signal* is the name of a state (its error, relative to the nominal run), or ``command(F)``,
-    ``applied(F)``: the controller's command, and the mean of the applied control over the step.
+    A *signal* is the name of a state (its error, relative to the nominal run), ``command(F)`` or ``applied(F)``: the
+    controller's command, and the mean of the applied control over the step.
 
     Attributes
     ----------
@@ -302,20 +292,17 @@ class LinearCovariance(Strict, Printed):
         return {self.sources[i]: float(shares[i]) for i in order}
 
     def nonlinearity(self, signal: str) -> Array:
-        """Return what runs differ by from their linear prediction, (size, n_times), in standard deviations.
+        """Return the root mean square difference of runs from their linear prediction, (size, n_times), in standard
+        deviations.
 
-        Root mean square of the runs; infinite if only they deviate, NaN without runs to compare with.
+        Infinite where the prediction does not scatter, NaN without runs.
         """
         kind, name = self._parse(signal)
         return self.bends[kind][self.layouts[kind].slice(name)]
 
     def linear(self, signal: str, tolerance: float = LINEAR_MAX_ERROR_SIGMA) -> bool:
-        """Whether the standard deviations of a signal at the end are right to ``tolerance``, as far as runs tell.
-
-        Raises
-        ------
-        ArgumentError
-            No runs were compared with.
+        """Whether the standard deviations of a signal at the end are right to ``tolerance``; `ArgumentError`
+        without runs.
         """
         if not self.checked:
             raise ArgumentError(
@@ -388,7 +375,7 @@ def linear_covariance(
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
-    It predicts the runs of `monte_carlo`; one pass takes as long as some dozens of them.
+    It predicts the runs of `monte_carlo` and takes as long as some dozens of them.
 
     Parameters
     ----------
@@ -400,10 +387,6 @@ def linear_covariance(
     checks : int
         Runs simulated for comparison with their linear predictions, for `LinearCovariance.nonlinearity`; 0:
         none.
-
-    Returns
-    -------
-    LinearCovariance
 
     Raises
     ------

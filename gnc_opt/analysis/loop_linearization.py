@@ -1,17 +1,14 @@
 r"""Linearization: the derivatives of a closed loop's control steps along its nominal run.
 
-The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) holds everything: plant,
-sensors, estimator, controller, actuators. About the nominal run, the one without noise,
+The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) holds plant, sensors,
+estimator, controller, actuators. About the nominal run, the one without noise,
 
 .. math::
     \delta X_{k+1} = A_k\, \delta X_k + G_k\, n_k + H_k\, \delta P, \qquad
     \delta y_k = C_k\, \delta X_k + D_k\, n_k + E_k\, \delta P,
 
-n the standard normal numbers of the step, y what is logged. The derivatives are those of the compiled functions
-themselves; what only keeps the books (times of faults, say) is left out of X.
-
-The covariance P of a filter, which may have a thousand entries, weighs innovations. Where these are zero on the nominal
-run, P has no effect to first order: it may be *held*, taken as it is there.
+n the standard normal numbers of the step, y what is logged. Where innovations are zero on the nominal run, the
+covariance of a filter has no effect to first order and may be *held*.
 """
 
 from __future__ import annotations
@@ -40,18 +37,8 @@ _CARRIED = ("plant", "sensor", "actuator", "push", "memory")
 
 @dataclass(frozen=True, eq=False)
 class LinearStep:
-    """One control step, see the module.
-
-    Attributes
-    ----------
-    X_next : array (n_X,)
-        Nominal column after it.
-    y : array (n_y,)
-        Nominal `OUTPUTS`.
-    a, g, h : array
-        Derivatives of the next column by X, noise and parameters.
-    c, d, e : array
-        The same of `OUTPUTS`.
+    """One control step: the nominal X_next (n_X,) and y (n_y,), and the derivatives of both by X, noise and
+    parameters.
     """
 
     X_next: Array
@@ -66,21 +53,9 @@ class LinearStep:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A loop along its nominal run.
+    """A loop along its nominal run, differentiated by columns of P; with ``hold``, a filter's covariance is constant.
 
-    Parameters
-    ----------
-    wiring : Wiring
-        Of the loop.
-    columns : sequence of int
-        Places in P by which is differentiated.
-    hold : bool
-        Whether the covariance of a filter is held.
-
-    Raises
-    ------
-    ArgumentError
-        The loop has events, whose instants scatter, or re-plans: neither has a derivative at a fixed time.
+    Events and re-planning are refused: they have no derivative at a fixed time.
     """
 
     flight: CompiledLoop
@@ -157,13 +132,7 @@ class Linearization:
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
     def steps(self, X: Array) -> Iterator[LinearStep]:
-        """Yield the control steps of the nominal run that begins with the column X (n_X,).
-
-        Raises
-        ------
-        ArgumentError
-            The run or its derivatives are not finite.
-        """
+        """Yield the control steps of the nominal run that begins with the column X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._by_constants
@@ -211,9 +180,8 @@ class Linearization:
 
     @cached_property
     def _function(self) -> Any:
-        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``.
-
-        The derivatives are those of the propagated part of X_next and, below it, of y.
+        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``, derivatives of the carried X_next
+        and, below, of y.
         """
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX

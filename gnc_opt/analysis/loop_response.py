@@ -1,17 +1,13 @@
 r"""Frequency response of a complete closed loop, at instants along its nominal run.
 
-The loop is cut where the commands leave the controller. With v the input of the actuators and u the
-controller's command, the linearized step (`Linearization`) of the closed loop, with d added to the command (v
-= u + d), is
+The loop is cut where the commands leave the controller. With d added to the command u of the linearized step
+(`Linearization`) of the closed loop,
 
 .. math:: \delta X^+ = A\, \delta X + B\, d, \qquad u = C\, \delta X,
 
-without direct way from d to u, since the controller has measured before. So the open loop is
-:math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}`, its complement :math:`T = L S`, with
-all of it inside: sampling, holding, sensors, estimator, delays, lags. Each instant is taken by itself ("frozen"): what
-is periodic or changes within the times of the loop, such as sensors read every few steps, is not described.
-
-Margins are those of `gnc_opt.control.loop_margins`, one command at a time and all at once (disk).
+the open loop is :math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}`, its complement
+:math:`T = L S`, including sampling, holding, sensors, estimator, delays and lags. Each instant is frozen: sensors read
+every few steps, for example, are not described. Margins are those of `gnc_opt.control.loop_margins`.
 """
 
 from __future__ import annotations
@@ -128,7 +124,7 @@ class LoopResponse(Strict):
         Raises
         ------
         ArgumentError
-            The frozen loop is not stable there, or open: no command moves anything, for all are at their limits.
+            The frozen loop is not stable there, or open: all commands are at their limits.
         """
         if not self.stable(index):
             z = max(self.poles(index), key=abs)
@@ -221,7 +217,7 @@ def loop_response(
     parameters: Mapping[str, ArrayLike] | None = None,
     at: Sequence[float] | None = None,
 ) -> LoopResponse:
-    """Linearize a loop, cut at its commands, at instants of its nominal run.
+    """Return a loop linearized at instants of its nominal run, cut at its commands.
 
     Parameters
     ----------
@@ -231,10 +227,6 @@ def loop_response(
         The nominal run, as in `ClosedLoop.simulate`.
     at : sequence of float, optional
         Times, s; the control steps in which they lie are taken. Default the first control step.
-
-    Returns
-    -------
-    LoopResponse
 
     Raises
     ------
@@ -265,8 +257,8 @@ def loop_response(
 def _along(
     opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
 ) -> tuple[LoopResponse, int]:
-    """Return the response of a loop with its probe, and the integration steps per minor step that its modes
-    need; 0 if it has as many.
+    """Return the response of a loop with its probe, and the integration steps that its modes need (0: it has
+    as many).
     """
     flight = opened.compile(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)

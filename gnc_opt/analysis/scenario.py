@@ -1,8 +1,6 @@
 """Scenario: runs of a loop with chosen random numbers, and their measures.
 
-All that a run draws is made of standard normal numbers: first those of the dispersions, one name after the
-other, then those of the control steps. With these numbers a run can be repeated, varied or searched for the
-worst case.
+All that a run draws is made of standard normal numbers: those of the dispersions, then those of the control steps.
 """
 
 from __future__ import annotations
@@ -103,13 +101,7 @@ class Scenario:
         return read_criteria(self.target, self.judge)
 
     def require(self, measure: str) -> None:
-        """Raise an error for a name that is not a measure of the runs.
-
-        Raises
-        ------
-        UnknownNameError, ArgumentError
-            The name is unknown, or the error has no reference.
-        """
+        """Raise an error for a name that is not a measure of the runs."""
         if measure not in self.criteria.judge:
             self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
 
@@ -165,10 +157,7 @@ class Scenario:
         return self.criteria.applied(campaign) if runs else campaign
 
     def values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
-        """Return a measure of runs, (n,), as `campaign`; infinite for those that fail or have none.
-
-        Runs that are merely inaccurate count with what they measure.
-        """
+        """Return a measure of runs, (n,), as `campaign`; infinite for those that fail or have none."""
         campaign = self.campaign(P, seeds)
         flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
@@ -176,11 +165,8 @@ class Scenario:
 
 
 class GivenNumbers:
-    """Stands for a random generator, but draws from given standard normal numbers; without any, it counts.
-
-    Parameters
-    ----------
-    numbers : array (n,) or None
+    """A random generator's methods on given standard normal numbers (n,); with ``None`` it counts what is
+    drawn.
     """
 
     def __init__(self, numbers: Array | None) -> None:

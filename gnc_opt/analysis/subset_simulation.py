@@ -1,17 +1,13 @@
-r"""Failure probability by subset simulation: rare failures, step by step through less rare ones.
+r"""Failure probability by subset simulation.
 
-The probability of a rare failure is a product of conditional ones that are not rare,
-:math:`p = P(F_1) P(F_2 | F_1) \ldots`, where F_i is what exceeds a level that a tenth of the runs before exceeded. Runs
-within a level are made from those that exceeded the last one by a Markov chain over all standard normal numbers of a
-run (`Scenario`), dispersions and noise alike,
+The probability of a rare failure is a product :math:`p = P(F_1) P(F_2 | F_1) \ldots` of conditional ones, where F_i is
+exceeding the level that a tenth of the previous runs exceeded. Runs within a level are made from those that exceeded
+the last one by a Markov chain over all standard normal numbers of a run (`Scenario`), dispersions and noise alike,
 
 .. math:: z' = \sqrt{1 - s^2}\, z + s\, \xi, \qquad \xi \sim N(0, 1),
 
-which leaves the normal distribution as it is; z' is taken if its run exceeds the level as well. The number of
-dimensions does not matter for it. s is adapted from level to level, never within one.
-
-Runs of one chain depend on each other, and so do levels; no formula for the error of one estimate is trusted here. The
-whole is repeated independently, and the interval is that of Student's t over the repetitions.
+taken if its run exceeds the level as well; s is adapted from level to level. As runs of a chain and levels are
+dependent, the whole is repeated independently, and the interval is that of Student's t over the repetitions.
 
 References
 ----------
@@ -109,7 +105,7 @@ def failure_probability(
     confidence: float = CONFIDENCE,
     executor: Executor | Literal["serial"] | None = None,
 ) -> FailureProbability:
-    """Estimate how probable it is that a run is not OK or a measure exceeds its limit, however rare.
+    """Return the estimated probability that a run is not OK or a measure exceeds its limit, however rare.
 
     A campaign needs some 100 / p runs to know a probability p to 10 %; this takes about ``repetitions * n *
     log10(1 / p)`` to know it to some 20 %.
@@ -130,10 +126,6 @@ def failure_probability(
         Of the interval, in (0, 1).
     executor : concurrent.futures.Executor or "serial", optional
         As in `monte_carlo`.
-
-    Returns
-    -------
-    FailureProbability
 
     Raises
     ------
@@ -180,10 +172,10 @@ def failure_probability(
         )
     estimates = np.array([answer.probability for answer in answers])
     if not np.all(estimates > 0):
-        told, largest = _told_apart(bound, max(float(answer.levels[-1]) for answer in answers))
+        largest = max(float(answer.levels[-1]) for answer in answers)
         raise GncOptError(
-            f"'{measure}' exceeds {told} less often than once in 10^{MOST_LEVELS} runs, or never: the largest value "
-            f"found is {largest}; give a limit within reach."
+            f"'{measure}' exceeds {bound!r} less often than once in 10^{MOST_LEVELS} runs, or never: the largest value "
+            f"found is {largest!r}; give a limit within reach."
         )
     mean, low, high = repeated_mean(estimates, confidence)
     if all(answer.levels.size == 1 for answer in answers):  # no chains: all runs are independent
@@ -244,16 +236,8 @@ class _Search:
 def subset_simulation(
     value: Value, size: int, limit: float, count: int, generator: np.random.Generator
 ) -> Estimate:
-    """Estimate the probability that ``value`` of so many standard normal numbers exceeds a limit.
-
-    Parameters
-    ----------
-    value : callable
-        See `Value`.
-    size : int
-        Number of numbers.
-    count : int
-        Runs of a level, a multiple of ten.
+    """Estimate the probability that ``value`` of ``size`` standard normal numbers exceeds a limit, by
+    ``count`` runs per level.
     """
     z = generator.standard_normal((size, count))
     y = value(z)
@@ -289,12 +273,3 @@ def _chains(
         found_z.append(z)
         found_y.append(y)
     return np.hstack(found_z)[:, :count], np.concatenate(found_y)[:count], taken / max(tried, 1)
-
-
-def _told_apart(one: float, other: float) -> tuple[str, str]:
-    """Return two numbers with so many digits, six at least, that they read different if they are."""
-    for digits in range(6, 18):
-        texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
-        if texts[0] != texts[1] or one == other:
-            break
-    return texts

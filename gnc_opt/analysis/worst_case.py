@@ -82,7 +82,7 @@ def worst_case(
     *,
     generations: int = 40,
 ) -> WorstCase:
-    """Search the worst run within the bounds of the dispersions, without noise.
+    """Return the worst run found within the bounds of the dispersions, without noise.
 
     Parameters
     ----------
@@ -94,10 +94,6 @@ def worst_case(
         As in `Campaign.measure`, or one of the scenario's ``judge``.
     generations : int
         Of the search, at most; each simulates 15 runs per dispersed number (at least 30).
-
-    Returns
-    -------
-    WorstCase
 
     Raises
     ------

@@ -1,8 +1,5 @@
-"""The programme of a horizon as C: its tables, and what stands in ``active_set_qp.c``.
-
-A controller whose law solves a quadratic programme has a second form for flight code (`Controller.flight`): the law
-around the programme as elementary operations, with the programme as one call, which this module writes as C. There it
-is condensed and solved by an active-set method of fixed memory; the sparse solver of the simulations stays outside.
+"""The programme of a horizon as C, condensed, solved by the active-set method of fixed memory in
+``active_set_qp.c``.
 """
 
 from __future__ import annotations
@@ -32,22 +29,11 @@ _ITERATIONS_PER_UNKNOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class ProgrammeCode:
-    """The C of a programme.
+    """The C of a programme, with the rows of a step, the roots (n_soft,) of the prices of its soft limits, the tables
+    A - B K, B L^-T, K and L^-T, (n_tables, ., .) each, N steps, and where the feedforward begins in a row of the
+    schedule.
 
-    Attributes
-    ----------
-    rows : Rows
-        Limits of a step.
-    roots : array (n_soft,)
-        Of the prices of the soft limits.
-    matrices : tuple of arrays (n_tables, ., .)
-        A - B K, B L^-T, K and L^-T.
-    sliding : bool
-        Whether the j-th step from a row k takes table k + j; else k N + j.
-    count : int
-        Steps N.
-    n_states : int
-        Where the feedforward begins in a row of the schedule.
+    If ``sliding``, the j-th step from row k takes table k + j, else k N + j.
     """
 
     rows: Rows
@@ -69,7 +55,7 @@ class ProgrammeCode:
 
     @property
     def operations(self) -> int:
-        """Arithmetic operations and comparisons of a call, at most."""
+        """Largest number of arithmetic operations and comparisons of a call."""
         m, size = self.rows.lower.size, self.unknowns
         n = self.matrices[0].shape[1]
         sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._kinds + n + m))
@@ -79,7 +65,7 @@ class ProgrammeCode:
 
     @property
     def stack(self) -> int:
-        """Numbers (and, counted as such, whole numbers) on the stack of a call, at most."""
+        """Largest number of entries on the stack of a call."""
         m, size = self.rows.lower.size, self.unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1

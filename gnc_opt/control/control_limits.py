@@ -85,18 +85,10 @@ def require_reserve(
 
     Parameters
     ----------
-    limits : (lower, upper), optional
-        None: no check.
-    times : array (n_times,)
     gain : array (n_controls, n_times), optional
-        Switching gain of a law in addition to the feedforward.
+        Switching gain of a law in addition to the feedforward; `DesignError` if both exceed the limits.
     dt : float, optional
         Length of the steps (s) over which the feedforward is held; without it, it follows the reference.
-
-    Raises
-    ------
-    DesignError
-        The feedforward and the gain together exceed the limits.
     """
     if limits is None:
         return []
@@ -135,7 +127,7 @@ def _distance(u: Array, limits: Authority) -> Array:
 def reference_beyond(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
-    """Return the facts about how far the reference is beyond limits of states, for those that it exceeds.
+    """Return and warn of how far the reference exceeds limits (n_limited,) of states, ``places`` among all.
 
     Parameters
     ----------
@@ -143,11 +135,6 @@ def reference_beyond(
         Of the limited states among all.
     lower, upper : array (n_limited,)
         Infinite for none.
-
-    Warns
-    -----
-    ProblemWarning
-        There is such a state: with all of them.
     """
     times, facts = reference_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):

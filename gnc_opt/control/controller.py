@@ -30,26 +30,19 @@ class SolverCode(Protocol):
 
     @property
     def operations(self) -> int:
-        """Arithmetic operations and comparisons of a call, at most."""
+        """Largest number of arithmetic operations and comparisons of a call."""
 
     @property
     def stack(self) -> int:
-        """Numbers on the stack of a call, at most."""
+        """Largest number of entries on the stack of a call."""
 
     def text(self, numbers: CNumbers) -> str:
-        """Return tables and functions, behind ``schedule`` and ``row_of``."""
+        """Return the C of tables and functions, placed after ``schedule`` and ``row_of``."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLaw:
-    """A law with a solver inside as flight code has it.
-
-    Attributes
-    ----------
-    controller : Controller
-        Of elementary operations and, with a solver, one call, named as the C function.
-    solver : SolverCode, optional
-    """
+    """A law for flight code: elementary operations and at most one call of a solver, named as its C function."""
 
     controller: Controller
     solver: SolverCode | None = None
@@ -62,10 +55,9 @@ _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
 class Controller:
     """A discrete-time control law ``(t, x, r, z) -> (u, z_next)``.
 
-    The law is a CasADi function without side effects, so it can be simulated, differentiated, mapped over a
-    campaign and written as C. At a control step that begins at t it gets the measured state x, the row r of its
-    schedule (reference, feedforward, gains: whatever is known beforehand) and its memory z; it returns the command u,
-    held until the next step, and the memory of the next step.
+    A CasADi function without side effects. At a control step that begins at t it takes the measured state x, the row r
+    of its schedule (reference, feedforward, gains) and its memory z; it returns the command u, held until the next
+    step, and the next memory.
 
     Attributes
     ----------
@@ -73,30 +65,27 @@ class Controller:
     step : casadi.Function
         ``(t, x, r, z) -> (u, z_next)``, columns.
     start : casadi.Function
-        ``(t, x, r) -> z``: the memory at the first step, from the first measurement. An integral surface, for
-        example, begins at zero this way.
+        ``(t, x, r) -> z``: the memory at the first step, from the first measurement.
     states, commands, signals, memory : Layout
         Names, sizes and units of x, u, r and z.
-    estimated : Layout, optional
-        The states that the law feeds back if an estimator computes them from measurements, see
-        `output_feedback`; ``states`` then are measurements.
-    flight : FlightLaw, optional
-        The form of the law in flight code, for a law that solves a problem at every step.
-    easy : casadi.Function, optional
-        ``(t, x, r, z) -> (u, z_next, enough)`` of elementary operations: the bits of ``step`` wherever enough is 1,
-        for a law that solves a problem at some steps only.
     schedule : callable
         See `Schedule`.
+    explanation : DesignReport
     dt : float or None
-        Length of a control step that the law was designed for, s; ``None``: any.
+        Control step of the design, s; ``None``: any.
     alarms : tuple of str
         Entries of the memory that are 0 in normal operation and nonzero from the first step at which the law
         cannot meet its guarantees (a singular decoupling matrix, a failed QP, a NaN measurement).
-    explanation : DesignReport
     span : tuple of two floats, optional
-        Times (s) between which the schedule changes; it is constant after the second. None: unknown.
+        Times (s) between which the schedule changes; it is constant after the second.
     unbridged : Controller, optional
-        The same law without its provision for lost samples, see `with_dropout_handling`.
+        The same law without dropout handling, see `with_dropout_handling`.
+    estimated : Layout, optional
+        The states fed back if an estimator computes them, see `output_feedback`; ``states`` then are measurements.
+    flight : FlightLaw, optional
+        Form for flight code of a law that solves a problem at every step.
+    easy : casadi.Function, optional
+        ``(t, x, r, z) -> (u, z_next, enough)`` of elementary operations: equals ``step`` wherever enough is 1.
 
     Examples
     --------
@@ -144,12 +133,8 @@ class Controller:
         return self.schedule(np.array([float(t)]), self.step_length(dt))[:, 0]
 
     def step_length(self, dt: float | None = None) -> float:
-        """Return the length of a control step (s), the given one or the design's own.
-
-        Raises
-        ------
-        ArgumentError
-            The law was designed for another step, or for any and none is given.
+        """Return the length of a control step (s), the given one or the design's own; raise `ArgumentError`
+        if they differ.
         """
         if dt is None:
             if self.dt is None:
@@ -196,19 +181,15 @@ class Controller:
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
 
     def to_control(self, dt: float | None = None) -> Any:
-        """Return the law as a sampled system of python-control, from the measured state to the command.
+        """Return the law as a ``control.NonlinearIOSystem`` of python-control, from the measured state to the command.
 
-        Its state is the memory, whose first value is ``initial_memory(t, x)[:system.nstates]``; there is no provision
-        for lost samples. ``system.linearize(z, x)`` is the linear system about a memory and a measurement.
+        Its state is the memory, whose first value is ``initial_memory(t, x)[:system.nstates]``, without dropout
+        handling.
 
         Parameters
         ----------
         dt : float, optional
             Length of the control step, s; see `step_length`.
-
-        Returns
-        -------
-        control.NonlinearIOSystem
 
         Raises
         ------
@@ -250,14 +231,11 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> An
 
 
 def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
-    """Return the CasADi function of the first memory from its symbols and the expression z.
+    """Return the CasADi function of the first memory from its symbols (as in `law`) and the expression z (n_memory, 1).
 
     Parameters
     ----------
-    t, x, r : casadi SX or MX
-        Symbols as in `law`.
-    z : casadi SX or MX
-        Expression of them, (n_memory, 1).
+    t, x, r, z : casadi SX or MX
 
     Examples
     --------

@@ -1,8 +1,7 @@
 """Laws that invert a decoupling matrix, and their alarm and command if it is nearly singular.
 
-Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the
-fallback, or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law
-itself goes back to work as soon as it can. For lost measurements see `gnc_opt.control.dropout`.
+A guarded law then raises the alarm ``singular`` and commands the fallback, or its last command again; its memory stands
+still until the matrix is regular again.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
 from gnc_opt.control.dropout import with_dropout_handling
@@ -35,7 +33,7 @@ GROWTH = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """One part of a law's memory: its symbol, first value and next value, SX columns; whether it is an alarm."""
+    """One part of a law's memory: symbol, first and next value, SX columns; whether it is an alarm."""
 
     name: str
     symbol: Any
@@ -54,14 +52,7 @@ class Memory:
 class Inverse:
     """E^+ y of a decoupling matrix that may become singular at run time.
 
-    Attributes
-    ----------
-    regular : SX
-        1 if E may be inverted, 0 otherwise (also if E is NaN).
-    scale : float
-        The largest |det E| on the reference.
-    lowest : float
-        The smallest |det E| on the reference.
+    ``regular`` is 1 (SX) if E may be inverted; ``scale`` and ``lowest`` are the extremes of |det E| on the reference.
     """
 
     matrix: Any
@@ -75,12 +66,8 @@ class Inverse:
 
 
 def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
-    """Return the inverse of the decoupling matrix of outputs.
-
-    Raises
-    ------
-    DesignError
-        det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
+    """Return the inverse of the decoupling matrix; `DesignError` where det E on the reference changes its sign or is
+    below ``guard`` times its largest value.
     """
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
@@ -92,16 +79,11 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.along(reference, times[[worst]], matrix)[0]
     if lost or dependent(np.linalg.svd(there, compute_uv=False)):
-        if _singular_everywhere(errors, reference, times):
-            raise DesignError(
-                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular wherever they are: the "
-                "controls that move them first do not tell them apart; make such a control a state and its rate the "
-                "control, or choose other outputs."
-            )
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
-            "choose other outputs, or a reference that keeps clear."
+            "choose other outputs or a reference that keeps clear, or make the control that enters first a state and "
+            "its rate the control."
         )
     if matrix.is_constant():
         return Inverse(ca.SX(matrix), ca.SX(1), scale, scale)
@@ -113,19 +95,6 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
         harmless[:, :size] += ca.DM.eye(size)
     safe = ca.if_else(regular, matrix, ca.SX(harmless))
     return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
-
-
-def _singular_everywhere(errors: OutputErrors, reference: Reference, times: Array) -> bool:
-    """Whether the decoupling matrix of outputs has no rank at points in general position near the reference either."""
-    if len(errors.labels) == 1:
-        return False
-    function, random = errors.pair.function(errors.decoupling), np.random.default_rng(0)
-    for t in times[:: max(1, times.size // 5)]:
-        x, u = reference.x(t), reference.u(t)
-        near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
-        if not dependent(np.linalg.svd(np.asarray(function(t, near, u, x, u).full()), compute_uv=False)):
-            return False
-    return True
 
 
 def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[ReportEntry]:
@@ -148,20 +117,10 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
 
 @dataclass(frozen=True, eq=False)
 class GuardedLaw:
-    """Command of a law for a regular decoupling matrix and for a nearly singular one.
+    """Command (n_controls,) for a regular decoupling matrix, and ``fallback`` (default: the last command) for a
+    singular one.
 
-    Attributes
-    ----------
-    command : SX (n_controls,)
-        Where it may.
-    regular : SX
-        See `Inverse`.
-    memory : tuple of Memory
-        The law's own; the last command and the alarms are added.
-    fallback : SX (n_controls,), optional
-        What it commands where it may not; without it, the last command again.
-    nominal : Nominal, optional
-        Another controller that the law builds upon, with its memory and signals.
+    The last command and the alarms are added to the memory; ``nominal`` is a controller that the law builds upon.
     """
 
     command: Any

@@ -1,17 +1,12 @@
-r"""Deviation from a reference: errors on the right manifold, and how they move to first order.
+r"""Deviation from a reference: errors on the manifold of the states, and their linear dynamics.
 
 With the model's error :math:`e = d(x, x_r)` (subtraction unless `Model.difference` says otherwise),
 
 .. math:: \dot e = \frac{\partial d}{\partial x} f(t, x, u) + \frac{\partial d}{\partial x_r} f(t, x_r, u_r)
-   \approx A\, e + B\, (u - u_r),
-
-.. math:: A = \left.\frac{\partial \dot e}{\partial x}\right|_r T, \qquad
+   \approx A\, e + B\, (u - u_r), \qquad A = \left.\frac{\partial \dot e}{\partial x}\right|_r T, \quad
    B = \left.\frac{\partial \dot e}{\partial u}\right|_r,
 
-where T takes an error to the change of state that causes it, :math:`(\partial d/\partial x)\, T = 1`. The
-pseudo-inverse is that T: it leaves out the directions that are no change of state (the length of a quaternion).
-
-Linear plants and sampled laws as systems of python-control, the package of the extra ``control``.
+where T, the pseudo-inverse of :math:`\partial d/\partial x`, takes an error to the change of state that causes it.
 """
 
 from __future__ import annotations
@@ -37,16 +32,8 @@ from gnc_opt.model.variables import Layout
 def linear_system(
     name: str, matrices: tuple[Array, Array, Array, Array], dt: float, *layouts: tuple[str, ...]
 ) -> Any:
-    """Return a ``control.StateSpace``.
-
-    Parameters
-    ----------
-    matrices : tuple of four arrays
-        A, B, C, D.
-    dt : float
-        Step, s; 0 for continuous time.
-    *layouts : three tuples of str
-        Names of the states, inputs and outputs.
+    """Return a ``control.StateSpace`` of matrices A, B, C, D; dt is 0 for continuous time, layouts name
+    states, inputs, outputs.
     """
     states, inputs, outputs = (list(labels) for labels in layouts)
     package = imported("control", "control")
@@ -61,14 +48,8 @@ def sampled_system(
     measured: Layout,
     commands: Layout,
 ) -> Any:
-    """Return a ``control.NonlinearIOSystem`` with steps of dt (s).
-
-    Parameters
-    ----------
-    step : callable
-        ``step(t, z, x)`` returns the command and the next memory.
-    memory, measured, commands : Layout
-        Of the state z, the input x and the output.
+    """Return a ``control.NonlinearIOSystem`` with steps of dt (s); ``step(t, z, x)`` returns the command and
+    the next memory.
     """
     package = imported("control", "control")
 
@@ -143,13 +124,7 @@ class ErrorDynamics:
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
     def output(self, name: str, t: Any, x: Any) -> Any:
-        """Return an output as an SX expression of the SX scalar t and column x.
-
-        Raises
-        ------
-        DesignError
-            It depends on a control, which a law cannot know before it has commanded it.
-        """
+        """Return an output as an SX expression of t and x; `DesignError` if it depends on a control."""
         time, xs, us, p = self.model.arguments()
         y = self.model.output_expression(name)
         if any(ca.which_depends(y, us, 1, True)):
@@ -187,10 +162,8 @@ class ErrorDynamics:
 
         Raises
         ------
-        DesignError
-            An output depends on a control.
-        GncOptError
-            The extra ``control`` is not installed.
+        DesignError, GncOptError
+            An output depends on a control; the extra ``control`` is not installed.
         """
         a, b = self.linearize(t, x_ref, u_ref)
         if dt is not None:

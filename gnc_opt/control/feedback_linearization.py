@@ -1,11 +1,10 @@
 r"""Feedback linearisation: outputs that move like chains of integrators.
 
-With output errors e of relative degrees r and :math:`e^{(r)} = a + E u`,
+With output errors e of relative degrees r and :math:`e^{(r)} = a + E u`, the law
 
 .. math:: u = E^{-1}(v - a), \qquad v = -K \eta, \qquad \eta = (e,\ \dot e,\ \dots),
 
-makes every error follow the poles of K, exactly, wherever E can be inverted. The unobserved zero dynamics are
-not controlled and have to be stable.
+gives the errors the poles of K wherever E can be inverted. The zero dynamics are not controlled and must be stable.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ def design_feedback_linearization(
     dt: float | None = None,
     name: str = "feedback linearisation",
 ) -> Controller:
-    """Design a controller that makes output errors decay with chosen poles.
+    """Return a controller that makes output errors decay with chosen poles.
 
     Give one of ``poles``, ``gains`` and ``Q``, ``R``.
 
@@ -90,21 +89,15 @@ def design_feedback_linearization(
     name : str
         For messages and reports.
 
-    Returns
-    -------
-    Controller
-
     Raises
     ------
     DesignError
-        Undefined relative degree, singular decoupling matrix on the reference, unstable poles or zero dynamics, steps
-        too long.
+        Undefined relative degree, singular decoupling matrix on the reference, unstable poles or zero dynamics, long
+        steps.
 
-    Notes
-    -----
-    Whether E stays regular, and the errors decay, from a distant start and within the limits of the actuators is
-    answered by a run: ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)]).simulate(x0, tf)``. It ends
-    as ``CONTROLLER_ALARM`` if E becomes singular and as ``DIVERGED`` if the state leaves all bounds.
+    Notes ----- A run of ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)])`` shows whether the
+    errors decay from a distant start: it ends as ``CONTROLLER_ALARM`` if E becomes singular and as ``DIVERGED`` if the
+    state leaves all bounds.
 
     Examples
     --------

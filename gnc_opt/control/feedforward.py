@@ -1,7 +1,4 @@
-"""Open loop: fly the reference's controls, whatever happens.
-
-Schedules: the precomputed signals of a tracking law, with names and units.
-"""
+"""Feedforward control, and schedules: the precomputed signals of a tracking law, with names and units."""
 
 from __future__ import annotations
 
@@ -31,9 +28,8 @@ def reference_signals(reference: Reference, *more: Variable) -> Layout:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSchedule:
-    """Rows of `reference_signals`: states at the beginning of a step, mean controls over it.
-
-    Called with times (n,) and a step (s) it returns (n_states + n_controls, n).
+    """Rows (n_states + n_controls, n) of `reference_signals` for times (n,): states at the beginning of a step of dt
+    (s), mean controls over it.
     """
 
     reference: Reference
@@ -54,7 +50,9 @@ class StackedSchedule:
 
 
 def reference_times(reference: Reference, samples: int = LOOKS) -> Array:
-    """Return the times (s) at which a design looks at its reference: its ends and both sides of jumps, too."""
+    """Return the times (s) at which a design evaluates its reference: equidistant, its ends and both sides of
+    jumps.
+    """
     start, end = reference.initial_time, reference.final_time
     if end <= start:
         return np.array([start])
@@ -65,16 +63,12 @@ def reference_times(reference: Reference, samples: int = LOOKS) -> Array:
 
 
 def feedforward(reference: Reference) -> Controller:
-    """Return the controller without feedback: the command is the mean of the reference's control over the step.
+    """Return the controller without feedback or memory: the command is the mean of the reference's control over the
+    step.
 
     Parameters
     ----------
     reference : Reference
-
-    Returns
-    -------
-    Controller
-        For any control step; it has no memory and ignores the measured state.
 
     Raises
     ------

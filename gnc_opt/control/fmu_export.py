@@ -1,8 +1,6 @@
 """A controller as a functional mock-up unit (FMU), FMI 2.0 for co-simulation, around its flight code.
 
-The archive contains the C code of `export_c`, ``fmi2_cosimulation.c`` and, if a C compiler is found, the
-shared library of this platform. Other platforms' libraries are built by the importing tool from the same
-sources.
+The archive contains the C code of `export_c`, ``fmi2_cosimulation.c`` and, with a compiler, this platform's library.
 """
 
 from __future__ import annotations
@@ -71,13 +69,12 @@ def export_fmu(
     span: tuple[float, float] | None = None,
     binary: bool | None = None,
 ) -> Fmu:
-    """Write a controller as a functional mock-up unit, FMI 2.0 for co-simulation.
+    """Return where a controller was written as a functional mock-up unit, FMI 2.0 for co-simulation.
 
-    Inputs are the measured states, outputs the commands, both Real with the names and units of the model, and an alarm
-    is a Boolean output. The law is sampled at the start time plus multiples of dt. ``fmi2DoStep(t, h)`` runs the
-    samples in [t, t + h) with the inputs that were set before it: its outputs are the command that acts **from t on**.
-    A master that sets measurements of t, steps the controller, hands its outputs to the plant and steps that, flies
-    the same loop as `ClosedLoop`; one that steps both at a time adds a delay of h.
+    Inputs are the measured states, outputs the commands, both Real with the names and units of the model; an alarm is
+    a Boolean output. ``fmi2DoStep(t, h)`` runs the samples (start time plus multiples of dt) in [t, t + h) with the
+    inputs set before it: its outputs act from t on. A master that steps controller and plant at a time adds a delay of
+    h.
 
     Parameters
     ----------
@@ -89,10 +86,6 @@ def export_fmu(
         As of `export_c`.
     binary : bool, optional
         Compile the library of this platform with ``cc``. By default if a compiler is found.
-
-    Returns
-    -------
-    Fmu
 
     Raises
     ------

@@ -1,14 +1,12 @@
 r"""Gain schedule: regulators designed at operating points, interpolated by measured scheduling variables.
 
-At operating points :math:`(x_i, u_i)`, one per point of a grid of scheduling variables, the linear-quadratic gain K of
-the frozen linear plant is found; in flight
+At operating points :math:`(x_i, u_i)`, one per point of a grid of scheduling variables :math:`\sigma`, the
+linear-quadratic gain K of the frozen linear plant is found; in flight
 
 .. math:: u = u_{ff}(t) - \sum_i w_i(\sigma(x)) \, K_i \, e(x, x_{ref}(t)),
 
-with the weights w of (multi)linear interpolation on the grid, within which the scheduling variables are held.
-:math:`\sigma` are states or outputs of the model. Stability of each frozen loop, also half way between the points, does
-not imply that of a loop whose schedule moves as fast as its errors. Scheduling states that no control moves, such as
-the Mach number of an autopilot, are taken as given: the regulator is that of the others.
+with the weights w of multilinear interpolation. Stability of the frozen loops does not imply that of a loop whose
+schedule moves as fast as its errors. Scheduling states that no control moves are exogenous and are not fed back.
 
 References
 ----------
@@ -57,7 +55,7 @@ def design_gain_schedule(
     R: Weight,
     dt: float,
 ) -> Controller:
-    """Design a regulator with gains interpolated between operating points by measured scheduling variables.
+    """Return a regulator with gains interpolated between operating points by measured scheduling variables.
 
     Parameters
     ----------
@@ -85,7 +83,7 @@ def design_gain_schedule(
     Raises
     ------
     DesignError
-        A point that is not stabilisable, or a frozen loop that is unstable between the points: the grid is too coarse.
+        A point is not stabilisable, or a frozen loop between the points is unstable: refine the grid.
     ArgumentError, UnknownNameError
         Grids that do not increase, variables that are no scalar state or output, points of another shape.
 

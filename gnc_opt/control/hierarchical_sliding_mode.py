@@ -1,16 +1,11 @@
 r"""Hierarchical sliding surfaces: several outputs steered by fewer controls.
 
-Each output error has its own first surface, :math:`s_i = k_i e_i + \dot e_i`; their weighted sum is what the control
-drives to zero,
+Each output error has its own first surface, :math:`s_i = k_i e_i + \dot e_i`; the control drives their weighted sum
 
 .. math:: S = \sum_i w_i s_i, \qquad \sigma = \Big(\frac{d}{dt} + k\Big)^{r-1} S ,
 
-with r the relative degree of S (:math:`\sigma = kS + \dot S` where the control is the rate of an actuator angle,
-:math:`\sigma = S` where it acts on accelerations).
-
-One control can make S vanish, not every s_i: whether they follow is decided by the zero dynamics on S = 0, that is, by
-the **signs and ratios of the weights**. They are linearised at the end of the reference, and weights with a growing
-eigenvalue are refused.
+to zero, r the relative degree of S. Whether each s_i follows is decided by the zero dynamics on S = 0, that is, by the
+signs and ratios of the weights: a growing eigenvalue at the end of the reference is refused.
 """
 
 from __future__ import annotations
@@ -61,7 +56,7 @@ def design_hierarchical_sliding_mode(
     growth: float = GROWTH,
     name: str = "hierarchical sliding mode",
 ) -> Controller:
-    """Design a sliding mode on a weighted sum of the surfaces of several outputs.
+    """Return a sliding mode on a weighted sum of the surfaces of several outputs.
 
     Parameters
     ----------
@@ -83,10 +78,6 @@ def design_hierarchical_sliding_mode(
         As in `design_sliding_mode`.
     name : str
         For messages and reports.
-
-    Returns
-    -------
-    Controller
 
     Raises
     ------

@@ -1,8 +1,7 @@
 """The quadratic programme of a horizon: prediction and limits as sparse rows, and the check of its solution.
 
-Its unknowns are omega (m per step), the errors at the ends of the steps, scaled by the cost to go, and one
-slack for each softly limited state and step; its cost is half the square of omega and slacks and a linear
-price of the slacks. `gnc_opt.control.mpc` gives the derivation.
+Unknowns are omega (m per step), the scaled errors at the ends of the steps, and a slack for each softly limited state
+and step; see `gnc_opt.control.mpc`.
 """
 
 from __future__ import annotations
@@ -23,19 +22,8 @@ _INACTIVE_ROW_DISTANCE = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Limits of one step.
-
-    Attributes
-    ----------
-    lower, upper : array (m,)
-        Of the controls.
-    change : array (m,) or None
-        Largest change of the controls from step to step.
-    states, errors : tuple of int
-        Places of the limited states in x and in e.
-    state_lower, state_upper : array (n_limited,)
-    price : array (n_limited,)
-        Weight of each limited state's excess, squared; infinite for a hard limit.
+    """Limits of one step: of the controls (m,), of their change (or None) and of states, at places in x and e, whose
+    excess squared has a price (infinite for a hard limit).
     """
 
     lower: Array
@@ -85,8 +73,7 @@ class Rows:
 class Programme:
     """``min y'hy/2 + g'y`` within ``low <= a y <= high``, limits scaled to [-1, 1]; DM and MX.
 
-    The first rows are ``equal`` equations. The first ``free`` unknowns may have any sign; the slacks after them are not
-    negative.
+    The first rows are ``equal`` equations; unknowns after the first ``free`` are slacks >= 0.
     """
 
     h: Any
@@ -100,8 +87,7 @@ class Programme:
     def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
         """Return the largest violation of the optimality conditions; multipliers are positive at upper limits.
 
-        Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1, the
-        equations to their largest right side.
+        It is relative to the largest multiplier, gradient or right side, if that is above 1.
         """
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
         stationary = ca.norm_inf(self.h @ y + self.g + self.a.T @ lam_a + lam_x) / size
@@ -125,16 +111,10 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """The steps of a horizon and where their unknowns stand.
+    """The steps of a horizon: A - B K, B L^-T, K and L^-T of each step (DM or MX), and the scale (n_errors,) of the
+    errors.
 
-    Attributes
-    ----------
-    matrices : list of lists
-        A - B K, B L^-T, K and L^-T of each step, DM or MX.
-    scale : array (n_errors,)
-        What an unknown error is measured in.
-    condensed : bool
-        Without errors among the unknowns: no equations, and dense rows.
+    If ``condensed``, errors are no unknowns: no equations, and dense rows.
     """
 
     rows: Rows
@@ -169,18 +149,8 @@ class Horizon:
         return 0 if self.condensed else self.count * self.sizes[0]
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
-        """Return the programme.
-
-        Parameters
-        ----------
-        e_0 : column (n_errors,)
-            At the beginning.
-        u_ff : column
-            Feedforward over the steps.
-        x_ref : column
-            Reference of the limited states at the ends of the steps.
-        previous : column (m,)
-            The command before the horizon.
+        """Return the programme from the first errors, the feedforward over the steps, the limited reference states at
+        their ends and the previous command (m,).
         """
         rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
         commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
@@ -201,9 +171,8 @@ class Horizon:
         return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
 
     def alone(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> tuple[Any, Any]:
-        """Return the unknowns where the regulator is left alone, and whether it meets no limit then.
-
-        Arguments as of `programme`.
+        """Return the unknowns of the unconstrained regulator, and whether it meets no limit; arguments as of
+        `programme`.
         """
         rows, (_, m) = self.rows, self.sizes
         e, errors, room, limited = e_0, [], [], len(rows.states)

@@ -56,13 +56,7 @@ class Pair:
 
     @classmethod
     def of(cls, model: Model) -> Pair:
-        """Return the pair of a model.
-
-        Raises
-        ------
-        DesignError
-            The controls do not enter dx/dt affinely.
-        """
+        """Return the pair of a model; `DesignError` unless the controls enter dx/dt affinely."""
         t, x, u, p = model.arguments()
         f = ca.substitute(model.derivative(), p, ca.DM(model.parameter_values))
         bent = [model.controls.labels[j] for j in range(u.numel()) if ca.depends_on(ca.jacobian(f, u), u[j])]
@@ -100,17 +94,10 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrors:
-    """Errors of outputs relative to a reference, with the derivatives that no control enters.
+    """Errors of outputs relative to a reference, one label per component.
 
-    Attributes
-    ----------
-    labels : tuple of str
-        One per component.
-    chains : tuple of SX
-        Per component e, de/dt, ... up to order r - 1, shape (r, 1).
-    drift : SX (n_outputs, 1)
-    decoupling : SX (n_outputs, n_controls)
-        The r-th derivatives are ``drift + decoupling @ u``.
+    ``chains`` holds e, de/dt, ... up to order r - 1, SX (r, 1), of each component; the r-th derivatives are
+    ``drift + decoupling @ u``.
     """
 
     pair: Pair
@@ -215,15 +202,10 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     outputs : name, names, expressions or mapping
         See `Outputs`.
 
-    Returns
-    -------
-    OutputErrors
-
     Raises
     ------
     DesignError
-        A control enters an output itself or non-affinely, no control enters any derivative of it, or there are
-        more outputs than controls.
+        A control enters an output itself, non-affinely or no derivative of it, or there are more outputs than controls.
 
     Examples
     --------
@@ -308,9 +290,8 @@ def _differentiate(pair: Pair, reference: Reference, label: str, e: Any) -> tupl
 
 
 def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
-    """Whether a control enters de/dt at points in general position near the reference.
-
-    The structure alone may say yes where terms cancel, e.g. sin^2 + cos^2 - 1.
+    """Whether a control enters de/dt at points near the reference: by structure alone, terms that cancel
+    would count.
     """
     if not ca.depends_on(rate, pair.u):
         return False
@@ -328,14 +309,10 @@ def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """The zero dynamics (outputs exactly on their reference), linearised at one point.
+    """The zero dynamics (outputs exactly on their reference) linearised at one point: their dimension and eigenvalues
+    (1/s).
 
-    Attributes
-    ----------
-    dimension : int
-        Number of errors less the sum of the relative degrees; 0: none.
-    eigenvalues : array of complex (dimension,)
-        1/s. Frozen at the point, so that they prove stability at a reference at rest only.
+    Frozen at the point, these prove stability at a reference at rest only.
     """
 
     dimension: int
@@ -401,13 +378,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
 
 
 def given_for(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
-    """Return the value of a mapping from outputs for one of their components; ``None`` if missing.
-
-    Raises
-    ------
-    UnknownNameError
-        It names an output that there is not.
-    """
+    """Return the value of a mapping from outputs for one of their components; ``None`` if missing."""
     known = [*errors.labels, *map(_output, errors.labels)]
     for key in given:
         if key not in known:

@@ -5,18 +5,12 @@ With errors e relative to the reference and B = :math:`\partial\dot e / \partial
 
 .. math:: s(t) = w(t) - w(0) - \int_0^t \dot w\big|_{u_{nom}} d\tau
 
-is how far the plant has left the path that the nominal law alone would take it on without disturbances. It starts at
-zero; :math:`u = u_{nom} - E^{-1} \rho(s)`, with :math:`E = \partial\dot w / \partial u` (1 or B^T B on the reference),
-keeps it there. :math:`\dot w` is the exact derivative along the model, nonlinear and with the movement of G; for linear
-dynamics and u = -K e this is :math:`s = G[e - e(0)] - G \int (A - BK)\,e\,d\tau` (A. Imani, M. Bahrami, eqs 22-31).
+is the deviation from the path of the undisturbed nominal law. It starts at zero; :math:`u = u_{nom} - E^{-1} \rho(s)`,
+with :math:`E = \partial\dot w / \partial u`, keeps it there. :math:`\dot w` is the derivative along the nonlinear
+model (A. Imani, M. Bahrami, eqs 22-31, for linear dynamics). The integral takes the nominal command as held over a
+step, by the trapezoid with end corrections,
 
-**Sampled.** Between two steps the nominal command is held, as actuators hold it, and so it is in the
-integral: s contains disturbances, not the hold. The integral over a step is the trapezoid with end
-corrections,
-
-.. math:: \int g\,d\tau = \tfrac{h}{2}(g_0 + g_1) + \tfrac{h^2}{12}(\dot g_0 - \dot g_1) + O(h^5),
-
-with the model's own derivatives of g; they leave out switching and disturbance, whose parts cancel between the ends.
+.. math:: \int g\,d\tau = \tfrac{h}{2}(g_0 + g_1) + \tfrac{h^2}{12}(\dot g_0 - \dot g_1) + O(h^5) .
 """
 
 from __future__ import annotations
@@ -62,7 +56,7 @@ def design_integral_sliding_mode(
     guard: float = GUARD,
     name: str = "integral sliding mode",
 ) -> Controller:
-    """Design an integral sliding mode around a nominal law.
+    """Return an integral sliding mode around a nominal law.
 
     Parameters
     ----------
@@ -87,10 +81,6 @@ def design_integral_sliding_mode(
         Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
     name : str
         For messages and reports.
-
-    Returns
-    -------
-    Controller
 
     Raises
     ------

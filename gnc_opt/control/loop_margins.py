@@ -2,9 +2,8 @@ r"""Margins of a linear loop at the plant's input.
 
 With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \omega dt}` on the unit circle):
 
-* per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the real axis left
-  of 0 and the unit circle, delay margin = phase margin / crossover frequency. The real axis is also met at
-  :math:`\omega = 0` (a statically unstable plant needs a least gain) and, sampled, at :math:`\omega = \pi / dt`;
+* per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the negative real
+  axis (also at :math:`\omega = 0` and :math:`\pi / dt`) and the unit circle; delay margin = phase margin / frequency;
 * all channels at once: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}: every
   channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
   phase by :math:`2 \arctan(\alpha/2)`.
@@ -98,11 +97,7 @@ def _channel(
 
 
 def linked(a: Array, b: Array, c: Array) -> Mask:
-    """Return which states (n,) lie on a way from the inputs to the outputs, by which entries are zero.
-
-    Others, such as constants and sums that nothing reads, have no part in the response; their poles would hide what it
-    is at rest.
-    """
+    """Return which states (n,) lie on a way from the inputs to the outputs, by the structure of the matrices."""
     there = a != 0
 
     def reached(from_: Mask, ways: Mask) -> Mask:
@@ -153,10 +148,9 @@ def _met(
     imaginary: Array,
     dt: float | None,
 ) -> list[float]:
-    """Return where L of a system (A, b, gain) meets the real axis, as far as rounding leaves that to be known.
+    """Return where L of a system (A, b, gain) meets the real axis; infinite where rounding leaves it undetermined.
 
-    At rest and, sampled, at the highest frequency it always does; infinite where L has no size, as that of integrators
-    at rest. Between two frequencies it does where its imaginary part, known at both, changes sign.
+    It does at rest and, sampled, at the highest frequency, and where its imaginary part changes sign.
     """
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
@@ -172,10 +166,7 @@ def _met(
 
 
 def _rounded(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
-    """Return L at s (or z), and what rounding of the entries of A and of s, each by itself, does to it to first order.
-
-    That does not depend on units.
-    """
+    """Return L at s (or z), and its change by rounding of each entry of A and of s, to first order."""
     one = np.eye(a.shape[0])
     try:
         right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)

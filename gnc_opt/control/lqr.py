@@ -5,19 +5,14 @@ In the error coordinates of `ErrorDynamics`, ``de/dt = A e + B v`` with v the co
 
 .. math:: \int e^T Q e + v^T R v + 2 e^T N v + \zeta^T Q_i \zeta \; dt, \qquad \dot\zeta = C e .
 
-``dt=None`` gives the gain of the continuous problem. With dt, plant and cost are sampled exactly for a command held
-over dt, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`, which is what the law sums.
-
-Anti-windup: with limits, the memory is set back so that it is consistent with the command that the actuators can give,
-:math:`\zeta_{k+1} = \zeta_k + dt\, C e_k + K_i^+ (v - \mathrm{sat}\, v)` (Hanus' conditioning).
+With dt, plant and cost are sampled exactly for a held command, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`. With
+limits, :math:`K_i^+ (v - \mathrm{sat}\, v)` is added to it (anti-windup by Hanus' conditioning).
 
 References
 ----------
 G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapter 9.
 R. Hanus, M. Kinnaert, J.-L. Henrotte, Conditioning technique, a general anti-windup and bumpless transfer method,
 Automatica 23 (1987).
-
-Facts of a steady regulator: its poles, its margins, how well its Riccati equation is solved.
 """
 
 from __future__ import annotations
@@ -99,7 +94,7 @@ def design_lqr(
     limits: Limits | None = None,
     name: str = "LQR",
 ) -> Controller:
-    """Design a linear-quadratic regulator about a reference.
+    """Return a linear-quadratic regulator about a reference.
 
     Parameters
     ----------

@@ -1,17 +1,13 @@
 r"""Model predictive control: a quadratic programme at every step, linear along the reference.
 
-Over a horizon of N steps, :math:`e_{j+1} = A_j e_j + B_j v_j`, :math:`u_j = u_{ff,j} + v_j`, with plant and cost
-sampled exactly. Written in :math:`v_j = -K_j e_j + w_j` with the gains of the Riccati recursion, the cost is the
-optimal one of the unconstrained problem and a sum of squares,
+Over N steps, :math:`e_{j+1} = A_j e_j + B_j v_j`, :math:`u_j = u_{ff,j} + v_j`, with plant and cost sampled exactly.
+With :math:`v_j = -K_j e_j + w_j`, K of the Riccati recursion, the cost is a sum of squares,
 
 .. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
 
-so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: condensed, or
-with the errors as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`,
-the sampled regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact
-penalty), so that the programme has a solution, unless they are named hard.
-
-The solver's point is checked at every step by its optimality conditions. If it fails, the law gives the
+and the programme for :math:`\omega_j = L_j^T w_j` finds the point of least norm within the limits. Without an active
+limit :math:`\omega = 0`, and no solver is called. Limits of controls and rates are hard; those of states are soft
+(exact penalty) unless they are named hard. If the solver's point fails the optimality conditions, the law gives the
 clipped regulator's command and raises an alarm.
 
 References
@@ -97,7 +93,7 @@ def design_mpc(
     solver: QpSolver | None = None,
     name: str = "MPC",
 ) -> Controller:
-    """Design a model predictive controller that follows a reference within limits.
+    """Return a model predictive controller that follows a reference within limits.
 
     Parameters
     ----------
@@ -133,14 +129,14 @@ def design_mpc(
     Returns
     -------
     Controller
-        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start; the active-set method begins without)
-        and the alarm ``qp_failed``, 1 from the first programme on that was not solved.
+        Memory ``previous_command``, ``plan``, ``multipliers`` (warm start) and the alarm ``qp_failed``, 1 from the
+        first programme on that was not solved.
 
     Raises
     ------
     DesignError
-        As in `design_tvlqr`; limits with an empty interior, or that exclude the feedforward; limits of a
-        state whose error is not a difference.
+        As in `design_tvlqr`; limits that are empty or exclude the feedforward; limits of a state whose error is no
+        difference.
 
     Warns
     -----
@@ -221,9 +217,8 @@ def design_mpc(
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """The linear dynamics over one horizon, in the variables of the regulator.
-
-    Called with the number of a step it returns A - B K, B L^-T, K, L^-T for the N steps from it, (N, ., .) each.
+    """The linear dynamics over a horizon: from a step's number, A - B K, B L^-T, K, L^-T of N steps, (N, .,
+    .) each.
     """
 
     gains: SampledGains
@@ -342,10 +337,9 @@ def _law(
 
 
 def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: str) -> list[Any]:
-    """Return the regulator's unknowns and whether they satisfy all limits.
+    """Return the regulator's unknowns and whether they satisfy all limits, by elementary operations.
 
-    ``given`` are the errors, the feedforward and the reference of the limited states over the horizon, the
-    matrices and the command before. Uses elementary operations, since it runs at every step.
+    ``given``: errors, feedforward and limited reference over the horizon, matrices, previous command.
     """
     symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
     e, u_ff, x_limited, matrices, previous = symbols
@@ -356,10 +350,8 @@ def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: 
 def _solution(
     schedule: _Schedule, rows: Rows, known: tuple[Any, ...], found: list[Any], solver: str
 ) -> list[Any]:
-    """Return unknowns, multipliers and whether they are the solution.
-
-    They are those ``found`` of the regulator if it meets no limit, else what the solver finds. ``known`` are what
-    `_unlimited` is given, and plan and multipliers of the step before.
+    """Return unknowns, multipliers and whether they are the solution: those ``found`` of the regulator if it meets no
+    limit, else the solver's. ``known``: the arguments of `_unlimited`, and plan and multipliers of the previous step.
     """
     # the programme is only built where it is solved
     regulated, inside = found
@@ -404,7 +396,7 @@ def _error_scale(windows: _Windows) -> Array:
 
 
 def _matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
-    """A - B K, B L^-T, K, L^-T of each step: numbers if they never change, else from the end of the schedule's row."""
+    """Return A - B K, B L^-T, K, L^-T of each step: constant, or from the end of the schedule's row."""
     windows, place = schedule.windows, 0
     if windows.constant:
         last = len(windows.gains.steps) - 1 + windows.count

@@ -20,7 +20,7 @@ Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 
 
 def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
-    r"""Return the weights :math:`1/x_{max}^2` of Bryson's rule, by name.
+    """Return the weights :math:`1/x_{max}^2` of Bryson's rule, by name, for ``Q=`` and ``R=``.
 
     Each error then costs the same when it is as large as is acceptable, whatever its unit.
 
@@ -31,22 +31,15 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     **largest : float or array
         Largest acceptable deviation of a variable in its own unit, one number or one per component, > 0.
 
+    Raises
+    ------
+    UnknownNameError, ArgumentError
+        A name that the layout does not have; a value that is not positive and finite.
+
     Examples
     --------
     >>> Q = bryson(cart.states, q=0.1, v=0.01)
     >>> R = bryson(cart.controls, a=5.0)
-
-    Returns
-    -------
-    dict of float or array
-        Diagonal weights by name, for ``Q=`` and ``R=``.
-
-    Raises
-    ------
-    UnknownNameError
-        A name that the layout does not have.
-    ArgumentError
-        A value that is not positive and finite.
     """
     expect(layout, Layout, "what bryson() got", "write bryson(model.states, ...)")
     weights: dict[str, float | Array] = {}
@@ -62,13 +55,8 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
 
 
 class QuadraticCost(NamedTuple):
-    """Weights of ``e'q e + v'r v + 2 e'n v``.
-
-    Attributes
-    ----------
-    q : array (n_errors, n_errors)
-    r : array (n_controls, n_controls)
-    n : array (n_errors, n_controls)
+    """Weights of ``e'q e + v'r v + 2 e'n v``: q (n_errors, n_errors), r (n_controls, n_controls), n
+    (n_errors, n_controls).
     """
 
     q: Array

@@ -169,9 +169,7 @@ class ConstantRate(_Relay):
 
 @dataclass(frozen=True)
 class ExponentialRate(_Relay):
-    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s.
-
-    Its band is that of `ConstantRate`; k makes it a little smaller.
+    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`.
 
     Parameters
     ----------

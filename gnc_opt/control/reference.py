@@ -1,11 +1,9 @@
-"""Reference: the states and controls that a controller follows.
-
-Residual of a reference: deviation of its state rates from its model's dynamics under its controls.
+"""Reference: the states and controls that a controller follows, and its residual in the dynamics of its
+model.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -39,10 +37,8 @@ _DYNAMICS_CHECK_TOLERANCE = 1e-3
 def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return which state is furthest from obeying the model, when and by how much; "" where all do.
 
-    At some times between ``edges`` (s), which no jump may lie between, the change of the states over short
-    steps is compared with the integral of f(t, x, u) over them. The residual is the value on which several
-    step lengths agree. It counts relative to the terms that a rate is made of: itself and the sums of
-    ``|df/dx| |x|`` and ``|df/du| |u|``.
+    The change of the states over short steps between ``edges`` (s) is compared with the integral of f(t, x, u); the
+    least difference over three step lengths counts, relative to the terms that a rate is made of.
     """
     times, longest = _looked_at(edges)
     left = np.min([_defect(model, x, u, times, share * longest) for share in _STEPS], axis=0)
@@ -100,9 +96,8 @@ _NEWTON = 1e-14
 class Reference(Strict):
     """States and controls over time, from a solution, from functions or constant.
 
-    Between ``initial_time`` and ``final_time`` it equals its source. After ``final_time`` it rests at its
-    final state with the ``tail`` control. Multi-phase solutions are followed phase by phase; all phases must
-    have the same states and controls.
+    After ``final_time`` it rests at its final state with the ``tail`` control. All phases of a solution must have the
+    same states and controls.
 
     Parameters
     ----------
@@ -284,8 +279,7 @@ class Reference(Strict):
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean of the controls over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n).
 
-        A held command with this value has the same impulse as the reference, wherever its switches lie. A step in which
-        a reference without a tail ends is finished with its last control.
+        Without a tail, a step beyond the end is finished with the last control.
         """
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
         owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
@@ -396,28 +390,11 @@ def _pieces(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], A
 
 def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def many(times: Array) -> Array:
-        rows = [function(float(t)) for t in times]
-        values = _block(rows, layout.size)
-        if values is None:
-            what = f"the {layout.kind}s of a reference"
-            values = np.array([as_point(row, layout.size, what) for row in rows])
-        return _require_finite(values.T, times, layout)
+        what = f"the {layout.kind}s of a reference"
+        rows = [as_point(function(float(t)), layout.size, what) for t in times]
+        return _require_finite(np.array(rows).T, times, layout)
 
     return many
-
-
-def _block(rows: Sequence[Any], size: int) -> Array | None:
-    """Return rows of plain numbers as an array (n, size), which is far faster than row by row; else None."""
-    kinds = {type(row) for row in rows}
-    if kinds == {np.ndarray}:
-        alike = {(row.shape, row.dtype) for row in rows} == {((size,), np.dtype(float))}
-        return np.array(rows) if alike else None
-    if not kinds <= {list, tuple} or {len(row) for row in rows} != {size}:
-        return None
-    plain = {type(number) for row in rows for number in row} <= {float, int, np.float64}
-    with contextlib.suppress(OverflowError):  # an integer beyond 1e308
-        return np.array(rows, dtype=float) if plain else None
-    return None
 
 
 def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:

@@ -6,8 +6,8 @@ Continuous, cost :math:`\int e^T Q e + v^T R v + 2 e^T N v \, dt`:
 
 Sampled: :math:`P = A^T P A - K^T (R + B^T P B) K + Q`, :math:`K = (R + B^T P B)^{-1} (B^T P A + N^T)`.
 
-A stabilising P exists if no mode on or right of the stability boundary is out of the controls' reach (stabilisable)
-or unseen by the cost (detectable; sufficient). Both are tested in balanced coordinates, so that units do not matter.
+A stabilising P exists if no mode on or right of the stability boundary is uncontrollable (stabilisable) or without cost
+(detectable); both are tested in balanced coordinates.
 
 References
 ----------
@@ -40,18 +40,8 @@ _RICCATI_NEWTON_STEPS = 3
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """Solution of a steady Riccati equation.
-
-    Attributes
-    ----------
-    gain : array (n_controls, n_errors)
-        K in ``v = -K e``.
-    cost : array (n_errors, n_errors)
-        P: ``e' P e`` is the cost to go.
-    poles : complex array (n_errors,)
-        Eigenvalues of A - B K, slowest first.
-    residual : float
-        Of the Riccati equation, relative to its largest term.
+    """Solution of a steady Riccati equation: K in ``v = -K e``, P (``e'P e`` is the cost to go), the poles of A - B K,
+    slowest first, and the residual relative to the largest term.
     """
 
     gain: Array
@@ -62,14 +52,9 @@ class Steady:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode that controls do not reach (or that a cost does not see).
+    """A mode that controls do not reach (or without cost), and the states with a large share in it.
 
-    Attributes
-    ----------
-    states : tuple of str
-        Those with a large share in it.
-    rank_gap : float
-        Smallest singular value of ``[lambda 1 - A, B]`` in balanced coordinates with A of norm one: 0 if out of reach.
+    ``rank_gap`` is the least singular value of ``[lambda 1 - A, B]`` in balanced coordinates with A of norm one.
     """
 
     eigenvalue: complex
@@ -80,13 +65,7 @@ class Mode:
 def steady(
     a: Array, b: Array, q: Array, r: Array, n: Array, labels: tuple[str, ...], *, sampled: bool = False
 ) -> Steady:
-    """Return the stabilising solution.
-
-    Raises
-    ------
-    DesignError
-        Not stabilisable, not detectable, or no solution to working accuracy; with the mode and its eigenvalue.
-    """
+    """Return the stabilising solution, or raise `DesignError` with the mode that has none."""
     require_stabilizable(a, b, labels, sampled=sampled)
     cross = np.linalg.solve(r, n.T)
     require_detectable(a - b @ cross, q - n @ cross, labels, sampled=sampled)
@@ -157,8 +136,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not reach.
 
-    The reachable space is built step by step with orthonormal bases (a staircase); what remains is a block of its own,
-    whose eigenvalues are those modes also where A has multiple eigenvalues.
+    The reachable space is built by orthonormal bases (a staircase), which works for multiple eigenvalues too.
     """
     size = a.shape[0]
     balanced, scale = _balanced(a)
@@ -192,11 +170,7 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
 
 
 def _balanced(a: Array) -> tuple[Array, Array]:
-    """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two.
-
-    A matrix that is nilpotent but for rounding gets scales beyond the integers; SciPy warns when it casts
-    them, for a permutation that is not used here.
-    """
+    """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     return balanced, scale

@@ -12,10 +12,6 @@ References
 C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic Control 23 (1978).
 S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics Reports 470
 (2009), eq. 253 (fourth order with two Gauss points).
-
-Steps: how times and steps of a loop are counted, and which differences are mere rounding.
-
-Poles: polynomials with given ones, and those of sampled loops as rates.
 """
 
 from __future__ import annotations
@@ -74,9 +70,8 @@ _CONJUGATE = 1e-9
 
 
 def real_polynomial(poles: Any) -> Array | None:
-    """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first.
-
-    ``None`` if they are not in conjugate pairs.
+    """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first; None if not
+    conjugate.
     """
     polynomial = np.atleast_1d(np.poly(poles))
     if np.any(np.abs(polynomial.imag) > _CONJUGATE * np.abs(polynomial)):
@@ -88,9 +83,8 @@ _ROUNDING = float(np.finfo(float).eps)
 
 
 def continuous_poles(poles: Any, dt: float | None) -> Any:
-    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0.
-
-    Eigenvalues of the size of rounding count as zero: the plant settles long before the next step.
+    """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s), minus infinity for z = 0 to
+    rounding.
     """
     if dt is None:
         return poles

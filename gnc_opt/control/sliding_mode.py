@@ -5,25 +5,15 @@ For an output error e of relative degree r the surface and the law are
 .. math:: s = \Big(\frac{d}{dt} + \lambda\Big)^{r-1} e = e^{(r-1)} + \dots + c_1 \dot e + c_0 e, \qquad
    u = E^{-1}\big( -a - c_{r-2} e^{(r-1)} - \dots - c_0 \dot e - \hat\Gamma - \rho(s) \big),
 
-so that :math:`\dot s = -\rho(s) + d` with whatever the model leaves out, d. On s = 0 the error follows the poles of
-the surface whatever d is, as long as it stays below the gain of the reaching law.
-
-Surfaces of output errors and the law that drives them to zero, whoever chose their coefficients.
-
-Common part of all sliding modes: the validated switching part of a law with its memory and its facts.
-
-Overpowered: the alarm of a sliding mode whose gain a disturbance exceeds, from what s does.
-
-Where the law works with its full gain, a weaker disturbance cannot drive s away: not from where sliding has
-begun, whose edge it may cross by one control step, and before that s comes nearer at every step. Where another law goes
-on beneath, what it commands and actuators give late may throw s out of its layer; s comes nearer again then, too.
-Super-twisting has no such alarm.
+so that :math:`\dot s = -\rho(s) + d` with the unmodelled d. On s = 0 the error follows the poles of the surface as long
+as d stays below the gain of the reaching law. An alarm shows that it does not: s leaves its layer or moves away. Under
+another law (integral sliding mode) s may leave its layer and come nearer again. Super-twisting has no such alarm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -60,14 +50,14 @@ from gnc_opt.control.reaching_laws import (
 )
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
-from gnc_opt.control.super_twisting import SuperTwistingObserver, sampled_band
+from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
 
 _SETTLING_TIME_CONSTANTS = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""
-_RESPONSE_STEPS = 4000
+_RESPONSE_SAMPLES = 4000
 
 
 def surface_controller(
@@ -78,14 +68,8 @@ def surface_controller(
     coefficients: Sequence[Array],
     options: SlidingOptions,
 ) -> Controller:
-    """Return the controller that drives surfaces of output errors to zero.
-
-    ``coefficients`` holds c_0, ..., c_{r-2}, 1 for each component.
-
-    Raises
-    ------
-    DesignError
-        Steps too long for the surface, and what the parts refuse.
+    """Return the controller that drives surfaces of output errors to zero, with c_0, ..., c_{r-2}, 1 of each
+    component.
     """
     switching = options.switching(errors.pair.model, errors.labels)
     _require_decay(errors.labels, coefficients, switching)
@@ -94,7 +78,6 @@ def surface_controller(
     pairs = list(zip(coefficients, errors.chains, strict=True))
     s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
     drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
-    switching = replace(switching, stretch=_stretch(drift, errors, reference, switching.dt))
     memory, u = _command(s, drift, errors, inverse, switching, options.observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
@@ -138,34 +121,10 @@ def _command(
     return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
 
 
-def _stretch(drift: Any, errors: OutputErrors, reference: Reference, dt: float | None) -> float:
-    """Return by what factor surfaces move further over a step than their rates at its beginning say, 1 or more.
-
-    Under a held command ds/dt = drift + E u goes on to change: where the law commands nu = E u + drift, at the rate
-    a nu, a = d(drift + E u)/dx df/du E^+, to first order about the reference.
-    """
-    if dt is None:
-        return 1.0
-    pair = errors.pair
-    slope = ca.jacobian(drift + errors.decoupling @ pair.u, pair.x) @ ca.jacobian(pair.f, pair.u)
-    times = reference_times(reference)
-    grown = [
-        row[i] + np.sum(np.abs(np.delete(row, i)))
-        for j, e in zip(
-            pair.along(reference, times, slope), pair.along(reference, times, errors.decoupling), strict=True
-        )
-        for i, row in enumerate(j @ np.linalg.pinv(e))
-    ]
-    share = dt * max(0.0, float(np.max(grown)))
-    return float(np.expm1(share) / share) if share > 0 else 1.0
-
-
 def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
     """Raise `DesignError` for steps over which large sampled errors grow.
 
-    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step. For large errors only the linear term of rho, k
-    s, counts: the others are bounded or grow like |s|^alpha. Without k, s neither decays nor grows, and only
-    the rates are checked.
+    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step; of rho only the linear term k s counts for large errors.
     """
     if switching.dt is None:
         return
@@ -197,9 +156,11 @@ def _surface_facts(
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
     ]
-    facts, bands = [*poles, *switching.facts()], switching.sampled_bands
-    if bands is not None:
-        steady = np.array([band * _peak_gain(c) for band, c in zip(bands, coefficients, strict=True)])
+    facts = [*poles, *switching.facts()]
+    if not isinstance(switching.boundary, Sign):
+        steady = np.array(
+            [band * _peak_gain(c) for band, c in zip(switching.bands, coefficients, strict=True)]
+        )
         facts.append(ReportEntry("steady error bound", steady, remark="of the outputs, from the band of s"))
     return facts
 
@@ -211,17 +172,9 @@ def _peak_gain(c: Array) -> float:
     poles = np.roots(c[::-1])
     if np.allclose(poles.imag, 0):
         return float(1 / c[0])  # the response of real poles never changes its sign
-    companion = np.zeros((c.size - 1, c.size - 1))
-    companion[:-1, 1:] = np.eye(c.size - 2)
-    companion[-1] = -c[:-1]
-    span, steps = _SETTLING_TIME_CONSTANTS / float(np.min(-poles.real)), _RESPONSE_STEPS
-    forward = scipy.linalg.expm(companion * span / steps)
-    state = scipy.linalg.expm(companion * 0.5 * span / steps)[:, -1]
-    total = 0.0
-    for _ in range(steps):
-        total += abs(state[0]) * span / steps
-        state = forward @ state
-    return total
+    times = np.linspace(0.0, _SETTLING_TIME_CONSTANTS / float(np.min(-poles.real)), _RESPONSE_SAMPLES)
+    _, response = scipy.signal.impulse(([1.0], c[::-1]), T=times)
+    return float(np.trapezoid(np.abs(response), times))
 
 
 _FULL_GAIN_SHARE = 0.99
@@ -242,13 +195,7 @@ class SlidingOptions:
     growth: float = GROWTH
 
     def switching(self, model: Model, labels: Sequence[str]) -> Switching:
-        """Return the switching part of a law for surfaces of these names.
-
-        Raises
-        ------
-        DesignError
-            Disturbances above the gain, steps too long for the boundary layer, limits with an empty interior.
-        """
+        """Return the switching part of a law for surfaces of these names."""
         bounds = read_bounds(self.reaching, self.bound, labels)
         dt = _read_step(self.reaching, self.boundary, self.dt, needed=self.observer is not None)
         return Switching(self.reaching, self.boundary, bounds, dt, read_limits(model, self.limits))
@@ -256,19 +203,8 @@ class SlidingOptions:
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """The switching part of a law, its arguments checked.
-
-    Attributes
-    ----------
-    bounds : array (n_surfaces,)
-        Largest disturbances of ds/dt; for `SuperTwisting` their largest rates.
-    dt : float or None
-        Length of a control step, s.
-    limits : (lower, upper) or None
-        Authority, (n_controls,) each.
-    stretch : float
-        By what factor s moves further over a step than ds/dt at its beginning says, as the plant moves on under the
-        held command; 1 for integrators.
+    """The switching part of a law, its arguments checked: bounds (n_surfaces,) of the disturbances of ds/dt (for
+    `SuperTwisting` of their rates), control step (s) and limits (n_controls,).
     """
 
     reaching: Law
@@ -276,33 +212,11 @@ class Switching:
     bounds: Array
     dt: float | None
     limits: Authority | None
-    stretch: float = 1.0
 
     @property
     def bands(self) -> Array:
         """The |s| within which disturbances at their bounds may hold each surface, continuous control."""
         return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
-
-    @property
-    def sampled_bands(self) -> Array | None:
-        """The |s| to which the law comes back if its commands are held over steps of dt; None where none is known."""
-        if self.dt is None or not isinstance(self.boundary, Sign):
-            return self.bands
-        if isinstance(self.reaching, SuperTwisting):
-            return None if np.any(self.bounds > 0) else np.full(self.bounds.size, self._twisted(self.dt))
-        # From beside zero it goes one step to the other side, driven by its full gain and by the disturbance.
-        driven = (self._switched + self.bounds) * self.stretch
-        return driven * self.dt if np.isfinite(self._switched) else self.bands
-
-    @property
-    def _switched(self) -> float:
-        """By how much ds/dt is switched, units of s per second: nothing by `SuperTwisting`, whose gain is a rate."""
-        return 0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
-
-    def _twisted(self, dt: float) -> float:
-        """Return the band of sampled super-twisting, whose steps are stretched."""
-        assert isinstance(self.reaching, SuperTwisting)
-        return sampled_band(self.stretch * self.reaching.k1, self.stretch * self.reaching.k2, dt)
 
     def demand(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
         """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
@@ -330,48 +244,28 @@ class Switching:
         """Return the bands of s and the sampling limit."""
         remark = "where a disturbance at its bound may hold s, continuous control"
         facts = [ReportEntry("band of s", self.bands, remark=remark)]
-        if self.dt is not None and isinstance(self.boundary, Sign):
-            facts += self._chattering(self.dt)
         slope = self.reaching.slope(self.boundary)
         if np.isfinite(slope):
             remark = "longer control steps chatter in the boundary layer"
             facts.append(ReportEntry("sampling limit", 2 / slope, "s", remark))
         return facts
 
-    def _chattering(self, dt: float) -> list[ReportEntry]:
-        """Return the fact about the |s| within which a law without a boundary layer switches, if that is known."""
-        if isinstance(self.reaching, SuperTwisting):
-            remark = "of the sampled law, under any constant disturbance"
-            return [ReportEntry("chattering band of s", self._twisted(dt), remark=remark)]
-        if not np.isfinite(self._switched):
-            return []
-        remark = "one control step at full gain, disturbed at the bound"
-        return [ReportEntry("chattering band of s", self.sampled_bands, remark=remark)]
-
     def reserve(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
-        """Return the fact about the authority that is left on the reference beyond the switching gain, if it has one.
-
-        Raises
-        ------
-        DesignError
-            The feedforward and the gain together exceed the limits.
-        """
-        gain = self._switched
-        if self.limits is None or not np.isfinite(gain):
-            return []
+        """Return the fact about the authority that is left on the reference beyond a finite switching gain."""
         times = reference_times(reference)
         if isinstance(self.reaching, SuperTwisting):  # its command has no bound
             return require_reserve(reference, self.limits, times, dt=self.dt)
+        gain = self.reaching.gain
+        if self.limits is None or not np.isfinite(gain):
+            return []
         matrices = errors.pair.along(reference, times, errors.decoupling)
         need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
         return require_reserve(reference, self.limits, times, gain=need, dt=self.dt)
 
 
 def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
-    """Return dt; raise `DesignError` where it is missing or too long for the slope of the boundary layer.
-
-    Inside the layer the sampled surface obeys s+ = (1 - dt * slope) s: it grows from step to step for
-    dt * slope > 2, and chatters at 2.
+    """Return dt; raise `DesignError` where it is missing or, for s+ = (1 - dt slope) s in the layer, dt slope
+    >= 2.
     """
     if not isinstance(boundary, (Sign, SaturationLayer, TanhLayer)):
         raise DesignError(
@@ -399,10 +293,9 @@ LAYER_EXIT_MIN_STEPS = 10
 
 
 def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
-    """Return the memory of the alarm for a relay that works with its full gain where \\|s\\| is beyond ``edge``.
+    r"""Return the memory of the alarm for a relay that works with its full gain where \\|s\\| is beyond ``edge`` > 0.
 
-    Without an edge there is none: a law whose gain grows with s is exceeded by nothing. ``first`` is s at the start.
-    Unless s ``stays`` inside once sliding has begun, it is an alarm only if s grows.
+    ``first`` is s at the start. Unless s ``stays`` inside once sliding has begun, it is an alarm only if s grows.
     """
     if edge <= 0:
         return []
@@ -444,7 +337,7 @@ def design_sliding_mode(
     growth: float = GROWTH,
     name: str = "sliding mode",
 ) -> Controller:
-    """Design a sliding-mode controller that follows the outputs of a reference.
+    """Return a sliding-mode controller that follows the outputs of a reference.
 
     Parameters
     ----------
@@ -475,10 +368,6 @@ def design_sliding_mode(
     name : str
         For messages and reports.
 
-    Returns
-    -------
-    Controller
-
     Raises
     ------
     DesignError
@@ -487,9 +376,8 @@ def design_sliding_mode(
 
     Notes
     -----
-    ``reaching.reaching_time(s, bound)`` is the time from s at the start to the surface with ideal switching.
-    For the time within the actuator limits, and for convergence of the loop, simulate ``ClosedLoop(model,
-    controller, [Saturation("limit", lower, upper)])``.
+    ``reaching.reaching_time(s, bound)`` is the time to the surface with ideal switching. Simulate ``ClosedLoop(model,
+    controller, [Saturation("limit", lower, upper)])`` for the time within the actuator limits and for convergence.
 
     Examples
     --------

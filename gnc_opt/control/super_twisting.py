@@ -21,7 +21,6 @@ bound of this kind on the time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -31,14 +30,6 @@ import scipy
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
-
-_BAND_STARTS = np.geomspace(1e-2, 1e2, 8)
-"""Where the map of the sampled law begins, in units of k1^2 h^2."""
-_BAND_OFFSETS = 512
-"""Disturbances that it begins with: z goes in steps of k2 h, so that those between two multiples of it are all."""
-_BAND_STEPS = 2000
-_BAND_MARGIN = 1.02
-"""For what lies between the starts: 20 000 others came 0.6 % beyond at most."""
 
 
 def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
@@ -57,12 +48,7 @@ def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
 def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: float = 0.0) -> float:
     """Return a time (s) after which s and z stay at zero, or inf where Lyapunov's argument gives none.
 
-    Parameters
-    ----------
-    s, z : float
-        First values; z includes the disturbance.
-    bound : float
-        L, the largest rate of the disturbance.
+    z includes the disturbance, whose largest rate is ``bound``.
     """
     # In units of k1^2 the gain k1 is 1; time keeps its unit.
     p, decay = _lyapunov(k2 / k1**2, bound / k1**2)
@@ -71,32 +57,6 @@ def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: f
     zeta = np.array([np.sign(s) * np.sqrt(abs(s)) / k1, z / k1**2])
     low, high = np.linalg.eigvalsh(p)
     return float(2 * np.sqrt(zeta @ p @ zeta) * high / (np.sqrt(low) * decay))
-
-
-def sampled_band(k1: float, k2: float, dt: float) -> float:
-    """Return the largest |s| that the law, its command held over steps of dt (s), comes back to.
-
-    That is under any constant disturbance, which is part of z. With :math:`s = k_1^2 h^2 \\sigma`,
-    :math:`z = k_1^2 h \\zeta`, :math:`\\kappa = k_2 / k_1^2` the steps
-    :math:`\\sigma_+ = \\sigma - |\\sigma|^{1/2} \\mathrm{sgn}\\,\\sigma + \\zeta`,
-    :math:`\\zeta_+ = \\zeta - \\kappa\\,\\mathrm{sgn}\\,\\sigma` do not know their length: the band falls with its
-    square. It is found by going through them.
-    """
-    return _map_band(k2 / k1**2) * k1**2 * dt**2
-
-
-@lru_cache(maxsize=64)
-def _map_band(ratio: float) -> float:
-    sigma = np.repeat(_BAND_STARTS, _BAND_OFFSETS)
-    zeta = np.tile(ratio * np.arange(_BAND_OFFSETS) / _BAND_OFFSETS, _BAND_STARTS.size)
-    largest = 0.0
-    for step in range(_BAND_STEPS):
-        sign = np.sign(sigma)
-        # the law takes the memory of before the step
-        sigma, zeta = sigma - np.sqrt(np.abs(sigma)) * sign + zeta, zeta - ratio * sign
-        if step >= _BAND_STEPS // 2:
-            largest = max(largest, float(np.max(np.abs(sigma))))
-    return _BAND_MARGIN * largest
 
 
 def _lyapunov(k2: float, bound: float) -> tuple[Array, float]:
@@ -118,8 +78,7 @@ class SuperTwistingObserver:
     .. math:: \xi = \hat s - s, \quad \hat\Gamma = -k_1 |\xi|^{1/2} \mathrm{sgn}\,\xi + q, \quad
        \dot q = -k_2\,\mathrm{sgn}\,\xi, \quad \dot{\hat s} = \text{known} + \hat\Gamma,
 
-    by explicit Euler steps. :math:`\hat\Gamma = \Gamma` after a finite time if the gains satisfy `check_gains` with
-    the largest rate of :math:`\Gamma`; sampled, the error that is left is of the order k1 sqrt(k2) dt + k2 dt.
+    by Euler steps. The sampled error that is left is of the order k1 sqrt(k2) dt + k2 dt.
 
     Attributes
     ----------

@@ -1,14 +1,11 @@
 r"""Time-varying linear-quadratic regulator along a reference.
 
-Backward along the reference, between its jumps, with :math:`v = u - u_{ff}` and the errors e of `ErrorDynamics`,
+Backward along the reference, with :math:`v = u - u_{ff}` and the errors e of `ErrorDynamics`,
 
 .. math:: -\dot P = A^T P + P A - K^T R K + Q, \qquad K = R^{-1} (B^T P + N^T), \qquad P(t_f) = S,
 
 and :math:`u = u_{ff} - K(t)\, e`: the least :math:`e^T S e + \int e^T Q e + v^T R v + 2 e^T N v \, dt` to first order.
-S is by default the steady P of the tail, so that K(t) is continuous at t_f and the steady regulator holds the end.
-
-With dt the plant and its cost are sampled along the reference and the recursion is the discrete one, for commands held
-over dt.
+With dt, plant and cost are sampled along the reference and the recursion is the discrete one.
 
 References
 ----------
@@ -33,15 +30,13 @@ from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.lqr import regulator_facts
-from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost
+from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.tvlqr_gains import (
     ContinuousGains,
     Gains,
     SampledGains,
-    cost_defect,
     resting_control,
-    riccati_defect,
     riccati_gains,
 )
 from gnc_opt.environment import one_thread
@@ -78,7 +73,7 @@ def design_tvlqr(
     limits: Limits | None = None,
     name: str = "TVLQR",
 ) -> Controller:
-    """Design a time-varying linear-quadratic regulator that follows a reference.
+    """Return a time-varying linear-quadratic regulator that follows a reference.
 
     Parameters
     ----------
@@ -122,11 +117,10 @@ def design_tvlqr(
         "give a Reference of the trajectory to follow",
     )
     deviation = ErrorDynamics(model)
-    cost = read_cost(model, Q, R, N)
-    gains = riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
+    gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _law(deviation)
-    facts = [*_facts(deviation, reference, gains, cost), *reserve_shares(reference, bounds)]
+    facts = [*_facts(deviation, reference, gains), *reserve_shares(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -159,7 +153,6 @@ def _facts(
     deviation: ErrorDynamics,
     reference: Reference,
     gains: ContinuousGains | SampledGains,
-    cost: QuadraticCost,
 ) -> list[ReportEntry]:
     times = reference_times(reference, _GAIN_SAMPLES)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
@@ -183,17 +176,4 @@ def _facts(
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
         facts += regulator_facts(gains.steady, (a, b), dt, name="closed-loop poles after the end")
-    if isinstance(gains, ContinuousGains) and gains.pieces:
-        worst = riccati_defect(gains, cost)
-        facts.append(
-            ReportEntry(
-                "Riccati residual along the reference",
-                worst,
-                "",
-                "of P(t), by differences, over its largest term",
-            )
-        )
-    if isinstance(gains, SampledGains) and gains.gains:
-        remark = "cost of the law, added up forward, against P"
-        facts.append(ReportEntry("Riccati residual along the reference", cost_defect(gains), "", remark))
     return facts

@@ -1,13 +1,7 @@
-"""Gains of the time-varying regulator: the Riccati equation backward along a reference.
+"""Gains of the time-varying regulator: the Riccati equation (`gnc_opt.control.tvlqr`) backward along a reference.
 
-`gnc_opt.control.tvlqr` states the problem.
-
-Table: A(t) and B(t) along a reference, interpolated to rounding between its jumps.
-
-The Riccati equation evaluates the linearization thousands of times. Between jumps it is smooth, so the
-Chebyshev interpolant of a few dozen values, all computed at once, is as good as the function; where it is not
-(by comparison halfway between its nodes), the piece is halved, and after some halvings the function itself is
-used.
+A(t) and B(t) are interpolated between jumps by Chebyshev polynomials to rounding; pieces on which that fails are halved
+and in the end evaluated directly.
 """
 
 from __future__ import annotations
@@ -99,21 +93,12 @@ def _interpolate(values: Array, points: Array) -> Array:
 _RTOL = 1e-11
 _ATOL = 1e-13
 """Relative to the size of P."""
-_RESIDUAL_SAMPLES = 40
-"""Times along a reference at which P is put into its equation."""
-_RICCATI_DIFFERENCE_STEP = 2e-3
-"""Step of the difference quotient of P, relative to the distance of those times."""
 
 
 class Gains(Protocol):
     """Gains and costs to go of a tracking law, at any time from the beginning of the reference on.
 
-    Attributes
-    ----------
-    tail : array (n_controls, n_errors)
-        K after the end of the reference.
-    steady : Steady or None
-        The regulator after the end, if it is the steady one; ``None``: the last gain is held.
+    ``tail`` is K after the end: that of the ``steady`` regulator, or the last one.
     """
 
     @property
@@ -319,45 +304,6 @@ def _sampled(
     )
     ordered = tuple(reversed(gains)), tuple(reversed(costs))
     return SampledGains(t_0, dt, (*steps, resting), *ordered, tail, regulator)
-
-
-def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _RESIDUAL_SAMPLES) -> float:
-    """Return the largest defect of dense P(t) in its equation, relative to the largest term at that time.
-
-    dP/dt is a central difference of fourth order: it uses only the values of P from the integration.
-    """
-    reference, worst = gains.reference, 0.0
-    q, r, n = cost
-    span = reference.duration
-    for left, right, _ in gains.pieces:
-        count = max(int(np.ceil(samples * (right - left) / span)), 1)
-        h = _RICCATI_DIFFERENCE_STEP * (right - left) / count
-        for t in left + (np.arange(count) + 0.5) * (right - left) / count:
-            p = gains.P(t)
-            near = [gains.P(t + k * h) for k in (-2, -1, 1, 2)]
-            rate = (near[0] - 8 * near[1] + 8 * near[2] - near[3]) / (12 * h)
-            a, b = gains.deviation.linearize(t, reference.x(t), reference.u(t))
-            gain = gain_of(a, b, r, n, p, sampled=False)
-            terms = [a.T @ p, p @ a, -gain.T @ r @ gain, q, rate]
-            # rounding of P, seen through the difference quotient, is not a defect of the equation
-            largest = max(max(np.max(np.abs(term)) for term in terms), np.max(np.abs(p)) / (right - left))
-            worst = max(worst, float(np.max(np.abs(sum(terms))) / largest))
-    return worst
-
-
-def cost_defect(gains: SampledGains) -> float:
-    """Return how far P at the start is from the cost of following the law, relative to P.
-
-    The cost is added up forward, step by step; it uses only the gains of the backward recursion.
-    """
-    last = gains.costs[-1]
-    state, cost = np.eye(last.shape[0]), np.zeros_like(last)
-    for step, gain in zip(gains.steps, gains.gains, strict=False):
-        cross = step.n @ gain
-        cost += state.T @ (step.q + gain.T @ step.r @ gain - cross - cross.T) @ state
-        state = (step.a - step.b @ gain) @ state
-    cost += state.T @ last @ state
-    return float(np.max(np.abs(cost - gains.costs[0])) / np.max(np.abs(gains.costs[0])))
 
 
 def _packed(p: Array) -> Array:

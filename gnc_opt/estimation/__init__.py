@@ -2,13 +2,12 @@
 
 from gnc_opt.estimation.design import design_ekf, design_ukf
 from gnc_opt.estimation.estimator import Estimator, output_feedback
-from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions
+from gnc_opt.estimation.measurement import FilterOptions, Measurement
 
 __all__ = [
     "Estimator",
     "FilterOptions",
     "Measurement",
-    "UnscentedOptions",
     "design_ekf",
     "design_ukf",
     "output_feedback",

@@ -1,9 +1,8 @@
 r"""Augmented model: estimated quantities in addition to the vehicle's states.
 
 1. *Biases*: constant or drifting errors of sensors, :math:`\dot b = w`.
-2. *Delay lines*: for a sample that arrives d control steps late, what was measured 1, ..., d steps ago; at the end of
-   each control step they move on by one, and the first becomes the value of now. To first order the filter is then the
-   optimal one for delayed samples (Simon, Optimal State Estimation, 2006, section 10.5, by augmentation).
+2. *Delay lines*: for a sample that arrives d control steps late, what was measured 1, ..., d steps ago, shifted at
+   the end of each step (Simon, Optimal State Estimation, 2006, section 10.5).
 """
 
 from __future__ import annotations
@@ -29,15 +28,7 @@ _MOST_LATE = 200
 
 @dataclass(frozen=True)
 class Channel:
-    """One measurement, read.
-
-    Attributes
-    ----------
-    variable : Variable
-        What is measured.
-    period, delay : int
-        Control steps.
-    """
+    """One measurement, read: what is measured, its space, period and delay (control steps)."""
 
     measurement: Measurement
     variable: Variable
@@ -66,21 +57,10 @@ class Channel:
 
 
 class AugmentedModel:
-    """A model with the biases and delays of its sensors.
+    """A model with the biases and delays of its sensors, for control steps of dt (s).
 
-    Parameters
-    ----------
-    dt : float
-        Control step, s.
-
-    Attributes
-    ----------
-    states, errors : Layout
-        Of all that is estimated, and of the errors.
-    space : Space
-        Of the augmented state.
-    vehicle : Space
-        Of the model's states, which come first.
+    ``states``, ``errors`` and ``space`` are of all that is estimated, ``vehicle`` is the space of the model's own
+    states.
     """
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
@@ -126,8 +106,7 @@ class AugmentedModel:
     def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
         """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and two covariances of the noise in it.
 
-        P becomes ``F (P + early) F' + late``. ``density`` (n_errors, n_errors) is that of the noise per second; see
-        `filter` for the formulas.
+        P becomes ``F (P + early) F' + late`` for noise of ``density`` (n_errors, n_errors) per second.
         """
         n = self.model.states.size
         own, end = x[:n], after[:n]
@@ -196,8 +175,9 @@ class AugmentedModel:
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
     def spread(self, states: Array, bias: str) -> Array:
-        """Return the standard deviations of all errors (n_errors,): of the states as given, of the biases by their
-        ``"bias"`` or ``"bias_walk"``; delay lines begin without any."""
+        """Return the standard deviations (n_errors,): states as given, biases by ``"bias"`` or
+        ``"bias_walk"``, delay lines 0.
+        """
         sigma = np.zeros(self.errors.size)
         sigma[: states.size] = states
         for channel in self.channels:

@@ -1,6 +1,5 @@
-"""Validated arguments of a filter's design, and its properties before any run.
-
-Kalman filters of a model: extended and unscented, on the right manifold, with biases, delays and gates.
+"""Design of Kalman filters, extended and unscented: their arguments read, and their properties before any
+run.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.estimation.kalman_filter import COVARIANCE, build_filter
 from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
-from gnc_opt.estimation.measurement import FilterOptions, Measurement, UnscentedOptions, read_options
+from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
 
@@ -61,10 +60,6 @@ def design_ekf(
     options : FilterOptions, optional
         Limits of the actuators, integration, lost samples, name.
 
-    Returns
-    -------
-    Estimator
-
     Raises
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
@@ -79,8 +74,6 @@ def design_ekf(
     [1.05 0.  ]
     """
     told = read_options(options, "EKF")
-    if isinstance(told, UnscentedOptions):
-        raise ArgumentError("design_ekf() has no points to spread: give FilterOptions(...).")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.estimator(Tangent(), "extended Kalman filter")
 
@@ -101,14 +94,8 @@ def design_ukf(
 
     Parameters
     ----------
-    model, x0, measurements, sigma0, dt, process_noise
+    model, x0, measurements, sigma0, dt, process_noise, options
         As for `design_ekf`.
-    options : FilterOptions or UnscentedOptions, optional
-        The latter for the unscented transform with a user-defined kappa.
-
-    Returns
-    -------
-    Estimator
 
     Raises
     ------
@@ -123,10 +110,8 @@ def design_ukf(
     True
     """
     told = read_options(options, "UKF")
-    kappa = told.kappa if isinstance(told, UnscentedOptions) else None
-    spread = None if kappa is None else read_positive(kappa, "kappa of design_ukf()", or_zero=True)
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
-    return design.estimator(Regression(spread), "unscented Kalman filter")
+    return design.estimator(Regression(), "unscented Kalman filter")
 
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
@@ -137,14 +122,8 @@ _CONSISTENT = 1e-6
 
 
 class FilterDesign:
-    """The arguments of a filter's design, read.
-
-    Attributes
-    ----------
-    dt, t0 : float
-        Control step and time of the first one, s.
-    sigma0, noise : array (n_errors,)
-        Of all that is estimated: first standard deviations, and densities of the noise.
+    """The arguments of a filter's design, read: ``sigma0`` and ``noise`` (n_errors,) are the first standard deviations
+    and the noise densities of all that is estimated.
     """
 
     def __init__(

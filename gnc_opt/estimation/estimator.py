@@ -22,39 +22,33 @@ from gnc_opt.model.variables import Layout, as_point
 class Estimator:
     """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
 
-    At a control step that begins at t it gets the samples y and its memory z, the prediction for t; it
-    returns the estimated states x, and, once the command u is known, the prediction for the next step.
+    At a control step it gets the samples y and its memory z, the prediction for t; it returns the estimated states x,
+    and, once the command u is known, the prediction for the next step.
 
     Attributes
     ----------
     name : str
     update, predict : casadi.Function
-        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is NaN without a sample for longer than the
-        estimator's ``hold``.
+        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is NaN without a sample for longer than ``hold``.
     first : array (n_memory,)
         The memory at the first step.
-    states, errors : Layout
-        Names, sizes and units of x and of its error.
-    measured : Layout
-        Of y.
-    commands : Layout
-        Of u.
+    states, errors, measured, commands : Layout
+        Names, sizes and units of x, of its error, of y and of u.
     pattern : casadi.Sparsity
-        Of the lower triangle of the covariance of all errors: the entries that ``covariance`` holds, column by column.
+        Of the lower triangle of the covariance of all errors, in the order of ``covariance``.
     memory : Layout
-        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
-        its lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the
-        normalised innovations squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused``
-        (how many).
+        ``<state>_hat``, ``<measurement>_bias_hat``, ..., ``covariance`` (nonzeros of its lower triangle), and for each
+        measurement ``<measurement>_nis`` (sum of the normalised innovations squared), ``_taken`` and ``_refused``
+        (counts).
     error : casadi.Function
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
         Components of each measurement's error.
-    gates : mapping of str to float
-        Of those that have one, the probability with which a right sample passes.
     dt : float
         Control step, s.
     explanation : DesignReport
+    gates : mapping of str to float
+        Probabilities with which valid samples pass, of measurements with a gate.
 
     Examples
     --------
@@ -112,8 +106,8 @@ class Estimator:
         return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
-        """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
-        (n, n_errors, n_errors) of many (n_memory, n); biases and other estimated quantities are left out.
+        """Return the covariance of the errors of the states, (n_errors, n_errors) of a memory (n_memory,), or (n,
+        n_errors, n_errors) of many (n_memory, n).
         """
         column = self._memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())

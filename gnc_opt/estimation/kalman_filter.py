@@ -6,13 +6,11 @@ other. Samples that are not finite, not due or refused by the gate,
 
 .. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
 
-is left out. The rest is whitened and taken component by component, in Joseph's form,
+are left out. The rest is whitened and taken component by component, in Joseph's form,
 
-.. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
+.. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T .
 
-so that P stays a covariance also where a good sensor meets a bad guess. Where h has one entry only, as for states that
-are measured as they are, this is :math:`P h = k` put in its place, at half of the cost. In the end the state moves by
-the error found. A turn of an attitude turns the axes of its error, too; that is of second order and left out.
+In the end the state moves by the error found.
 
 **Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
 halfway, R and D of `space`,
@@ -20,17 +18,14 @@ halfway, R and D of `space`,
 .. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
    P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
 
-by Simpson's rule with the exponential up to its fourth power, which is how the Runge-Kutta method moves errors of a
-linear system (that from h/2 on, of the noise, up to its second); the unscented filter carries its points in place of
-the first term. Exact for chains of two integrators; of second order in h where A changes.
+by Simpson's rule with the exponential up to its fourth power (that of the noise up to its second). The unscented filter
+carries its points in place of the first term.
 
 References
 ----------
 R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Engineering 82 (1960).
 R. S. Bucy, P. D. Joseph, Filtering for Stochastic Processes with Applications to Guidance (1968).
 Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.
-
-Tally: which samples are due, which were taken, and how long there has been none, in the memory of a filter.
 """
 
 from __future__ import annotations
@@ -66,17 +61,7 @@ def counters(channels: Sequence[Channel]) -> list[Variable]:
 
 
 class Tally:
-    """The samples of one control step.
-
-    Parameters
-    ----------
-    z : casadi SX (n_memory, 1)
-
-    Attributes
-    ----------
-    entries : dict of str to SX
-        Of the memory, by name; `take` and `told` advance the counters.
-    """
+    """The samples of one control step: which are due, taken, refused; ``entries`` of the memory by name, SX."""
 
     def __init__(self, memory: Layout, z: Any) -> None:
         self.entries = {name: z[memory.slice(name)] for name in memory.names}
@@ -121,16 +106,8 @@ COVARIANCE = "covariance"
 
 @dataclass(frozen=True)
 class Filter:
-    """The functions of a filter.
-
-    Attributes
-    ----------
-    update : casadi.Function
-        ``(t, y, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory.
-    predict : casadi.Function
-        ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
-    pattern : casadi.Sparsity
-        Of the lower triangle of P, column by column, in the memory.
+    """The functions ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z`` of a filter, its memory, and the sparsity of the
+    lower triangle of P in it.
     """
 
     update: Any
@@ -296,10 +273,9 @@ class _View:
 
 
 def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
-    """Return the error and P updated by whitened components with slopes H (m, n) and innovations nu, and the
-    NIS. ``error`` is the correction by the previous measurements, P the covariance of the remaining error.
-    Neither changes if the components are not taken. The NIS is the sum of the sequential, independent
-    components' NIS.
+    """Return the error and P updated by whitened components with slopes H (m, n) and innovations nu, and the NIS.
+
+    ``error`` is the correction by the previous measurements. Neither changes unless the components are ``taken``.
     """
     nis = ca.SX(0)
     for i in range(H.shape[0]):

@@ -6,28 +6,17 @@ Both describe :math:`f(x)`, x of mean :math:`\hat x` and covariance P of its err
 
 *Tangent* (extended Kalman filter): :math:`\hat f = f(\hat x)`, F the Jacobian, :math:`\Omega = 0`.
 
-*Regression* (unscented Kalman filter), with :math:`P = L L^T`, points :math:`\pm c L_i`, the errors :math:`f_i^\pm`
-of their images relative to :math:`f(\hat x)` and :math:`s_i = (f_i^+ + f_i^-) / 2`:
+*Regression* (unscented Kalman filter), with :math:`P = L L^T`, points :math:`\pm c L_i`, the errors :math:`f_i^\pm` of
+their images relative to :math:`f(\hat x)`, :math:`s_i = (f_i^+ + f_i^-) / 2` and :math:`c^2 = 3` (Gauss and Hermite):
 
 .. math:: \bar f = \frac{1}{c^2} \sum_i s_i, \quad F = A L^{-1}, \quad A_i = \frac{f_i^+ - f_i^-}{2c}, \quad
    \Omega = \frac{c^2 - 1}{c^4} \sum_i s_i s_i^T .
 
-This is what the directions i make of f one by one, added up. With :math:`c^2 = 3` each is integrated by Gauss and
-Hermite: right for what bends by a square in any number of directions, and no direction changes what another one leaves.
-A given :math:`\kappa` stands for the transform of Julier and Uhlmann,
-
-.. math:: c^2 = n + \kappa, \qquad \Omega = \frac{1}{c^2} \sum_i s_i s_i^T - \bar f \bar f^T .
-
-Of what bends in one of n directions alone, it leaves :math:`(n + \kappa - 1) / 2` times what it should: right for
-:math:`\kappa = 3 - n`, where for n > 3 no covariance is certain any more, too much for others.
-
 References
 ----------
-S. Julier, J. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004), eq. 12.
+S. Julier, J. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004).
 M. Norgaard, N. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems, Automatica 36 (2000):
 second-order divided differences with the interval sqrt(3).
-T. Lefebvre, H. Bruyninckx, J. De Schutter, Comment on "A new method for the nonlinear transformation of means and
-covariances", IEEE Trans. Automatic Control 47 (2002).
 """
 
 from __future__ import annotations
@@ -81,16 +70,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class Regression:
-    """By 2 n + 1 points.
-
-    Attributes
-    ----------
-    kappa : float, optional
-        Of the unscented transform of n errors, >= 0: no weight is negative, so that covariances stay covariances. 0:
-        the cubature filter. Default: direction by direction.
-    """
-
-    kappa: float | None = None
+    """By 2 n + 1 points."""
 
     @property
     def keeps_zeros(self) -> bool:
@@ -109,8 +89,7 @@ class Regression:
 
     def _images(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any, Any]:
         root = cholesky(P)
-        square = 3.0 if self.kappa is None else source.errors + self.kappa
-        c = math.sqrt(square)
+        square, c = 3.0, math.sqrt(3.0)
         centre = f(x)
         sums, differences = [], []
         for i in range(source.errors):
@@ -120,11 +99,7 @@ class Regression:
             differences.append((plus - minus) / (2 * c))
         bends, spread = ca.horzcat(*sums), ca.horzcat(*differences)
         mean = ca.sum2(bends) / square
-        if self.kappa is None:
-            remainder = (square - 1) / square**2 * (bends @ bends.T)
-        else:
-            left = bends - ca.repmat(mean, 1, source.errors)  # no difference of squares: stays a covariance
-            remainder = (left @ left.T + self.kappa * (mean @ mean.T)) / square
+        remainder = (square - 1) / square**2 * (bends @ bends.T)
         return target.retraction(centre, mean), spread, remainder, root
 
 

@@ -1,7 +1,4 @@
-"""Measurement: function, noise, rate and delay of one sensor.
-
-Options of filters besides the model and its noise.
-"""
+"""Measurement: function, noise, rate and delay of one sensor; options of filters."""
 
 from __future__ import annotations
 
@@ -54,28 +51,6 @@ class FilterOptions:
     name: str | None = None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class UnscentedOptions(FilterOptions):
-    """Options of an unscented filter.
-
-    Attributes
-    ----------
-    kappa : float, optional
-        Of the transform of Julier and Uhlmann: points at sqrt(n + kappa) standard deviations of n errors; >= 0, so that
-        no weight is negative. 0: the cubature filter. With n it takes more and more for noise what bends: what n
-        directions leave is right for one of them with kappa = 3 - n. Default: points at sqrt(3), and what each
-        direction leaves is added up, whatever n is.
-
-    Examples
-    --------
-    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
-    >>> options = UnscentedOptions(kappa=1.0)  # 3 - n of two errors
-    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
-    """
-
-    kappa: float | None = None
-
-
 def read_options(options: FilterOptions | None, name: str) -> FilterOptions:
     """Return the options with a name."""
     told = FilterOptions() if options is None else options
@@ -109,11 +84,6 @@ class Measurement:
     difference : callable, optional
         ``difference(y, y_hat)`` of SX columns, where subtraction is not the answer (an angle that jumps by a turn);
         default that of the state, see `Model.difference`.
-
-    Raises
-    ------
-    ArgumentError
-        Numbers that cannot be meant.
 
     Examples
     --------

@@ -18,12 +18,9 @@ Propagated backward by the flow, it gives at each time
 .. math:: \delta\lambda = S \delta x, \quad dt_f = g \, \delta x, \quad \delta u = -K \delta x, \qquad
    S = \Lambda X^{-1}, \quad g = T X^{-1}, \quad K = H_{uu}^{-1} (H_{ux} + f_u^T S) .
 
-This is the sweep by a Riccati equation (Bryson and Ho, Applied Optimal Control, 1975, sections 6.3 to 6.5) in a frame
-that is kept orthonormal, so that no end condition makes it infinite. X is singular where a time is conjugate to the
-end; X and Lambda being orthonormal, :math:`U = X + i\Lambda` is unitary, and the eigenvalues of :math:`U U^T` pass -1
-there, all in one direction (Arnold, Funct. Anal. Appl. 1(1), 1967).
-
-SmoothPlan: a solution with controls between their limits, and its end conditions.
+This is the sweep by a Riccati equation (Bryson and Ho, Applied Optimal Control, 1975, sections 6.3 to 6.5) in an
+orthonormal frame, which stays finite. X is singular where a time is conjugate to the end: the eigenvalues of
+:math:`U U^T`, :math:`U = X + i\Lambda` unitary, pass -1 there in one direction (Arnold, Funct. Anal. Appl. 1(1), 1967).
 """
 
 from __future__ import annotations
@@ -48,16 +45,9 @@ from gnc_opt.tolerances import AT_LIMIT, RANK, magnitude
 
 @dataclass(frozen=True, eq=False)
 class SmoothPlan:
-    """A flight without active limits.
+    """A flight without active limits: which states (n_states,) are given at the end, and whether the end time is free.
 
-    Attributes
-    ----------
-    reference : Reference
-        The flight as it was planned; after its end, at rest or with the last control held.
-    given : bool array (n_states,)
-        Which states are given at the end.
-    free_end : bool
-        Whether the end time is free.
+    After its end the reference holds the last control.
     """
 
     solution: Solution
@@ -75,12 +65,8 @@ class SmoothPlan:
 
     @classmethod
     def of(cls, solution: Solution) -> SmoothPlan:
-        """Read a solution.
-
-        Raises
-        ------
-        DesignError
-            It has several phases, boundary constraints, free parameters or norms as controls, or a limit is active.
+        """Read a solution of one phase without boundary constraints, free parameters, norms as controls or
+        active limits.
         """
         problem, name = solution.need_problem("follow"), solution.problem_name
         if len(solution.phases) != 1:
@@ -149,19 +135,10 @@ _UNMOVED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Variations of neighbouring extremals at times (k,), up to the time after which the feedback is
-    constant.
+    """Variations of neighbouring extremals at increasing times (k,), s, after which the feedback is constant.
 
-    Attributes
-    ----------
-    times : array (k,)
-        s, increasing.
-    gain : array (k, n_controls, n_states)
-        K.
-    end_gain : array (k, n_states)
-        g, s per unit of the state; zero where the end is given.
-    cost : array (k, n_states, n_states)
-        S, the second derivative of the cost to go.
+    ``gain`` is K (k, n_controls, n_states); ``end_gain`` is g (k, n_states), s per unit of the state; ``cost`` is S
+    (k, n_states, n_states), the second derivative of the cost to go.
     """
 
     times: Array
@@ -171,13 +148,7 @@ class Feedback:
 
 
 def feedback(plan: SmoothPlan, last: float) -> Feedback:
-    """Return the feedback of a plan up to ``last`` (s) before its end.
-
-    Raises
-    ------
-    DesignError
-        The second-order condition fails, or the controls do not move all states.
-    """
+    """Return the feedback of a plan up to ``last`` (s) before its end."""
     return _Accessory(plan).feedback(plan.leg.final_time - last)
 
 
@@ -327,11 +298,7 @@ class _Accessory:
 def conjugate_time(times: Array, X: Array, Lam: Array) -> float | None:
     """Return the last time (s) before the end at which X is singular, where it is not so all along; else ``None``.
 
-    Parameters
-    ----------
-    times : array (k,)
-    X, Lam : array (k, n, n)
-        Together orthonormal, a Lagrangian plane at each time.
+    X and Lam (k, n, n) are a Lagrangian plane at each of the times (k,), together orthonormal.
     """
     unitary = X + 1j * Lam
     product = unitary @ unitary.transpose(0, 2, 1)

@@ -1,9 +1,7 @@
-r"""SwitchingPlan: a bang-bang solution as initial controls and switch times.
+r"""Bang-bang plan: initial controls and switching times of a solution, and the prediction of its end from any state.
 
-Prediction: where a switching plan leads from any state, and the flight that ends where it should.
-
-Between the switches the controls are constant and the states are integrated by the Runge-Kutta method of fourth order,
-in a fixed number of steps per arc: a fixed number of operations. From a state x at t it gives
+Between the switches the controls are constant and the states are integrated by the Runge-Kutta method of fourth order
+in a fixed number of steps per arc. From a state x at t this gives
 
 .. math:: \psi(\tau; t, x) = x(t_f) \ominus x_f, \qquad \nabla_\tau (\nu^T \psi),
 
@@ -31,14 +29,8 @@ from gnc_opt.planning.solution.solution import Solution
 
 @dataclass(frozen=True)
 class RegulatedEnd:
-    """The last part of a flight, in which a regulator follows the remainder of the plan.
-
-    Attributes
-    ----------
-    length : float
-        s.
-    reserve : float
-        Share of the planned controls that is left to it.
+    """The last part of a flight (length in s), in which a regulator follows the plan with a reserved share of
+    the controls.
     """
 
     length: float
@@ -47,13 +39,7 @@ class RegulatedEnd:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A switching plan during flight, symbolic.
-
-    Attributes
-    ----------
-    steps : int
-        Runge-Kutta steps per arc.
-    """
+    """A switching plan during flight, symbolic, with so many Runge-Kutta steps per arc."""
 
     plan: SwitchingPlan
     ending: RegulatedEnd
@@ -128,18 +114,8 @@ def _share(begin: Any, length: float, since: Any) -> Any:
 class SwitchingPlan:
     """Controls that jump between their limits, from a start to an end at which all states are given.
 
-    Attributes
-    ----------
-    reference : Reference
-        The flight as it was planned.
-    first : array (n_controls,)
-        Controls at the start.
-    channels : tuple of int
-        The control that each switch is of, in the order of time.
-    jumps : array (n_switches,)
-        By how much it jumps there.
-    times : array (n_switches + 1,)
-        Switch times and the end, s.
+    ``first`` (n_controls,) are the controls at the start; each switch is of the control ``channels`` and jumps by
+    ``jumps``; ``times`` (n_switches + 1,) are the switch times and the end, s.
     """
 
     reference: Reference
@@ -179,13 +155,8 @@ class SwitchingPlan:
 
     @classmethod
     def of(cls, solution: Solution) -> SwitchingPlan:
-        """Read a solution.
-
-        Raises
-        ------
-        DesignError
-            It has several phases, path or point constraints, a control between its limits, a fixed end time, or
-            states that are not given at the end.
+        """Read a bang-bang solution of one phase with a free end time, all final states given and no other
+        constraints.
         """
         reference = Reference(solution)
         name = solution.problem_name

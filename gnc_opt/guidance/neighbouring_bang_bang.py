@@ -5,24 +5,18 @@ At each control step that begins at t with the state x, for the switches that ar
 .. math:: (S^T W S + \epsilon H + \lambda) \, \delta\tau = -(S^T W \psi + \epsilon \nabla_\tau L),
 
 with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the present :math:`\tau` and x, and S, H, :math:`\nu` of
-the plan (`Optimum`): a Newton step of fixed cost towards the neighbouring extremal, which meets the end conditions and
-among the ways to do so takes the fastest (Bryson and Ho, Applied Optimal Control, section 6.4, for switch times). While
-there are fewer switches left than conditions, the weights W decide what is missed. :math:`\lambda` keeps noise from
-moving switches that have little effect.
+the plan (`Optimum`): a Newton step towards the neighbouring extremal, which meets the end conditions in the least time
+(Bryson and Ho, Applied Optimal Control, section 6.4, for switch times). With fewer switches left than conditions, the
+weights W decide what is missed; :math:`\lambda` holds switches that have little effect. In the last part of the flight
+a regulator follows the remainder of the plan, integrated backward from the end.
 
-In the last part of the flight a regulator follows the remainder of the plan with the plan's control authority
-margin. Its reference is integrated backward from the end, so it corrects the errors that the switches left.
-
-Optimum: the minimum-time switch times of a plan during flight, with its second-order condition.
-
-Of :math:`L = t_f + \nu^T \psi(\tau)` Newton's method finds
+The optimum is found by Newton's method on :math:`L = t_f + \nu^T \psi(\tau)` from the switch times of the solution,
 
 .. math:: \begin{pmatrix} H & S^T \\ S & 0 \end{pmatrix} \begin{pmatrix} \delta\tau \\ \delta\nu \end{pmatrix} =
-   -\begin{pmatrix} \nabla_\tau L \\ \psi \end{pmatrix}, \qquad S = \psi_\tau, \quad H = L_{\tau\tau},
+   -\begin{pmatrix} \nabla_\tau L \\ \psi \end{pmatrix}, \qquad S = \psi_\tau, \quad H = L_{\tau\tau} .
 
-from the switch times of the solution. It is a strict minimum if S has full rank and H is positive definite where
-:math:`S \delta\tau = 0` (Maurer and Osmolovskii, SIAM J. Control Optim. 42(6), 2004): then the minimum moves smoothly
-with the initial state, and the guidance exists.
+It is a strict minimum if S has full rank and H is positive definite where :math:`S \delta\tau = 0` (Maurer and
+Osmolovskii, SIAM J. Control Optim. 42(6), 2004).
 """
 
 from __future__ import annotations
@@ -72,18 +66,10 @@ _CURVED = 1e-6
 
 @dataclass(frozen=True)
 class Optimum:
-    """Switch times of least time.
+    """Switch times of least time and the end, tau (n_unknowns,), s; multipliers nu (n_errors,) of the final state; S
+    and H.
 
-    Attributes
-    ----------
-    tau : array (n_unknowns,)
-        Switch times and the end, s.
-    nu : array (n_errors,)
-        Multipliers of the final state, s per its unit.
-    S : array (n_errors, n_unknowns)
-    H : array (n_unknowns, n_unknowns)
-    curvature : float
-        Least eigenvalue of H where S vanishes, times the duration; infinite where that is nowhere.
+    ``curvature`` is the least eigenvalue of H where S vanishes, times the duration (inf: S vanishes nowhere).
     """
 
     tau: Array
@@ -94,13 +80,7 @@ class Optimum:
 
 
 def find_optimum(prediction: Prediction) -> Optimum:
-    """Return the optimum next to the plan.
-
-    Raises
-    ------
-    DesignError
-        The switch times cannot steer the end, are not those of least time, or fail the second-order condition.
-    """
+    """Return the optimum next to the plan; `DesignError` if its conditions fail."""
     plan = prediction.plan
     name, tau = plan.reference.model.name, plan.times.copy()
     duration = tau[-1] - plan.initial_time
@@ -239,7 +219,7 @@ def design_neighbouring_optimal(
     name: str = "neighbouring-optimal guidance",
     options: GuidanceOptions | None = None,
 ) -> Controller:
-    """Design the guidance that corrects the switch times and the end of a bang-bang plan of least time.
+    """Return the guidance that corrects the switch times and the end of a bang-bang plan of least time.
 
     Parameters
     ----------

@@ -4,9 +4,9 @@ With K and g of `accessory` along the plan,
 
 .. math:: u = u_{ff} - K(t) (x - x_{ref}(t)), \qquad \hat t_f = t_f + g(t) (x - x_{ref}(t))
 
-are the controls and the end of the problem solved again from x, with an error of second order in the
-deviation (Bryson and Ho, Applied Optimal Control, 1975, chapter 6). Towards an end with fixed states K grows
-without bound; K is constant in the last part of the flight and after the end.
+are the controls and the end of the problem solved again from x, with an error of second order in the deviation (Bryson
+and Ho, Applied Optimal Control, 1975, chapter 6). As K grows without bound towards a fixed end, it is constant in the
+last part of the flight and after the end.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.solution import Solution
 def design_neighbouring_extremal(
     solution: Solution, *, last: float, dt: float | None = None, name: str = "neighbouring-extremal feedback"
 ) -> Controller:
-    """Design the feedback of controls and end time on which the neighbours of a smooth optimal plan lie.
+    """Return the feedback of controls and end time on which the neighbours of a smooth optimal plan lie.
 
     Parameters
     ----------

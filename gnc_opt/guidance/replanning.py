@@ -1,20 +1,13 @@
 r"""Replanner: solving the problem of a plan again in flight, from the estimated state.
 
-At a control step that begins at t the state :math:`\hat x(t)` is what the controller would see, or what its estimator
-predicts. The new plan is to begin at :math:`t + \lambda`, :math:`\lambda` the latency, with the state that the model
-reaches until then under the controls of the old plan,
+At a control step that begins at t with the (estimated) state :math:`\hat x(t)`, the new plan begins after the latency
+:math:`\lambda` with the state predicted under the controls of the old plan,
 
 .. math:: x_0 = \hat x(t) + \int_t^{t + \lambda} f(s, x, u_{\mathrm{old}}(s)) \, ds ,
 
-so that the vehicle, which flies the old plan meanwhile, meets the new one where it begins (R. Findeisen and
-F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC Proc. 37 (1), 2004). A solve that fails
-leaves the old plan in force.
-
-The remaining optimal control problem at a time during the flight.
-
-By Bellman's principle the rest of a plan is the plan for the rest, provided that its conditions can be
-shifted in time. Time limits move with the clock, but an integral budget of the whole phase, or a condition on
-its start, would apply again in full.
+which is flown meanwhile (R. Findeisen and F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC
+Proc. 37 (1), 2004). A solve that fails leaves the old plan in force. The remaining problem is that of the plan with
+shifted time limits (Bellman's principle); conditions on the whole phase or on its start cannot be shifted.
 """
 
 from __future__ import annotations
@@ -51,16 +44,9 @@ _SAME_DIRECTION = 1e-9
 
 
 def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
-    """Return the remaining problem of one phase.
+    """Return the remaining problem of one phase that began at ``began``, from ``begin`` (s) and the states by name.
 
-    Parameters
-    ----------
-    problem : Problem
-        Of the whole flight.
-    began, begin : float
-        Its first time, and that of the rest, s.
-    start : dict
-        States there, by name; those that are a little beyond a limit begin on it.
+    States that are a little beyond a limit begin on it.
     """
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
@@ -69,10 +55,7 @@ def remaining(problem: Problem, began: float, begin: float, start: dict[str, Arr
 
 
 def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
-    """Return states, those that are a little beyond a limit on it.
-
-    A vehicle that flies along a limit is estimated beyond it as often as not; no plan begins there.
-    """
+    """Return states, those that are a little beyond a limit on it, as estimates along a limit are."""
     names, lower, upper = leg.model.states, leg.numbers.states.lower, leg.numbers.states.upper
     width = upper - lower
     sizes = np.where(np.isfinite(lower), np.abs(lower), np.abs(upper))
@@ -267,7 +250,8 @@ class Replanner:
         return leg.model
 
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
-        """Refuse a controller that does not follow the plan.
+        """Refuse a controller that does not follow the plan: layouts of its states and signals, its step (s), and the
+        row of its schedule (n_signals,) at a time.
 
         Parameters
         ----------

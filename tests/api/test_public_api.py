@@ -47,7 +47,7 @@ EXPECTED = {
         zero_dynamics
     """,
     "gnc_opt.estimation": """
-        Estimator FilterOptions Measurement UnscentedOptions design_ekf
+        Estimator FilterOptions Measurement design_ekf
         design_ukf output_feedback
     """,
     "gnc_opt.guidance": """

@@ -1,7 +1,4 @@
-"""C statements of a CasADi function of scalar operations, one line for each operation.
-
-The numbers of flight code: their C type, notation and accuracy.
-"""
+"""C statements of a CasADi function of scalar operations, one line for each, and the numbers of flight code."""
 
 from __future__ import annotations
 
@@ -24,20 +21,11 @@ _CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 
 @dataclass(frozen=True)
 class CNumbers:
-    """A floating-point type of C.
+    """A floating-point type of C: ``"double"`` or ``"float"``, suffix of literals and <math.h> functions, type in
+    NumPy.
 
-    Attributes
-    ----------
-    type : str
-        ``"double"`` or ``"float"``.
-    suffix : str
-        Of literals and of the functions of <math.h>.
-    dtype : type
-        The same in NumPy.
-    solved : float
-        How far scaled rows of a quadratic programme may be outside.
-    dependent : float
-        Share of a row's square below which it depends on others.
+    ``solved`` is the accepted violation of scaled rows of a quadratic programme, ``dependent`` the share of a row's
+    square below which it depends on others.
     """
 
     type: str
@@ -164,21 +152,8 @@ _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca
 def c_statements(
     function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
 ) -> list[str]:
-    """Return the body of a C function that evaluates a CasADi function.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Of class SXFunction.
-    inputs, outputs : list of str
-        C names: a scalar for the first input, pointers for the others.
-    numbers : CNumbers
-        Their type.
-
-    Raises
-    ------
-    ArgumentError
-        An operation has no form in C.
+    """Return the body of a C function that evaluates an SXFunction; C names: a scalar for the first input,
+    else pointers.
     """
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
     read = _input_names(function, inputs)

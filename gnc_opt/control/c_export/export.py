@@ -1,14 +1,8 @@
-"""The files of flight code: header, source and driver of a law, its schedule and, if it calls one, its solver.
-
-Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
+"""Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
 
 Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
-``<name>_main.c`` (a driver for tests). The code needs no library except the C mathematics and allocates no
-memory. The order of operations is that of the symbolic law, so results agree to rounding, and no loop depends
-on data; but for the quadratic programme of `design_mpc`, which is solved by a method of its own with a
-bounded number of iterations.
-
-Flight code compared with its law: compiled, and run over the samples of a flight.
+``<name>_main.c`` (a driver for tests). The code needs only the C mathematics and allocates no memory; operations keep
+the order of the symbolic law. No loop depends on data, except the bounded iterations of `design_mpc`.
 """
 
 from __future__ import annotations
@@ -109,11 +103,10 @@ def export_c(
     span: tuple[float, float] | None = None,
     options: CCodeOptions | None = None,
 ) -> CCode:
-    """Write a controller as C99 into a directory.
+    """Return where a controller was written as C99.
 
     ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
-    command and updates the memory. The row of the schedule is that of the control step that t (s) lies in: rows at
-    multiples of dt from the beginning of the controller's span; after the last row, that row.
+    command and updates the memory. The row of the schedule is that of the control step that t (s) lies in.
 
     Parameters
     ----------
@@ -129,11 +122,6 @@ def export_c(
         Times between which the schedule changes, if the controller does not tell.
     options : CCodeOptions, optional
         Single precision, and a flight over which the code is compared with the law.
-
-    Returns
-    -------
-    CCode
-        Where the files are, and what they hold.
 
     Raises
     ------
@@ -236,25 +224,8 @@ _FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
 def command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
-    """Return the largest difference (n_commands,) of the compiled code's commands from the law's over a flight.
-
-    Parameters
-    ----------
-    controller : Controller
-        The law.
-    source, driver : Path
-        Its flight code.
-    samples : (times (n,), measured (n_states, n))
-        One control step after the other.
-    dt : float
-        Control step, s.
-
-    Raises
-    ------
-    ArgumentError
-        Samples of another shape.
-    GncOptError
-        There is no C compiler, or it failed.
+    """Return the largest difference (n_commands,) of the compiled code's commands from the law's over samples
+    (times (n,), measured (n_states, n)) of consecutive control steps of dt (s).
     """
     times, measured = _read(controller, samples)
     compiler = shutil.which("cc")
@@ -304,18 +275,8 @@ _NEEDS_NAN = (
 
 @dataclass(frozen=True, eq=False)
 class FlightFiles:
-    """A law as text.
-
-    Attributes
-    ----------
-    start, step : casadi.Function
-        Its functions as scalar operations.
-    prefix : str
-        Of every C identifier.
-    dt : float
-        Control step, s.
-    numbers : CNumbers
-        Type of all but times.
+    """A law as text: start and step as scalar operations, prefix of the C identifiers, control step (s), type
+    of numbers.
     """
 
     form: FlightLaw
@@ -328,13 +289,13 @@ class FlightFiles:
 
     @property
     def operations(self) -> int:
-        """Of how many operations a step consists, at most: arithmetic, comparisons, calls."""
+        """Largest number of operations of a step: arithmetic, comparisons, calls."""
         own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
         return own + (0 if self.form.solver is None else self.form.solver.operations)
 
     @property
     def stack(self) -> int:
-        """How many bytes the local arrays of the larger of both functions take, with those of its caller."""
+        """Bytes of the local arrays of the larger of both functions and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
         own = self.step.sz_w() + memory + (0 if solver is None else solver.stack)

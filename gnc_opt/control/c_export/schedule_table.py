@@ -20,16 +20,8 @@ _MOST_NUMBERS = 50_000_000
 
 @dataclass(frozen=True, eq=False)
 class FlightTable:
-    """Rows of a schedule.
-
-    Attributes
-    ----------
-    first : float
-        Time of the first row, s.
-    rows : array (n_rows, n_signals)
-        At multiples of the control step; the last of them good for ever.
-    layout : Layout
-        Of a row.
+    """Rows (n_rows, n_signals) of a schedule at multiples of the control step from ``first`` (s); the last
+    one stays in force.
     """
 
     first: float
@@ -58,13 +50,7 @@ class FlightTable:
 
 
 def flight_table(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
-    """Return the schedule of a controller as a table.
-
-    Raises
-    ------
-    ArgumentError
-        Its span is unknown, or it changes after the span.
-    """
+    """Return the schedule of a controller as a table."""
     if controller.signals.size == 0:
         return FlightTable(0.0, np.zeros((1, 0)), controller.signals)
     found = controller.span if span is None else span

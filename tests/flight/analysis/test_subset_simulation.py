@@ -101,7 +101,7 @@ def test_runs_that_fail_count_as_failures():
 
 
 def test_a_limit_that_is_all_but_reached_reads_different_from_the_largest_value():
-    with pytest.raises(go.GncOptError, match=r"exceeds 3\.0000002 less often .* found is 3;"):
+    with pytest.raises(go.GncOptError, match=r"exceeds 3\.0000002 less often .* found is 3"):
         failure_probability(
             go.Scenario(loop_of(), **MISSION, judge={"three": lambda runs: np.full(len(runs), 3.0)}),
             "three",

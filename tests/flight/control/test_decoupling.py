@@ -61,6 +61,6 @@ def test_a_control_that_comes_too_early_is_told_and_its_rate_will_do():
             assert run.states[:2, -1] == pytest.approx([10.0, 0.0], abs=0.05)
         else:
             with pytest.raises(
-                DesignError, match=r"singular wherever they are: .* make such a control a state"
+                DesignError, match=r"singular on the reference: .* make the control that enters first a state"
             ):
                 design_feedback_linearization(model, straight, outputs=["x", "y"], poles=[-1, -2, -3])

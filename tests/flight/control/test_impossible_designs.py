@@ -26,9 +26,7 @@ from gnc_opt.control import (
 )
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation import (
-    FilterOptions,
     Measurement,
-    UnscentedOptions,
     design_ekf,
     design_ukf,
     output_feedback,
@@ -257,9 +255,3 @@ def test_what_could_be_taken_for_something_else_is_refused(asked, words, tmp_pat
     monkeypatch.chdir(tmp_path)
     with pytest.raises(go.GncOptError, match=re.escape(words)):
         asked()
-
-
-def test_options_of_an_unscented_filter_are_no_options_of_an_extended_one():
-    options = UnscentedOptions(kappa=1.0)
-    assert design_ukf(cart(), [0, 0], SEEN, **FILTER, options=options).name == "UKF"
-    assert design_ukf(cart(), [0, 0], SEEN, **FILTER, options=FilterOptions(name="plain")).name == "plain"

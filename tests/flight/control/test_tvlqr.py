@@ -141,7 +141,6 @@ def test_sampled_cost_to_go_is_that_of_small_errors_of_the_nonlinear_plant():
     model, h = pendulum(), 0.1
     reference = swing(model)
     controller = design_tvlqr(model, reference, Q=1, R=1, terminal=1.0, dt=h)
-    assert controller.explain()["Riccati residual along the reference"] < 1e-12
     e_0 = 1e-4 * np.array([1.0, 0.5])
     state = np.append(reference.x(0.0) + e_0, 0.0)
     for gain, k in zip(gains(controller).gains, range(40), strict=True):
