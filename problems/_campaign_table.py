@@ -98,15 +98,15 @@ def with_settings(conditions: Conditions, settings: Sequence[str]) -> Conditions
     GncOptError
         There is no such condition, or its value is of another kind.
     """
-    told = {f.name: getattr(conditions, f.name) for f in fields(conditions)}  # type: ignore[arg-type]
+    results = {f.name: getattr(conditions, f.name) for f in fields(conditions)}  # type: ignore[arg-type]
     for text in settings:
         name, value = parse_setting(text)
-        if name not in told:
+        if name not in results:
             raise GncOptError(
-                f"--set {text!r}: there is no condition '{name}': {did_you_mean(name, list(told))}"
+                f"--set {text!r}: there is no condition '{name}': {did_you_mean(name, list(results))}"
             )
-        told[name] = _of_kind(told[name], value, text)
-    return replace(conditions, **told)  # type: ignore[type-var]
+        results[name] = _of_kind(results[name], value, text)
+    return replace(conditions, **results)  # type: ignore[type-var]
 
 
 def _of_kind(default: Any, value: Any, text: str) -> Any:

@@ -144,8 +144,8 @@ def _show(console: Console, solution: go.Solution, verdict: go.Verdict, explaine
 
 def _write_json(path: Path, solution: go.Solution, verdict: go.Verdict, reference: Reference) -> None:
     """Write the summary of `summary_dict` with one more key, ``reference``."""
-    told: dict[str, Any] = summary_dict(solution, verdict)
-    told["reference"] = {
+    results: dict[str, Any] = summary_dict(solution, verdict)
+    results["reference"] = {
         "value": reference.value,
         "source": reference.source,
         "tolerance": reference.tolerance,
@@ -153,7 +153,9 @@ def _write_json(path: Path, solution: go.Solution, verdict: go.Verdict, referenc
         "difference": reference.difference(solution.objective),
         "agrees": reference.agrees(solution.objective),
     }
-    path.write_text(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(
+        json.dumps(results, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+    )
 
 
 def _say(console: Console, text: str) -> None:

@@ -88,7 +88,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
 def _solved(example: Example) -> Iterator[str]:
     """What `benchmarks.performance.problem_files` has measured."""
     kept = numbers("problem_files")
-    rows = [row for row in kept["told"] if row["problem"] == example.name]
+    rows = [row for row in kept["results"] if row["problem"] == example.name]
     for row in rows:
         which = f" {row['variant']}" if row["variant"] else ""
         yield (

@@ -2,7 +2,6 @@
 
 * `scale`: time and memory by size of the mesh;
 * `certified`: time to a verified answer; `resolve`: warm starts; `problem_files`: every example by the default call;
-* `convergence`: orders of convergence;
 * `closed_loop`: Monte Carlo runs per second; `peers`: other programs;
 * `page`: writes the tables of docs/benchmarks.md.
 """

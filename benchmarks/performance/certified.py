@@ -1,4 +1,4 @@
-"""How long a certified solution takes: solved, refined to 1e-8 and judged, from nothing.
+"""How long a certified solution takes: solved, refined to 1e-8 and checked, from nothing.
 
     python -m benchmarks.performance.certified [--mesh 20x3 ...] [--runs 7] [--json OUT]
 
@@ -28,7 +28,7 @@ LONGEST_MEAN, LONGEST_FIRST, RIGHT = 0.5, 0.8, 1e-9
 
 
 def certify(case: int, equation: Any, mesh: str) -> tuple[dict[str, float], go.Solution, go.Verdict]:
-    """Solve, refine and judge one case; return the processor time of the parts (s).
+    """Solve, refine and check one case; return the processor time of the parts (s).
 
     A refined solution keeps its verdict: ``verdict`` is the time of judging a copy without it, and not in the sum.
     """

@@ -241,38 +241,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, metavar="OUT")
     options = parser.parse_args(arguments)
-    told = measure(options.runs, options.plain_runs, options.seed)
+    results = measure(options.runs, options.plain_runs, options.seed)
     targets = {
         "times per run, plain / campaign": (
-            told["speed_up"],
+            results["speed_up"],
             f">= {SPEED_UP:g}",
-            told["speed_up"] >= SPEED_UP,
+            results["speed_up"] >= SPEED_UP,
         ),
         **{
             f"{name}, runs per second": (
-                told["runs_per_s"][name],
+                results["runs_per_s"][name],
                 f">= {least:g}",
-                told["runs_per_s"][name] >= least,
+                results["runs_per_s"][name] >= least,
             )
             for name, least in RATES.items()
         },
-        "states at the end apart by": (told["apart"], f"<= {AGREEMENT:g}", told["apart"] <= AGREEMENT),
-        "campaigns together (s)": (told["together_s"], f"<= {LONGEST:g}", told["together_s"] <= LONGEST),
-        "same bits on all processors": (float(told["same_bits"]), "1", told["same_bits"]),
+        "states at the end apart by": (results["apart"], f"<= {AGREEMENT:g}", results["apart"] <= AGREEMENT),
+        "campaigns together (s)": (
+            results["together_s"],
+            f"<= {LONGEST:g}",
+            results["together_s"] <= LONGEST,
+        ),
+        "same bits on all processors": (float(results["same_bits"]), "1", results["same_bits"]),
     }
     rows = [
-        ("plain loop, s per run", told["plain_s_per_run"]),
-        ("campaign on one processor, s per run", told["campaign_s_per_run"]),
-        ("the same with design and building", told["built_s_per_run"]),
-        ("times per run, plain / built", told["speed_up_built"]),
+        ("plain loop, s per run", results["plain_s_per_run"]),
+        ("campaign on one processor, s per run", results["campaign_s_per_run"]),
+        ("the same with design and building", results["built_s_per_run"]),
+        ("times per run, plain / built", results["speed_up_built"]),
         *[
             (f"{name}, times as long as without", ratio)
-            for name, ratio in told["filtered_over_plain"].items()
+            for name, ratio in results["filtered_over_plain"].items()
         ],
-        *[(f"{name}, all processors (s)", spent) for name, spent in told["campaigns_s"].items()],
+        *[(f"{name}, all processors (s)", spent) for name, spent in results["campaigns_s"].items()],
     ]
     table = Table(
-        title=f"Closed loop, {told['runs']} runs of {told['control_steps']} control steps",
+        title=f"Closed loop, {results['runs']} runs of {results['control_steps']} control steps",
         box=box.SIMPLE_HEAD,
     )
     for heading in ("", "measured", "target", ""):
@@ -283,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         table.add_row(label, f"{value:.3g}", target, "met" if met else "MISSED")
     Console(highlight=False).print(table)
     if options.json is not None:
-        options.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     return 0 if all(met for _, _, met in targets.values()) else 1
 
 

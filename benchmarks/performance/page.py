@@ -6,8 +6,7 @@ Results are stored in ``numbers/NAME.json`` with command, date, machine and vers
 all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
 and what it has just written with its own ``--json`` need not be measured twice:
 
-    python -m benchmarks.performance.page problem_set -- FILE.json
-    python -m benchmarks.performance.page peers --told peers.json -- --environments DIR
+    python -m benchmarks.performance.page peers --results peers.json -- --environments DIR
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ class Benchmark:
     arguments : tuple of str
     heading : tuple of str
     rows : callable
-        Of what it told.
+        Of its results.
     needs : str
-        What it must be told of the machine; "" for nothing.
+        What it must know of the machine; "" for nothing.
     """
 
     arguments: tuple[str, ...]
@@ -61,20 +60,14 @@ class Benchmark:
     needs: str = ""
 
 
-def _certified(told: Any) -> Cells:
-    for row in told:
+def _certified(results: Any) -> Cells:
+    for row in results:
         parts = (f"{row['mean_s'][part]:.2f}" for part in ("solve", "refine", "verify", "all"))
         yield row["mesh"], *parts, _error(row["largest_error"]), f"{row['minima']} of {len(row['cases'])}"
 
 
-def _convergence(told: Any) -> Cells:
-    rows = [row for row in told["rows"] if row["scheme"] == "LG" and row["degree"] % 4 == 0]
-    for row in rows:
-        yield row["case"], str(row["degree"]), *(_error(row[key]) for key in ("state", "control", "costate"))
-
-
-def _problem_files(told: Any) -> Cells:
-    for row in told:
+def _problem_files(results: Any) -> Cells:
+    for row in results:
         place = example(row["problem"]).path.relative_to(ROOT / "problems").as_posix()
         name = f"[`{row['problem']}`](../problems/{place})" + (
             f", {row['variant']}" if row["variant"] else ""
@@ -90,15 +83,15 @@ def _problem_files(told: Any) -> Cells:
         )
 
 
-def _resolve(told: Any) -> Cells:
-    for row in told:
+def _resolve(results: Any) -> Cells:
+    for row in results:
         spent = (f"{row[key]:.0f}" for key in ("median_ms", "p99_ms", "max_ms"))
         others = f"{row['other_minima']} of {row['compared']}"
         yield f"{100 * row['size']:g} %", str(row["runs"]), *spent, _error(row["largest_difference"]), others
 
 
-def _scale(told: Any) -> Cells:
-    for row in told:
+def _scale(results: Any) -> Cells:
+    for row in results:
         each = row.get("per_segment_ms")
         yield (
             row["what"],
@@ -110,47 +103,24 @@ def _scale(told: Any) -> Cells:
         )
 
 
-def _closed_loop(told: Any) -> Cells:
-    yield "plain loop by SciPy (s per run)", f"{told['plain_s_per_run']:.2f}"
-    yield "campaign (s per run)", f"{told['campaign_s_per_run']:.4f}"
-    yield "times as fast", f"{told['speed_up']:.0f}"
-    yield "times as fast, with design and building", f"{told['speed_up_built']:.0f}"
-    for law, rate in told["runs_per_s"].items():
+def _closed_loop(results: Any) -> Cells:
+    yield "plain loop by SciPy (s per run)", f"{results['plain_s_per_run']:.2f}"
+    yield "campaign (s per run)", f"{results['campaign_s_per_run']:.4f}"
+    yield "times as fast", f"{results['speed_up']:.0f}"
+    yield "times as fast, with design and building", f"{results['speed_up_built']:.0f}"
+    for law, rate in results["runs_per_s"].items():
         yield f"{law} (runs per s, one processor)", f"{rate:.0f}"
-    for name, ratio in told.get("filtered_over_plain", {}).items():
+    for name, ratio in results.get("filtered_over_plain", {}).items():
         yield f"TVLQR behind the {name}, times as long as without", f"{ratio:.1f}"
-    yield "states at the end apart by", _error(told["apart"])
-    yield "runs within all limits", f"{100 * told['pass_rate']:.1f} %"
-    yield "same bits on all processors", "yes" if told["same_bits"] else "no"
+    yield "states at the end apart by", _error(results["apart"])
+    yield "runs within all limits", f"{100 * results['pass_rate']:.1f} %"
+    yield "same bits on all processors", "yes" if results["same_bits"] else "no"
 
 
-def _problem_set(told: Any) -> Cells:
-    for row in told:
-        counts = (str(row[key]) if row[key] is not None else "" for key in ("iterations", "refinements"))
-        errors = (_error(row[key]) for key in ("relative_error", "costate_error"))
-        yield (
-            row["name"],
-            *errors,
-            *counts,
-            f"{row['seconds']:.1f}",
-            _ending(row),
-            "yes" if row["passed"] else "no",
-        )
-
-
-def _ending(row: Any) -> str:
-    """What a solve ended with, or what its verdict leaves."""
-    if row["objective"] is None:
-        return str(row["status"]).replace("_", " ")
-    words = [] if row["verdict_ok"] else [f"fails {', '.join(row['failed'])}"] if row["failed"] else []
-    words += [f"inconclusive: {', '.join(row['inconclusive'])}"] if row["inconclusive"] else []
-    return "; ".join(words) or "ok"
-
-
-def _peers(told: Any) -> Cells:
+def _peers(results: Any) -> Cells:
     found = {
         program: {way: {int(case): ran for case, ran in cases.items()} for way, cases in ways.items()}
-        for program, ways in told.items()
+        for program, ways in results.items()
     }
     cases = sorted({case for ways in found.values() for ran in ways.values() for case in ran})
     for some in ([cases[0]], cases) if len(cases) > 1 else (cases,):
@@ -203,28 +173,12 @@ BENCHMARKS = {
         ),
         _scale,
     ),
-    "convergence": Benchmark((), ("problem", "points", "state", "control", "costate"), _convergence),
     "problem_files": Benchmark(
         (),
-        ("problem", "first solve (s)", "refined and judged (s)", "off the reference", "ended", "verdict"),
+        ("problem", "first solve (s)", "refined and checked (s)", "off the reference", "ended", "verdict"),
         _problem_files,
     ),
     "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
-    "problem_set": Benchmark(
-        (),
-        (
-            "problem",
-            "off the reference",
-            "costates off",
-            "iterations",
-            "passes",
-            "solved (s)",
-            "verdict or ending",
-            "as it should",
-        ),
-        _problem_set,
-        needs="FILE.json",
-    ),
     "peers": Benchmark(
         (),
         ("program", *(f"to {accuracy:g} s" for accuracy in ACCURACIES)),
@@ -243,10 +197,10 @@ BENCHMARKS = {
 
 def module_of(name: str) -> str:
     """Return the module that measures a table."""
-    return f"benchmarks.{'validation' if name == 'problem_set' else 'performance'}.{name}"
+    return f"benchmarks.performance.{name}"
 
 
-def measure(name: str, more: Sequence[str] = (), told: Path | None = None) -> None:
+def measure(name: str, more: Sequence[str] = (), results: Path | None = None) -> None:
     """Run a benchmark and keep its numbers, with what they depend on.
 
     Parameters
@@ -254,15 +208,15 @@ def measure(name: str, more: Sequence[str] = (), told: Path | None = None) -> No
     name : str
     more : sequence of str
         Further arguments of the benchmark; of files and folders the page shows the last part.
-    told : Path, optional
+    results : Path, optional
         What it has just written here, with these arguments: then it is not run again.
     """
     NUMBERS.mkdir(exist_ok=True)
     load = os.getloadavg()[0]
     arguments = BENCHMARKS[name].arguments
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.json" if told is None else told
-        if told is None:
+        out = Path(folder) / "out.json" if results is None else results
+        if results is None:
             main_of = importlib.import_module(module_of(name)).main
             main_of([*arguments, *more, "--json", str(out)])
         numbers = json.loads(out.read_text(encoding="utf-8"))
@@ -274,7 +228,7 @@ def measure(name: str, more: Sequence[str] = (), told: Path | None = None) -> No
         "machine": machine(),
         "versions": {"python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
-        "told": numbers,
+        "results": numbers,
     }
     (NUMBERS / f"{name}.json").write_text(
         json.dumps(about, indent=1, allow_nan=False) + "\n", encoding="utf-8"
@@ -309,7 +263,7 @@ def markdown(name: str) -> str:
     busy = f", {kept['load']} other programs at work" if kept["load"] else ""
     versions = ", ".join(f"{package} {number}" for package, number in kept["versions"].items())
     origin = f"Measured by `{kept['command']}` on {kept['date']}: {kept['machine']}{busy}; {versions}."
-    return f"{_table(benchmark.heading, benchmark.rows(kept['told']))}\n{origin}\n"
+    return f"{_table(benchmark.heading, benchmark.rows(kept['results']))}\n{origin}\n"
 
 
 def _table(heading: Sequence[str], rows: Cells) -> str:
@@ -333,17 +287,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         + ", ".join(f"{name} -- {each.needs}" for name, each in BENCHMARKS.items() if each.needs),
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"measured anew: {', '.join(BENCHMARKS)}")
-    parser.add_argument("--told", type=Path, metavar="FILE", help="what it has just written by its --json")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="what it has just written by its --json")
     options, more = parser.parse_args(given[:split]), given[split + 1 :]
     for name in options.names:
         if name not in BENCHMARKS:
             parser.error(f"the page has no table of {name}: choose among {', '.join(BENCHMARKS)}")
         if BENCHMARKS[name].needs and not more:
-            parser.error(f"{name} needs to be told {BENCHMARKS[name].needs}: write it behind --")
-    if (more or options.told) and len(options.names) != 1:
-        parser.error("--told and what stands behind -- are for one benchmark: name one")
+            parser.error(f"{name} needs {BENCHMARKS[name].needs}: write it behind --")
+    if (more or options.results) and len(options.names) != 1:
+        parser.error("--results and what stands behind -- are for one benchmark: name one")
     for name in options.names:
-        measure(name, more, options.told)
+        measure(name, more, options.results)
     for page in PAGES:
         page.write_text(written(page.read_text(encoding="utf-8")), encoding="utf-8")
     return 0

@@ -1,6 +1,6 @@
 """Every problem by the default call: ``python -m benchmarks.performance.problem_files [NAME ...] [--json OUT]``.
 
-Each problem, file or folder, and each of its variants, is solved from no guess but its own, refined and judged as the
+Each problem, file or folder, and each of its variants, is solved from no guess but its own, refined and checked as the
 command ``gnc-opt solve`` does it, in a process of its own. The table tells CPU time, status, distance from the
 reference (systems have other ones), and what the verdict finds.
 """
@@ -58,7 +58,7 @@ class Row:
 
 
 def measure(name: str, variant: str, tol: float, limit: float) -> Row:
-    """Solve, refine and judge one problem."""
+    """Solve, refine and check one problem."""
     warnings.simplefilter("ignore")
     module = example(name).module
     options, reference = _variants(module)[variant] if variant else ({}, getattr(module, "REFERENCE", None))
@@ -100,8 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows.append(pool.apply(measure, (name, variant, given.tol, given.limit)))
         print(rows[-1].shown, flush=True)
     if given.json is not None:
-        told = json.dumps([asdict(row) for row in rows], indent=1).replace("NaN", "null")
-        given.json.write_text(told + "\n", encoding="utf-8")
+        results = json.dumps([asdict(row) for row in rows], indent=1).replace("NaN", "null")
+        given.json.write_text(results + "\n", encoding="utf-8")
     return 0
 
 

@@ -93,6 +93,8 @@ class Row:
         Estimated error of the objective and distance from the reference, absolute.
     stage : str
         Stage of the solver that returned the answer.
+    costate_error : float or None
+        Of the group "set": largest error of the costates against those of the reference, relative.
     note : str
         Failed conditions, or why there is no solution.
     """
@@ -109,6 +111,7 @@ class Row:
     estimated: float | None = None
     true: float | None = None
     stage: str = ""
+    costate_error: float | None = None
     note: str = ""
 
     @property
@@ -200,7 +203,7 @@ def measure(case: Case, set_file: Path, limit_s: float) -> Row:
         problem, reference = _stated(case)
         row = replace(row, **_reference_fields(reference))
         solution = go.solve(problem, tol=TOLERANCES[case.group], throw=False)
-        return _judged(row, solution, begin)
+        return _checked(row, solution, begin)
     except Exception as error:  # an exception in one problem must not stop the others
         cpu_s = time.process_time() - begin
         return replace(row, cpu_s=cpu_s, note=f"{type(error).__name__}: {error}".split("\n")[0])
@@ -223,7 +226,7 @@ def _reference_fields(reference: Reference | None) -> dict[str, Any]:
     return {} if reference is None else {"reference": reference.value, "tolerance": reference.tolerance}
 
 
-def _judged(row: Row, solution: go.Solution, begin: float) -> Row:
+def _checked(row: Row, solution: go.Solution, begin: float) -> Row:
     """Return the row of a solution, after its optimality check."""
     if not solution.status.solved:
         cpu_s = time.process_time() - begin
@@ -257,7 +260,8 @@ def _from_set(row: Row, case: Case, set_file: Path, begin: float) -> Row:
         cpu_s = time.process_time() - begin
         note = f"ill-posed, reported as {outcome.status}" if outcome.expect else outcome.message
         return replace(row, cpu_s=cpu_s, right=outcome.passed, objective=outcome.objective, note=note)
-    return replace(_judged(row, solution, begin), right=outcome.passed)
+    row = _checked(row, solution, begin)
+    return replace(row, right=outcome.passed, costate_error=outcome.costate_error)
 
 
 def estimated_error(solution: go.Solution) -> float | None:
@@ -378,8 +382,8 @@ def read_rows(path: Path) -> list[Row]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write the rows as JSON; null stands for numbers that are not finite."""
-    told = [{key: _finite(value) for key, value in asdict(row).items()} for row in rows]
-    text = json.dumps({"rows": told}, indent=1, allow_nan=False)
+    results = [{key: _finite(value) for key, value in asdict(row).items()} for row in rows]
+    text = json.dumps({"rows": results}, indent=1, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 

@@ -4,7 +4,7 @@
 
 Workload: the time-optimal rendezvous from rest at random attitudes (turned by 60 to 180 degrees from the axes of the
 orbit, about any axis) and random places (1 to 20 m from where it ends, in any direction), so that mostly turning takes
-longer than flying there. Each is solved by itself, refined to 1e-8 and judged; then `lower_bound` solves the rotation
+longer than flying there. Each is solved by itself, refined to 1e-8 and checked; then `lower_bound` solves the rotation
 alone. Where both take the same time the bound is attained, and the translation has time to spare.
 """
 
@@ -39,7 +39,7 @@ def start(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def measure(runs: int, seed: int) -> list[dict[str, Any]]:
-    """Solve, judge and bound every case."""
+    """Solve, check and bound every case."""
     rng, rows = np.random.default_rng(seed), []
     for k in range(runs):
         begin = time.process_time()

@@ -182,8 +182,8 @@ def _column(values: Mapping[str, float] | None) -> Any:
 
 
 def _verdict(kept: Record) -> str:
-    told = [*(f"FAIL {name}" for name in kept.failed), *(f"? {name}" for name in kept.inconclusive)]
-    return ", ".join(told) or "every condition passes"
+    results = [*(f"FAIL {name}" for name in kept.failed), *(f"? {name}" for name in kept.inconclusive)]
+    return ", ".join(results) or "every condition passes"
 
 
 # --- solving ------------------------------------------------------------------------------------------
@@ -230,8 +230,8 @@ def read_baseline(path: Path) -> dict[str, Record]:
 
 def write_baseline(path: Path, records: Iterable[Record], provenance: Mapping[str, str]) -> None:
     """Write the records, and with which versions they were found."""
-    told = {"tolerance": TOLERANCE, "versions": dict(provenance), "problems": [asdict(r) for r in records]}
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    results = {"tolerance": TOLERANCE, "versions": dict(provenance), "problems": [asdict(r) for r in records]}
+    path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
 def _versions() -> dict[str, str]:

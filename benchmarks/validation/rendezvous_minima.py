@@ -193,7 +193,7 @@ def report(console: Console, outcomes: Sequence[GlobalOutcome]) -> None:
 
 def write_json(outcomes: Sequence[GlobalOutcome], path: Path) -> None:
     """Write all minima and the published numbers' places among them."""
-    told = [
+    results = [
         {
             "case": outcome.case,
             "equation": outcome.equation,
@@ -203,7 +203,9 @@ def write_json(outcomes: Sequence[GlobalOutcome], path: Path) -> None:
         }
         for outcome in outcomes
     ]
-    path.write_text(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(
+        json.dumps(results, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+    )
 
 
 def _columns(table: Table, *headings: str) -> None:

@@ -139,7 +139,7 @@ REFERENCE = Reference(319.877591, "Gauss and Radau points on 120 segments agree 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, judge; see ``python -m problems.aircraft.climb --help``."""
+    """Solve, compare, verify; see ``python -m problems.aircraft.climb --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -79,7 +79,7 @@ REFERENCE = Reference(1248.031024, "independent collocation, two meshes agree", 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.aircraft.hang_glider --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.aircraft.hang_glider --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -196,7 +196,7 @@ VIEW = View("r", force="direction", keep_out={"Earth": ((0.0, 0.0, 0.0), RADIUS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.ascent.delta3 --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.ascent.delta3 --help``."""
     return run(build, REFERENCE, arguments)
 
 

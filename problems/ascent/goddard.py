@@ -89,7 +89,7 @@ REFERENCE = Reference(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.ascent.goddard --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.ascent.goddard --help``."""
     return run(build, REFERENCE, arguments)
 
 

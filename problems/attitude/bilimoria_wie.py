@@ -68,7 +68,7 @@ VIEW = View(attitude="q")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.attitude.bilimoria_wie --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.attitude.bilimoria_wie --help``."""
     return run(build, REFERENCE, arguments)
 
 

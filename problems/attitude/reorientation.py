@@ -82,7 +82,7 @@ VIEW = View(attitude=("q[3]", "q[0]", "q[1]", "q[2]"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.attitude.reorientation --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.attitude.reorientation --help``."""
     return run(build, REFERENCE, arguments)
 
 

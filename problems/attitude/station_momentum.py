@@ -80,7 +80,7 @@ REFERENCE = Reference(1793441.1, "independent: Radau points on 200 segments", 0.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.attitude.station_momentum --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.attitude.station_momentum --help``."""
     return run(build, REFERENCE, arguments)
 
 

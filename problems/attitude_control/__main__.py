@@ -30,7 +30,7 @@ _WIDTH = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Plan, fly and judge; see ``python -m problems.attitude_control --help``.
+    """Plan, simulate and evaluate; see ``python -m problems.attitude_control --help``.
 
     Returns
     -------
@@ -56,8 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name in (*LAWS, WITHOUT)
     }
     console.print(table("Slews from sensors to motors", campaigns, MEASURES))
-    told = ", ".join(f"{MEASURES[name][0]} {MEASURES[name][1] * limit:g}" for name, limit in LIMITS.items())
-    console.print(f"limits: {told}")
+    results = ", ".join(
+        f"{MEASURES[name][0]} {MEASURES[name][1] * limit:g}" for name, limit in LIMITS.items()
+    )
+    console.print(f"limits: {results}")
     console.print(str(consistency(campaigns[LAWS[0]], estimator())))
     if options.json is not None:
         write(options.json, campaigns)

@@ -15,7 +15,7 @@ published ones, feedback linearisation and quaternion feedback, which turn strai
    \frac{h_i - \eta h_{max}}{\tau_c} \le T_i \le \frac{h_i + \eta h_{max}}{\tau_c}
 
 (:math:`\dot h_i = -T_i`): no wheel comes closer to its largest speed than by the time constant :math:`\tau_c`, which
-leaves its motor time to follow; :math:`\eta` is for motors that give more than they are told, and for noise.
+leaves its motor time to follow; :math:`\eta` is for motors that give more than they are commanded, and for noise.
 
 **Dispersions.** Every run differs from what is known on board in
 

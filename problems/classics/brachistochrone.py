@@ -99,7 +99,7 @@ REFERENCE = Reference(_least_time(), "closed form: cycloid", 1e-9, "s")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the cycloid, judge; see ``python -m problems.classics.brachistochrone --help``."""
+    """Solve, compare with the cycloid, verify; see ``python -m problems.classics.brachistochrone --help``."""
     return run(build, REFERENCE, arguments)
 
 

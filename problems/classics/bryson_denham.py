@@ -70,7 +70,7 @@ REFERENCE = Reference(4 / (9 * LIMIT), "closed form: 4 / (9 l)", 1e-10, "m^2/s^3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.bryson_denham --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.bryson_denham --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -80,7 +80,7 @@ REFERENCE = Reference(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.classics.cannonball --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.classics.cannonball --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -83,7 +83,7 @@ REFERENCE = Reference(_cost(), "closed form up to exp(-10000)", 1e-8)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.hypersensitive --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.hypersensitive --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -77,7 +77,7 @@ REFERENCE = Reference(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.interior_point --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.interior_point --help``."""
     return run(build, REFERENCE, arguments)
 
 

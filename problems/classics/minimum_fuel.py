@@ -73,7 +73,7 @@ REFERENCE = Reference(float(2 * SWITCH), "closed form: 3 - sqrt(5)", 1e-9, "m/s"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.minimum_fuel --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.minimum_fuel --help``."""
     return run(build, REFERENCE, arguments)
 
 

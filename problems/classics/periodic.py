@@ -51,7 +51,7 @@ REFERENCE = Reference(np.pi / 6, "closed form: pi / 6", 1e-8)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.periodic --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.periodic --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -48,7 +48,7 @@ REFERENCE = Reference(44.8044449, "independent Radau collocation, two meshes; Be
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.classics.rayleigh --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.classics.rayleigh --help``."""
     return run(build, REFERENCE, arguments)
 
 

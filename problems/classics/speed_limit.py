@@ -74,7 +74,7 @@ REFERENCE = Reference(LEAST_TIME, "closed form: 1/v_max + v_max", 1e-7, "s")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.speed_limit --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.speed_limit --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -67,7 +67,7 @@ VARIANTS = {"dose as a state": ({"as_state": True}, REFERENCE)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.classics.tumour --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.classics.tumour --help``."""
     return run(build, REFERENCE, arguments)
 
 

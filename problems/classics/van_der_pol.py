@@ -58,7 +58,7 @@ REFERENCE = Reference(0.7576179287, "independent, switch times optimised", 1e-9)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.classics.van_der_pol --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.classics.van_der_pol --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -111,7 +111,7 @@ REFERENCE = Reference(_least_time(), "closed form: tan(theta) grows linearly", 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.classics.zermelo --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.classics.zermelo --help``."""
     return run(build, REFERENCE, arguments)
 
 

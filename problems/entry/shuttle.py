@@ -104,7 +104,7 @@ REFERENCE = Reference(0.5958760762936, "independent collocation, two meshes agre
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.entry.shuttle --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.entry.shuttle --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -87,7 +87,7 @@ VIEW = View(("r[1]", "r[2]", "r[0]"), force=("T[1]", "T[2]", "T[0]"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.landing.mars_landing --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.landing.mars_landing --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -81,7 +81,7 @@ REFERENCE = Reference(float(2 * np.sqrt(17)), "closed form: 2 sqrt(17)", 1e-8, "
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the closed form, judge; see ``python -m problems.landing.moon_landing --help``."""
+    """Solve, compare with the closed form, verify; see ``python -m problems.landing.moon_landing --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -85,7 +85,7 @@ VIEW = View("r", force="T")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.low_thrust.earth_mars --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.low_thrust.earth_mars --help``."""
     return run(build, REFERENCE, arguments)
 
 

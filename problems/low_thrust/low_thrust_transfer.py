@@ -153,7 +153,7 @@ REFERENCE = Reference(0.2201791266, "Betts 2010, section 6.3", 1e-8, "lb")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the publication, judge; see ``python -m problems.low_thrust.low_thrust_transfer --help``."""
+    """Solve, compare with the publication, verify; see ``python -m problems.low_thrust.low_thrust_transfer --help``."""
     return run(build, REFERENCE, arguments)
 
 

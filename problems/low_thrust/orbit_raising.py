@@ -68,7 +68,7 @@ REFERENCE = Reference(1.525277700649, "independent collocation, two meshes agree
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.low_thrust.orbit_raising --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.low_thrust.orbit_raising --help``."""
     return run(build, REFERENCE, arguments)
 
 

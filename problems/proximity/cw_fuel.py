@@ -66,7 +66,7 @@ VIEW = View("r", force="a", bodies={"target": (0.0, 0.0, 0.0)})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the linear programme, judge; see ``python -m problems.proximity.cw_fuel --help``."""
+    """Solve, compare with the linear programme, verify; see ``python -m problems.proximity.cw_fuel --help``."""
     return run(build, REFERENCE, arguments)
 
 

@@ -66,7 +66,7 @@ VIEW = View("r", force="a", bodies={"target": (0.0, 0.0, 0.0)})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.proximity.cw_thrust --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.proximity.cw_thrust --help``."""
     return run(build, REFERENCE, arguments)
 
 

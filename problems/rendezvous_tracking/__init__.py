@@ -4,7 +4,7 @@
 
 To be read in this order: `problems.rendezvous.model`, then here
 
-* `control`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
+* `control`: the plan, the plant and what it differs by, the controllers, and how their runs are evaluated;
 * `guidance`: the plan without reserve, its switches corrected on board; both by range, bearing, star tracker and gyro;
 * `replanning`: the same, with the problem solved again in flight.
 """

@@ -33,7 +33,7 @@ from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured
 from problems.rendezvous_tracking.replanning import PLANNED, REPLANNED_RUNS, Replanned
 
 GUIDED = ("guided", "guided, filtered", "planned again, filtered")
-"""Flights with more of the authority than the reserve leaves, judged as long after their own planned end."""
+"""Flights with more of the authority than the reserve leaves, evaluated as long after their own planned end."""
 DEMANDED = 0.99
 """Pass rate of the controllers with feedback."""
 _LEVELS = (0.5, 0.99)
@@ -82,7 +82,7 @@ def _table(title: str) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Plan, follow, judge and draw; see ``python -m problems.rendezvous_tracking --help``.
+    """Plan, follow, evaluate and draw; see ``python -m problems.rendezvous_tracking --help``.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def _run(options: argparse.Namespace) -> int:
     tracking = Tracking(plan(options.case, conditions.share), conditions)
     console.print(
         f"case {options.case}: planned with {conditions.share:.0%} of the authority, "
-        f"t_f = {tracking.reference.final_time:.6f} s, judged at {tracking.end:.4f} s; seed {options.seed}"
+        f"t_f = {tracking.reference.final_time:.6f} s, evaluated at {tracking.end:.4f} s; seed {options.seed}"
     )
     campaigns: dict[str, Campaign] = {}
     seconds: dict[str, float] = {}
@@ -143,8 +143,8 @@ def _run(options: argparse.Namespace) -> int:
     for table in (results_table(campaigns), cost_table(campaigns)):
         console.print(table)
     if options.json is not None:
-        told = _summary(tracking, options.case, campaigns, seconds)
-        options.json.write_text(json.dumps(told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        results = _summary(tracking, options.case, campaigns, seconds)
+        options.json.write_text(json.dumps(results, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if options.report is not None:
         from gnc_opt.plot.campaign import plot_dispersion
         from gnc_opt.plot.style import save_figure

@@ -1,4 +1,4 @@
-"""The plan, the plant and what it differs by, the controllers, and how their runs are judged.
+"""The plan, the plant and what it differs by, the controllers, and how their runs are evaluated.
 
 **Plan.** The problem of `problems.rendezvous` ("exact" equation) with 85 % of the torques and forces, refined until
 the switch times are exact. The controllers have the rest of the authority.
@@ -234,7 +234,7 @@ class Tracking:
 
     @property
     def end(self) -> float:
-        """When the runs are judged, s."""
+        """When the runs are evaluated, s."""
         return self.reference.final_time + SETTLING
 
     @property

@@ -2,7 +2,7 @@
 
 The plan takes 25.87 s. `design_neighbouring_optimal` updates it from the measured state; for the last 10 s it lowers
 the planned torques and forces by 8 %, and a regulator about the end tracks it. Plant, dispersions and limits are
-those of `control`; the runs are judged as long after the arrival, which is earlier.
+those of `control`; the runs are evaluated as long after the arrival, which is earlier.
 
 `Measured` does so by range, bearing, star tracker and gyro, every 0.1 s and with white noise (1 sigma): the distance to
 the target, 2 cm; its direction in the chaser's axes B, a unit vector, 0.5 mrad per component; the chaser's own attitude
@@ -71,7 +71,7 @@ class Guided(Tracking):
 
     @property
     def end(self) -> float:
-        """When the runs are judged, s."""
+        """When the runs are evaluated, s."""
         first = self.guidance.initial_memory(0.0, self.initial)
         return float(first[self.guidance.memory.slice("final_time")][0]) + SETTLING
 
@@ -106,7 +106,7 @@ KNOWN: dict[str, Any] = {
     "dt": DT,
     "options": FilterOptions(limits=AUTHORITY),
 }
-"""What the filters are told."""
+"""What the filters assume."""
 
 
 def observed_chaser() -> go.Model:

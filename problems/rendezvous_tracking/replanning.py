@@ -141,5 +141,5 @@ class Replanned(Measured):
 
     @property
     def end(self) -> float:
-        """When the runs are judged, s."""
+        """When the runs are evaluated, s."""
         return self.reference.final_time + SETTLING

@@ -85,7 +85,7 @@ VIEW = View("p")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.robots.quadrotor --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.robots.quadrotor --help``."""
     return run(build, REFERENCE, arguments)
 
 

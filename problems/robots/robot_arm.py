@@ -82,7 +82,7 @@ REFERENCE = Reference(9.1409117459, "independent, switch times optimised", 1e-8,
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.robots.robot_arm --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.robots.robot_arm --help``."""
     return run(build, REFERENCE, arguments)
 
 

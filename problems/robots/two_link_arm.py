@@ -45,7 +45,7 @@ REFERENCE = Reference(2.9822799425, "independent: three switch times and the end
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare with the reference, judge; see ``python -m problems.robots.two_link_arm --help``."""
+    """Solve, compare with the reference, verify; see ``python -m problems.robots.two_link_arm --help``."""
     return run(build, REFERENCE, arguments)
 
 

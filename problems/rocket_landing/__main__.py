@@ -24,7 +24,7 @@ _WIDTH = 110
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Plan, fly and judge; see ``python -m problems.rocket_landing --help``.
+    """Plan, simulate and evaluate; see ``python -m problems.rocket_landing --help``.
 
     Returns
     -------
@@ -51,8 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     measures = {name: (f"{name} ({unit})", 1.0) for name, unit in _UNITS.items()}
     console.print(table("Landings", campaigns, measures, _COUNTS))
-    told = ", ".join(f"{name} {limit:g} {_UNITS[name]}" for name, limit in LIMITS.items())
-    console.print(f"limits: {told}")
+    results = ", ".join(f"{name} {limit:g} {_UNITS[name]}" for name, limit in LIMITS.items())
+    console.print(f"limits: {results}")
     if options.json is not None:
         write(options.json, campaigns)
     rate = campaigns["planned again"].pass_rate().rate

@@ -35,7 +35,7 @@ START = {"r": [2400.0, 300.0, -2000.0], "v": [-75.0, -20.0, 80.0], "mass": 1905.
 SETTLING = 1.0
 """Speed downward at the end of the plan, m/s."""
 PLANNED, ENGINES = (0.33, 0.77), (0.3, 0.8)
-"""Throttle of the plan, and what the engines are told at least and at most."""
+"""Throttle of the plan, and what the engines are commanded at least and at most."""
 AIR, DRAG_AREA = 0.02, 4.0
 """Density (kg/m^3) and drag area (m^2)."""
 MESH = "12x3"

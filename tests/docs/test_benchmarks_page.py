@@ -32,15 +32,15 @@ def test_every_table_has_its_origin(name: str) -> None:
 
 
 def test_problems_that_are_measured_exist_and_meet_their_references() -> None:
-    told = page.numbers("problem_files")["told"]
+    results = page.numbers("problem_files")["results"]
     known = {example.name for example in examples()}
-    assert {row["problem"] for row in told} <= known
+    assert {row["problem"] for row in results} <= known
     realistic = doc("problems").section(
         "Realistic problems"
     )  # these are measured by benchmarks.validation.engine
     others = {name for name in known if f"[`{name}`]" not in realistic}
-    assert len(told) > 0.8 * len(others)
-    apart = [row["problem"] for row in told if row["off"] is not None and abs(row["off"]) > 1e-6]
+    assert len(results) > 0.8 * len(others)
+    apart = [row["problem"] for row in results if row["off"] is not None and abs(row["off"]) > 1e-6]
     assert not apart
 
 

@@ -1,4 +1,4 @@
-"""Problems in JSON: reading expressions, building through the public API, solving, judging, reporting."""
+"""Problems in JSON: reading expressions, building through the public API, solving, comparing."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def leg_value(leg: go.PhaseSolution, name: str, t: float) -> float:
     return float((leg.state if name in leg.states else leg.control)(name)(t))
 
 
-# --- judging --------------------------------------------------------------------------------------------
+# --- comparing --------------------------------------------------------------------------------------------
 
 
 def test_costates_of_a_payoff_keep_its_sign(tmp_path: Path) -> None:
@@ -313,40 +313,7 @@ def test_a_crash_never_passes_and_is_told(tmp_path: Path, monkeypatch: pytest.Mo
     assert outcome.message == "ZeroDivisionError: deep inside"
 
 
-# --- the command ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def collection(tmp_path: Path) -> Path:
-    documents = [{**with_numbers(CLOSED_FORM[0]), "core": True}, ILL_POSED[0][0], ILL_POSED[4][0]]
-    documents[1] = {**documents[1], "expect": None, "reference": 1.0}  # listed as a failure, stops nothing
-    path = tmp_path / "set.json"
-    path.write_text(json.dumps(documents))
-    return path
-
-
-def test_command_lists_every_problem_and_writes_json(
-    collection: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    out = tmp_path / "out.json"
-    assert problem_set.main([str(collection), "--mesh", "6x4", "--scheme", "LGR", "--json", str(out)]) == 1
-    printed = capsys.readouterr().out
-    assert "2 of 3 problems pass" in printed
-    assert "too far: Near the last iterate" in printed  # the failure is told in words
-    results = json.loads(out.read_text())
-    assert [r["name"] for r in results] == ["lq_scalar", "too far", "unknown"]
-    assert [r["passed"] for r in results] == [True, False, True]
-    for key in ("reference", "objective", "relative_error", "status", "verdict_ok", "seconds", "iterations",
-                "refinements", "costate_error"):  # fmt: skip
-        assert key in results[0]
-    assert results[0]["status"] == "optimal"
-    assert results[0]["worst_costate_error"] < 1e-6
-    assert results[1]["objective"] is None
-    assert results[2]["expect"] == "input error naming the symbol (k)"
-
-
-# --- the effort and the costates --------------------------------------------------------------------------
+# --- costates --------------------------------------------------------------------------
 
 
 def test_closed_forms_of_costates_are_compared_in_every_phase(tmp_path: Path) -> None:
@@ -370,29 +337,3 @@ def mean_share(signal: Any, start: float, end: float) -> float:
     """Mean of a signal's magnitude over its largest one."""
     values = np.abs(signal(np.linspace(start, end, 61)))
     return float(np.mean(values) / np.max(values))
-
-
-def test_a_search_leaves_a_local_minimum(tmp_path: Path) -> None:
-    """Where the sheet speaks of local minima: (z^2 - 1)^2 + z/10 + x'^2/50, guessed in the shallow well."""
-    wells = document(
-        "wells",
-        "(x_f1**2-1)**2+0.1*x_f1+0.02*J_1",
-        phase(
-            0, 1, [state("x", 0, None, guess=[0, 1])], [control("u", -3, 3, guess=1)], {"x": "u"},
-            integrals={"J": "u**2"},
-        ),
-        category=["local-minima"],
-        accept_rel_tol=1e-7,
-    )  # fmt: skip
-    z = np.roots([4.0, 0.0, 0.04 - 4.0, 0.1]).real
-    depths = sorted((z**2 - 1) ** 2 + 0.1 * z + 0.02 * z**2)
-    wells["reference"] = depths[0]
-    alone, _ = problem_set.run(wells, tmp_path)
-    searched, _ = problem_set.run(wells, tmp_path, multistart=True)
-    assert (alone.passed, searched.passed) == (False, True)
-    assert alone.objective == pytest.approx(depths[1], abs=1e-7)
-    shallow = {**wells, "reference": depths[1]}
-    beaten, _ = problem_set.run(shallow, tmp_path, multistart=True)
-    assert beaten.better and beaten.passed and not searched.better
-    plain, _ = problem_set.run({**wells, "category": []}, tmp_path, multistart=True)
-    assert not plain.passed  # no search without local minima in the sheet

@@ -78,15 +78,15 @@ def test_a_second_run_moves_nothing(files: tuple[str, Path], capsys: pytest.Capt
 def test_what_moved_is_named(files: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     problems, baseline = files
     text = baseline.read_text()
-    told = json.loads(text)
-    told["problems"][0]["objective"] *= 1 + 1e-8
-    baseline.write_text(json.dumps(told))
+    results = json.loads(text)
+    results["problems"][0]["objective"] *= 1 + 1e-8
+    baseline.write_text(json.dumps(results))
     assert regression.main([problems, "--baseline", str(baseline)]) == 1
     out = capsys.readouterr().out
     assert "1 moved" in out and "objective, by 1.0e-08" in out and "MOVED" in out
-    told = json.loads(text)
-    told["problems"][0]["iterations"] += 10
-    baseline.write_text(json.dumps(told))
+    results = json.loads(text)
+    results["problems"][0]["iterations"] += 10
+    baseline.write_text(json.dumps(results))
     assert regression.main([problems, "--baseline", str(baseline)]) == 0
     assert "shown only" in capsys.readouterr().out
 

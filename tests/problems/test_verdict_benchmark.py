@@ -10,7 +10,7 @@ import pytest
 import gnc_opt as go
 from benchmarks.validation.verdict import __main__ as command
 from benchmarks.validation.verdict.answers import Pair
-from benchmarks.validation.verdict.cases import Case, cases, closed_form_pairs, judged
+from benchmarks.validation.verdict.cases import Case, cases, check_case, closed_form_pairs
 from benchmarks.validation.verdict.statements import FAMILY, solved, trajectory
 from benchmarks.validation.verdict.wrong_answers import changes, off_by
 
@@ -58,7 +58,7 @@ PASS, FAIL = go.ConditionResult.PASS, go.ConditionResult.FAIL
     ],
 )
 def test_what_counts_as_what(wrong: bool, first_order: bool, off: float, said: go.Verdict, word: str) -> None:
-    assert judged(Case("kind", "name", "why", wrong, first_order, lambda: (said, off))).word == word
+    assert check_case(Case("kind", "name", "why", wrong, first_order, lambda: (said, off))).word == word
 
 
 def test_operators_plant_what_they_say() -> None:
@@ -85,5 +85,5 @@ def test_the_page_shows_the_numbers_of_the_last_run_and_nothing_passed_wrongly()
     "pair", [p for p in closed_form_pairs() if p.name in ("refraction", "loss of speed between phases")]
 )
 def test_of_a_pair_one_is_right(pair: Pair) -> None:
-    assert pair.make(1e3, 1e-3, False).judge().minimum
-    assert pair.make(1e3, 1e-3, True).judge().failed
+    assert pair.make(1e3, 1e-3, False).check().minimum
+    assert pair.make(1e3, 1e-3, True).check().failed

@@ -40,10 +40,10 @@ LONGEST_S = 1800
 """Of one program on one case, wall time."""
 
 SolveMethod = dict[int, dict[str, Any]]
-"""What a program told of one mesh with its options, by case."""
+"""Results of a program on one mesh with its options, by case."""
 
 
-def told(program: str, case: int, runs: int, environments: Path) -> list[dict[str, Any]] | None:
+def measured(program: str, case: int, runs: int, environments: Path) -> list[dict[str, Any]] | None:
     """Return what a program tells of a case, None where it is not there."""
     python = Path(sys.executable) if program in OURS else environments / program / "bin" / "python"
     if not python.exists():
@@ -71,7 +71,7 @@ def measure(cases: Sequence[int], runs: int, environments: Path) -> dict[str, di
     for case in cases:
         exact = REFERENCE[case, "printed"]["exact"].value
         for program in PROGRAMS:
-            rows = told(program, case, runs, environments)
+            rows = measured(program, case, runs, environments)
             if rows is None:
                 if case == cases[0]:
                     print(f"{program}: skipped, {environments / program} is missing")

@@ -83,10 +83,10 @@ def report(ways):
     case, runs = int(sys.argv[1]), int(sys.argv[2])
     for name, solve in ways.items():
         try:
-            told = _timed(solve, case, runs)
+            results = _timed(solve, case, runs)
         except Exception as error:  # whatever a program raises, the others go on
-            told = {"failed": f"{type(error).__name__}: {error}"[:200]}
-        print(json.dumps({"way": name, **told}), flush=True)
+            results = {"failed": f"{type(error).__name__}: {error}"[:200]}
+        print(json.dumps({"way": name, **results}), flush=True)
 
 
 def _timed(solve, case, runs):

@@ -159,16 +159,16 @@ def _forked(solve, document):
         limit = math.ceil(time.process_time() + LIMIT_S)
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
         try:
-            told = _timed(solve, document)
+            results = _timed(solve, document)
         except BaseException as error:  # whatever a program raises, the others go on
-            told = {"failed": f"{type(error).__name__}: {error}"[:200]}
-        os.write(writing, json.dumps(told).encode())
+            results = {"failed": f"{type(error).__name__}: {error}"[:200]}
+        os.write(writing, json.dumps(results).encode())
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
-        told = pipe.read()
+        results = pipe.read()
     os.waitpid(child, 0)
-    return json.loads(told) if told else {"failed": f"stopped after {LIMIT_S:g} s of CPU time"}
+    return json.loads(results) if results else {"failed": f"stopped after {LIMIT_S:g} s of CPU time"}
 
 
 def _timed(solve, document):

@@ -1,1 +1,1 @@
-"""A set of optimal control problems in JSON: `reader` builds them, `references` compares, `solve` tabulates."""
+"""A set of optimal control problems in JSON: `reader` builds them, `solve` solves and `references` compares."""

@@ -208,8 +208,8 @@ def difference(text: str, claimed: ArrayLike, ours: ArrayLike, relative: float, 
     share = np.nan_to_num(np.abs(off) / np.maximum(slack, 1e-300), nan=np.inf)
     worst = int(np.argmax(share))
     unit, sign = (size[worst] / 100, " %") if size[worst] else (1.0, "")
-    told = (f"{off[worst] / unit:+.3g}{sign}", f"{slack[worst] / unit:.2g}{sign}")
-    return Claim(text, bool(np.all(np.abs(off) <= slack)), *told)
+    results = (f"{off[worst] / unit:+.3g}{sign}", f"{slack[worst] / unit:.2g}{sign}")
+    return Claim(text, bool(np.all(np.abs(off) <= slack)), *results)
 
 
 def numbers(values: ArrayLike) -> str:

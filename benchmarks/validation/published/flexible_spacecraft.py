@@ -578,8 +578,8 @@ ATTITUDE_NOISE, RATE_NOISE = 0.002, 0.001
 """1 sigma per axis and measurement, deg and deg/s."""
 FLIGHT_SPAN, FLIGHT_STEP = 120.0, 0.05
 """Of a flight and of its control, s."""
-JUDGED = 60.0
-"""When the vibration is judged, s: both plans are over."""
+VIBRATION_TIME = 60.0
+"""When the vibration is measured, s: both plans are over."""
 
 
 @cache
@@ -632,8 +632,8 @@ def measures(run: Run) -> CompiledLoop:
 
 
 def vibration(run: Run) -> float:
-    """Return the modal energy `JUDGED` s after the start, J."""
-    k = round(JUDGED / FLIGHT_STEP)
+    """Return the modal energy `VIBRATION_TIME` s after the start, J."""
+    k = round(VIBRATION_TIME / FLIGHT_STEP)
     eta, eta_rate = (run.state(name).values[:, k] for name in ("eta", "eta_rate"))
     return float(np.squeeze(TRUE.modal_energy(eta, eta_rate)))
 

@@ -81,14 +81,14 @@ def _cells(claim: Claim | None, otherwise: str) -> tuple[str, str]:
 
 def count(rows: Sequence[Row]) -> str:
     """Return how many rows agree with the publication, and with the independent computation."""
-    told = summary(rows)
-    publication, independent = told["publication"], told["independent"]
+    results = summary(rows)
+    publication, independent = results["publication"], results["independent"]
     line = (
         f"{publication['agree']} of {publication['compared']} agree with the publication, "
         f"{publication['differ_with_reason']} differ for stated reasons; "
         f"{independent['agree']} of {independent['compared']} agree with the independent computation"
     )
-    return line + (f"; FAIL: {', '.join(told['failed'])}" if told["failed"] else "")
+    return line + (f"; FAIL: {', '.join(results['failed'])}" if results["failed"] else "")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -120,4 +120,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.json:  # after every system: what is done survives whatever ends the run
             text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
             options.json.write_text(text + "\n", encoding="utf-8")
-    return int(any(told["failed"] for told in found.values()))
+    return int(any(results["failed"] for results in found.values()))

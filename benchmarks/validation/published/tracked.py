@@ -29,7 +29,7 @@ class CompiledLoop:
     effort : float
         What it costs, in the system's unit.
     miss : float
-        How far it is off when it is judged, in the system's unit.
+        How far it is off when it is measured, in the system's unit.
     """
 
     time: float

@@ -5,7 +5,7 @@
 
 Wrong answers are wrong by construction, and say by how much; one that is off by less than 1e-4 does not count. Most
 are made by operators: the right answer of a changed problem (another end, limit, parameter, weight, duration, cost), or
-one flown differently, is judged as an answer of the old problem, as arrays, as stated and in another frame
+one flown differently, is checked as an answer of the old problem, as arrays, as stated and in another frame
 (units, origin, constant in the cost, scale of the cost). Others are extremals that are no minima (conjugate points,
 saddles of switch times, narrow wells of H, singular maxima), answers that look like a closed form and are none, what
 default calls yield past a limit, and files whose numbers were changed. Right answers are those of closed forms, of
@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.validation.problem_set.reader import read_documents
-from benchmarks.validation.verdict.cases import Case, Outcome, cases, judged
+from benchmarks.validation.verdict.cases import Case, Outcome, cases, check_case
 
 COLUMNS = (
     "planted",
@@ -66,9 +66,11 @@ def count(outcomes: Sequence[Outcome]) -> Rows:
 
 
 def _numbers(outcomes: Sequence[Outcome]) -> dict[str, int]:
-    words = Counter(o.word for o in outcomes) + Counter(o.told for o in outcomes if o.told.startswith("not"))
-    words["planted"] = sum(not o.told.startswith("not") for o in outcomes)
-    words["failed"] = sum(o.wrong and o.told == "failed" for o in outcomes)
+    words = Counter(o.word for o in outcomes) + Counter(
+        o.result for o in outcomes if o.result.startswith("not")
+    )
+    words["planted"] = sum(not o.result.startswith("not") for o in outcomes)
+    words["failed"] = sum(o.wrong and o.result == "failed" for o in outcomes)
     return {column: words[column] for column in COLUMNS}
 
 
@@ -119,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for i, case in enumerate(chosen, 1):
                 if (case.kind, case.name) not in done:
                     status.update(f"{i} of {len(chosen)}: {case.kind}, {case.name}")
-                    outcomes.append(judged(case))
+                    outcomes.append(check_case(case))
                     if options.json:  # after every case: what is done survives whatever ends the run
                         _write(options.json, outcomes, options.seed)
     except KeyboardInterrupt:
@@ -150,16 +152,16 @@ def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
     for o in outcomes:
         if o.word:
             off = "" if not o.off else f" (off by {o.off:.1e})"
-            told = "; ".join(o.conditions) or "every condition passes"
-            console.print(f"{o.word}: {o.kind}: {o.name}{off}: {told}", markup=False, soft_wrap=True)
+            conditions = "; ".join(o.conditions) or "every condition passes"
+            console.print(f"{o.word}: {o.kind}: {o.name}{off}: {conditions}", markup=False, soft_wrap=True)
     console.print(
         f"{sum(o.seconds for o in outcomes):.0f} s of processor time; inconclusive: at most {INCONCLUSIVE_LIMIT} wanted"
     )
 
 
 def _write(path: Path, outcomes: Sequence[Outcome], seed: int) -> None:
-    told = {"seed": seed, "outcomes": [_finite(o) for o in outcomes]}
-    path.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    text = {"seed": seed, "outcomes": [_finite(o) for o in outcomes]}
+    path.write_text(json.dumps(text, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _finite(outcome: Outcome) -> dict[str, object]:

@@ -32,7 +32,7 @@ class Answer:
     u: Any
     p: Any = None
 
-    def judge(self) -> go.Verdict:
+    def check(self) -> go.Verdict:
         """By `go.verify_trajectory`."""
         return go.verify_trajectory(self.problem, self.t, self.x, self.u, self.p)
 

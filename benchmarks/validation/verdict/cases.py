@@ -1,4 +1,4 @@
-"""All cases: what is judged, what the truth is, and by how much a wrong answer is wrong."""
+"""All cases: what is checked, what the truth is, and by how much a wrong answer is wrong."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from benchmarks.validation.verdict.statements import FAMILY, Frame, Statement, b
 from benchmarks.validation.verdict.thresholds import members
 from benchmarks.validation.verdict.wrong_answers import LEAST, Planted, changes, forged, off_by
 
-Told = Literal["failed", "passed", "inconclusive", "not planted", "not found", "crash"]
+Result = Literal["failed", "passed", "inconclusive", "not planted", "not found", "crash"]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One answer to be judged.
+    """One answer to check.
 
     Attributes
     ----------
     kind, name, why : str
     wrong : bool
     first_order : bool
-        Of a wrong one: whether necessary conditions of the first order tell. Where only sufficient ones do, a
+        Of a wrong one: whether necessary conditions of the first order fail. Where only sufficient ones do, a
         verdict that claims no more than the former is inconclusive, not a wrong pass.
-    judge : callable
+    check : callable
         () -> (Verdict, by how much the answer is wrong).
     """
 
@@ -48,7 +48,7 @@ class Case:
     why: str
     wrong: bool
     first_order: bool
-    judge: Callable[[], tuple[go.Verdict, float]]
+    check: Callable[[], tuple[go.Verdict, float]]
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class Outcome:
     ----------
     kind, name, why : str
     wrong : bool
-    told : str
+    result : str
         "failed", "passed", "inconclusive"; "not planted" if the answer is off by too little to count, "not found" if
-        the solver did not find the right answer, "crash" if judging ended in an error.
+        the solver did not find the right answer, "crash" if the check ended in an error.
     off : float or None
     conditions : tuple of str
-        Those that fail ("FAIL name value at place") or cannot be told ("? name at place").
+        Those that fail ("FAIL name value at place") or are inconclusive ("? name at place").
     seconds : float
         Processor time, the solve included.
     """
@@ -73,7 +73,7 @@ class Outcome:
     name: str
     why: str
     wrong: bool
-    told: Told
+    result: Result
     off: float | None
     conditions: tuple[str, ...]
     seconds: float
@@ -81,11 +81,11 @@ class Outcome:
     @property
     def word(self) -> str:
         """What is amiss: "passed wrongly", "false alarm", "inconclusive", "crash"; or nothing."""
-        if self.told in ("inconclusive", "crash"):
-            return self.told
+        if self.result in ("inconclusive", "crash"):
+            return self.result
         if self.wrong:
-            return "passed wrongly" if self.told == "passed" else ""
-        return "false alarm" if self.told == "failed" else ""
+            return "passed wrongly" if self.result == "passed" else ""
+        return "false alarm" if self.result == "failed" else ""
 
     def plain(self) -> dict[str, Any]:
         """As JSON values."""
@@ -115,9 +115,9 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
                 name = f"{s.name}, {frame.name}: {planted.why}"
                 yield Case(planted.kind, name, planted.why, True, True, _sampled(s, planted, frame))
     for e in extremals():
-        yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
+        yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.check(), e.off))
     for f in forged():
-        yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
+        yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.check(), f.off))
     for pair in closed_form_pairs():
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
@@ -126,38 +126,38 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
     for m in members():
         kind = "beyond a threshold" if m.wrong else "right: before a threshold"
         yield Case(
-            kind, m.name, m.why, m.wrong, m.first_order, lambda m=m: (m.judge(), 1.0 if m.wrong else 0.0)
+            kind, m.name, m.why, m.wrong, m.first_order, lambda m=m: (m.check(), 1.0 if m.wrong else 0.0)
         )
     for r in right(documents, seed):
-        yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.judge(), 0.0))
+        yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.check(), 0.0))
 
 
 def _sampled(s: Statement, planted: Planted, frame: Frame) -> Callable[[], tuple[go.Verdict, float]]:
-    def judge() -> tuple[go.Verdict, float]:
+    def check() -> tuple[go.Verdict, float]:
         wrong = planted.make()
         off = off_by(s, wrong)
         return go.verify_trajectory(build(s, frame), *in_frame(s, wrong, frame)), off
 
-    return judge
+    return check
 
 
 def _paired(pair: Pair, scale: tuple[float, float], wrong: bool) -> Callable[[], tuple[go.Verdict, float]]:
-    return lambda: (pair.make(*scale, wrong).judge(), pair.off if wrong else 0.0)
+    return lambda: (pair.make(*scale, wrong).check(), pair.off if wrong else 0.0)
 
 
-def judged(case: Case) -> Outcome:
+def check_case(case: Case) -> Outcome:
     """Return what the verdict says about a case; errors end in the outcome."""
     begin = time.process_time()
 
-    def outcome(told: Told, off: float | None, conditions: tuple[str, ...]) -> Outcome:
+    def outcome(result: Result, off: float | None, conditions: tuple[str, ...]) -> Outcome:
         return Outcome(
-            case.kind, case.name, case.why, case.wrong, told, off, conditions, time.process_time() - begin
+            case.kind, case.name, case.why, case.wrong, result, off, conditions, time.process_time() - begin
         )
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            verdict, off = case.judge()
+            verdict, off = case.check()
     except NotRight as error:
         return outcome("not found", None, (str(error),))
     except go.SolveError as error:
@@ -166,10 +166,10 @@ def judged(case: Case) -> Outcome:
         return outcome("crash", None, (f"{type(error).__name__}: {error}",))
     if case.wrong and not off >= LEAST:
         return outcome("not planted", off, ())
-    return outcome(_told(case, verdict), off, _conditions(verdict))
+    return outcome(_result_of(case, verdict), off, _conditions(verdict))
 
 
-def _told(case: Case, verdict: go.Verdict) -> Told:
+def _result_of(case: Case, verdict: go.Verdict) -> Result:
     if verdict.failed:
         return "failed"
     if case.wrong:

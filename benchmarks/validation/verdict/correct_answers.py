@@ -41,7 +41,7 @@ AGREES = 1e-6
 
 
 class NotRight(Exception):
-    """The solver did not find the known answer, so that there is nothing right to judge."""
+    """The solver did not find the known answer, so that there is nothing right to check."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Right:
 
     kind: str
     name: str
-    judge: Callable[[], go.Verdict]
+    check: Callable[[], go.Verdict]
 
 
 def right(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Right]:
@@ -93,10 +93,10 @@ def _near_misses() -> Iterator[Right]:
 
 
 def _solved(problem: go.Problem) -> go.Verdict:
-    return _judged(go.solve(problem, tol=1e-8))
+    return _checked(go.solve(problem, tol=1e-8))
 
 
-def _judged(solution: go.Solution) -> go.Verdict:
+def _checked(solution: go.Solution) -> go.Verdict:
     """What refining itself says it did not resolve is not found: no answer that a verdict could fail wrongly."""
     verdict, history = go.verify(solution), solution.history
     ended = (RefinementStatus.CONVERGED, RefinementStatus.CONDITIONS_FAIL)
@@ -110,7 +110,7 @@ def _of_file(name: str) -> go.Verdict:
     solution = go.solve(module.build(), tol=1e-8)
     if not module.REFERENCE.agrees(solution.objective):
         raise NotRight(f"objective {solution.objective:.10g}, known {module.REFERENCE.value:.10g}")
-    return _judged(solution)
+    return _checked(solution)
 
 
 def _rendezvous() -> go.Verdict:
@@ -118,7 +118,7 @@ def _rendezvous() -> go.Verdict:
     known = rendezvous.REFERENCE[3, "printed"]["exact"].value
     if abs(solution.objective - known) > 1e-6:
         raise NotRight(f"objective {solution.objective:.10g}, known {known:.10g}")
-    return _judged(solution)
+    return _checked(solution)
 
 
 def _of_set(document: Mapping[str, Any]) -> go.Verdict:
@@ -128,7 +128,7 @@ def _of_set(document: Mapping[str, Any]) -> go.Verdict:
     known = float(document["reference"])
     if not solution.status.solved or abs(solution.objective - known) > AGREES * max(1.0, abs(known)):
         raise NotRight(f"objective {solution.objective:.10g}, known {known:.10g}")
-    return _judged(solution)
+    return _checked(solution)
 
 
 # --- limits in unusual places ------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ class Extremal:
     kind, name, why : str
     off : float
         What is lost at least, relative to the cost (UNBOUNDED where there is no least cost), or a distance.
-    judge : callable
+    check : callable
         () -> Verdict.
     first_order : bool
         Whether the first order tells (a limit that is crossed, a shallower well of H); else only sufficient
@@ -36,7 +36,7 @@ class Extremal:
     name: str
     why: str
     off: float
-    judge: Callable[[], go.Verdict]
+    check: Callable[[], go.Verdict]
     first_order: bool = False
 
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 ExpressionDisturbance = Callable[[Any, Any, Any], Any]
 
 SAMPLES = 121
-"""Of a trajectory that is judged as arrays; jumps come on top."""
+"""Of a trajectory that is checked as arrays; jumps come on top."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Member:
         Why it is no minimum, if it is none.
     wrong, first_order : bool
         Whether it is none, and whether the first order tells.
-    judge : callable
+    check : callable
         () -> Verdict.
     """
 
@@ -34,7 +34,7 @@ class Member:
     why: str
     wrong: bool
     first_order: bool
-    judge: Callable[[], go.Verdict]
+    check: Callable[[], go.Verdict]
 
 
 def members() -> Iterator[Member]:
@@ -85,10 +85,10 @@ def members() -> Iterator[Member]:
 
 
 def _of(
-    name: str, judge: Callable[[Any], go.Verdict], right: tuple[Any, ...], wrong: tuple[Any, ...], why: str
+    name: str, check: Callable[[Any], go.Verdict], right: tuple[Any, ...], wrong: tuple[Any, ...], why: str
 ) -> Iterator[Member]:
     for value in (*right, *wrong):
-        yield Member(f"{name} {value}", why, value in wrong, False, lambda v=value: judge(v))
+        yield Member(f"{name} {value}", why, value in wrong, False, lambda v=value: check(v))
 
 
 # --- smooth ------------------------------------------------------------------------------------------------

@@ -203,30 +203,30 @@ class Forged:
     name, why : str
     off : float
         By which share numbers are changed.
-    judge : callable
+    check : callable
         () -> Verdict.
     """
 
     name: str
     why: str
     off: float
-    judge: Callable[[], go.Verdict]
+    check: Callable[[], go.Verdict]
 
 
 def forged() -> Iterator[Forged]:
     """Yield all of them: every statement's answer with costates, states or controls changed, and other problems'."""
     for s in FAMILY:
         for what, why, off, edit in _edits():
-            yield Forged(f"{s.name}: {what}", why, off, lambda s=s, e=edit: _judged(s, s, e))
+            yield Forged(f"{s.name}: {what}", why, off, lambda s=s, e=edit: _checked(s, s, e))
         for name, value in s.numbers.items():
             other = replace(s, numbers={**s.numbers, name: 1.05 * value})
             why = f"the answer for {name} 5 % larger, under this problem's fingerprint"
             yield Forged(
-                f"{s.name}: {name} of another problem", why, 0.05, lambda a=s, b=other: _judged(a, b, _same)
+                f"{s.name}: {name} of another problem", why, 0.05, lambda a=s, b=other: _checked(a, b, _same)
             )
 
 
-def _judged(s: Statement, answered: Statement, edit: Edit) -> go.Verdict:
+def _checked(s: Statement, answered: Statement, edit: Edit) -> go.Verdict:
     problem = build(s)
     with tempfile.TemporaryDirectory() as folder:
         file = solved(answered).save(Path(folder) / "answer.npz")
