@@ -17,9 +17,7 @@ from gnc_opt.spacecraft.attitude import (
     mrp_rate,
     mrp_retraction,
     mrp_shadow,
-    mrp_short,
     mrp_to_dcm,
-    mrp_to_euler,
     mrp_to_quaternion,
     mrp_to_rotation,
 )
@@ -28,11 +26,9 @@ from gnc_opt.spacecraft.gravity import (
     J2_EARTH,
     MU_EARTH,
     RADIUS_EARTH,
-    angular_momentum_about_axis,
     gravity_gradient_torque,
     gravity_potential,
     j2_gravity,
-    orbital_energy,
     point_mass_gravity,
 )
 from gnc_opt.spacecraft.quaternion import (
@@ -69,7 +65,7 @@ from gnc_opt.spacecraft.rigid_body import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from gnc_opt.spacecraft.vectors import apply, cross, dot, scale, stack, stack_rows, transpose
+from gnc_opt.spacecraft.vectors import apply, transpose
 
 __all__ = [
     "FLATTENING_EARTH",
@@ -85,13 +81,10 @@ __all__ = [
     "altitude",
     "angular_acceleration",
     "angular_momentum",
-    "angular_momentum_about_axis",
     "apply",
     "array_momentum",
-    "cross",
     "differential_j2",
     "divide_by_inertia",
-    "dot",
     "drag_acceleration",
     "gravity_gradient_torque",
     "gravity_potential",
@@ -105,12 +98,9 @@ __all__ = [
     "mrp_rate",
     "mrp_retraction",
     "mrp_shadow",
-    "mrp_short",
     "mrp_to_dcm",
-    "mrp_to_euler",
     "mrp_to_quaternion",
     "mrp_to_rotation",
-    "orbital_energy",
     "point_mass_gravity",
     "quaternion_angle",
     "quaternion_conjugate",
@@ -127,10 +117,7 @@ __all__ = [
     "relative_acceleration",
     "relative_angular_acceleration",
     "relative_from_inertial",
-    "scale",
     "speed_of_sound",
-    "stack",
-    "stack_rows",
     "total_momentum",
     "transpose",
     "us76",

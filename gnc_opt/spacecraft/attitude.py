@@ -17,18 +17,13 @@ axes of L onto those of B is its transpose, and that is what `scipy.spatial.tran
 
 .. math:: \dot\sigma = \tfrac14 [ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T ]\, \omega_{BL,B} .
 
-**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude by the other way round
-(the angle :math:`\Phi - 2\pi`). Of the two, one always has :math:`|\sigma| \le 1`, a turn of at most 180
-degrees; staying on it keeps away from the singularity. An optimiser that is allowed :math:`|\sigma| > 1`
-may wander off to the singularity, so trajectories of less than half a turn should bound :math:`\sigma`.
+**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude with the angle :math:`\Phi - 2\pi`;
+one of the two has :math:`|\sigma| \le 1`. Bound :math:`\sigma` in trajectories of less than half a turn: the other
+set leads to the singularity.
 
 **Quaternion**, scalar part first:
 
 .. math:: q = (\cos(\Phi/2),\; e \sin(\Phi/2)) = (1 - \sigma^2,\; 2 \sigma) / (1 + \sigma^2) .
-
-**Euler angles YXZ** (:math:`\theta_y, \theta_x, \theta_z`): turn L about its y axis, then about the new x
-axis, then about the newest z axis: :math:`C_{BL} = C_3(\theta_z)\, C_1(\theta_x)\, C_2(\theta_y)`. Singular
-at :math:`\theta_x = \pm 90` degrees.
 
 Every function takes CasADi columns or arrays (3,) and (3, n_times), time last, unless it says "numeric".
 
@@ -150,8 +145,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     numerator = stack(
         [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
     )
-    # (cosine, 2 numerator) is the error quaternion, times the length. MRP are its vector over length + scalar part, and
-    # that is positive on the short way: nothing cancels where sigma is near the shadow of the reference
+    # (cosine, 2 numerator) is the error quaternion times the length; no cancellation near the shadow of the reference
     cosine = (1 - square) * (1 - square_ref) + 4 * dot(sigma, sigma_ref)
     length = (1 + square) * (1 + square_ref)
     if is_symbolic(numerator):
@@ -164,8 +158,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
 def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     """Return the MRP, of length <= 1, whose `mrp_difference` from the reference is ``error``.
 
-    The turn follows that of the reference. For `Model.difference` and `Noise`.
-
+    The turn follows that of the reference.
     Parameters
     ----------
     sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
@@ -228,24 +221,6 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     return np.asarray(direction / length * np.tan(angle / 4))
 
 
-def mrp_short(sigma_BL: ArrayLike) -> Array:
-    """Return the MRP with ``|sigma| <= 1``: the given one or its shadow, at every time; numeric.
-
-    Parameters
-    ----------
-    sigma_BL : array (3,) or (3, n_times)
-        Modified Rodrigues parameters of B relative to L.
-
-    Examples
-    --------
-    >>> print(mrp_short([2.0, 0.0, 0.0]) + 0.0)
-    [-0.5  0.   0. ]
-    """
-    sigma = np.asarray(sigma_BL, dtype=float)
-    square = np.sum(sigma**2, axis=0)
-    return np.asarray(np.where(square > 1, -sigma / np.maximum(square, 1.0), sigma))
-
-
 def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
     """Return scipy's (active) `Rotation` from the axes of L to those of B; numeric.
 
@@ -260,20 +235,3 @@ def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
     90.0
     """
     return scipy.spatial.transform.Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
-
-
-def mrp_to_euler(sigma_BL: ArrayLike, sequence: str = "YXZ") -> Array:
-    """Return Euler angles in rad, (3,) or (3, n_times), in the order of the sequence; numeric.
-
-    Parameters
-    ----------
-    sigma_BL : array (3,) or (3, n_times)
-    sequence : str
-        Three capital letters: turns about the axes of the moving frame, first turn first.
-
-    Examples
-    --------
-    >>> print(np.round(np.degrees(mrp_to_euler([0.0, np.tan(np.pi / 8), 0.0])), 6) + 0.0)
-    [90.  0.  0.]
-    """
-    return np.asarray(mrp_to_rotation(sigma_BL).as_euler(sequence).T)

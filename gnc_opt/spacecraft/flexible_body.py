@@ -115,11 +115,9 @@ class FlexibleBody:
 
         Parameters
         ----------
-        omega : casadi (3, 1), array (3,) or (3, n_times)
-            Inertial rate in body components, rad/s.
+        omega, torque : casadi (3, 1), array (3,) or (3, n_times)
+            Inertial rate (rad/s) and torque on the hub (N m), body components.
         eta, eta_rate : casadi (N, 1), array (N,) or (N, n_times)
-        torque : like ``omega``
-            On the hub, N m.
         """
         gyroscopic = cross(omega, self.momentum(omega, eta_rate))
         spring = self._columns(self.frequencies**2, eta)

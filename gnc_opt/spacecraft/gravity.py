@@ -28,8 +28,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from gnc_opt.spacecraft.rigid_body import angular_momentum
 from gnc_opt.spacecraft.vectors import Vector, cross, dot, scale, stack
 
@@ -123,37 +121,3 @@ def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Ve
     square = dot(r_B, r_B)
     factor = 3 * mu / (square * square * square**0.5)
     return scale(factor, cross(r_B, angular_momentum(inertia, r_B)))
-
-
-def orbital_energy(r: Vector, v: Vector, **gravity: Any) -> Any:
-    """Return the specific energy of an orbit, m^2/s^2; keywords as in `gravity_potential`.
-
-    Parameters
-    ----------
-    r, v : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position (m) and velocity (m/s).
-    **gravity
-        mu, j2 and radius of `gravity_potential`.
-
-    Examples
-    --------
-    >>> print(f"{orbital_energy([7e6, 0.0, 0.0], [0.0, 7546.05, 0.0], j2=0.0):.4e}")
-    -2.8471e+07
-    """
-    return 0.5 * dot(v, v) + gravity_potential(r, **gravity)
-
-
-def angular_momentum_about_axis(r: Vector, v: Vector) -> Any:
-    """Return the component of r x v along the planet's axis, m^2/s: constant without thrust.
-
-    Parameters
-    ----------
-    r, v : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position (m) and velocity (m/s), Z along the planet's axis.
-
-    Examples
-    --------
-    >>> print(angular_momentum_about_axis([7e6, 0.0, 0.0], [0.0, 7500.0, 0.0]))
-    52500000000.0
-    """
-    return np.asarray(cross(r, v)[2]) if isinstance(r, np.ndarray) else cross(r, v)[2]

@@ -160,8 +160,7 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
 def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """Return the unit quaternion whose `quaternion_difference` from the reference is ``error``.
 
-    The turn follows that of the reference. For `Model.difference` and `Noise`. Errors of more than 2 (half a turn)
-    count as half a turn.
+    The turn follows that of the reference. Errors of more than 2 (half a turn) count as half a turn.
 
     Parameters
     ----------

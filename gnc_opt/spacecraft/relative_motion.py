@@ -1,57 +1,39 @@
-r"""Nonlinear motion relative to a leader, in the leader's radial frame, and its inertial truth.
+r"""Motion relative to a leader or target: Hill's equations, nonlinear motion in the radial frame, inertial truth.
 
-**Frame R** sits in the leader: x radial outward, y along the motion, z along the orbit normal. The LVLH
-frame L of `gnc_opt.spacecraft.relative_motion` has the same origin and other axes,
+**Frame L** (local vertical, local horizontal) sits in the target: z points to the planet's centre, x along the
+target's velocity, y completes the triad. It turns about the orbit normal,
+
+.. math:: \omega_{LI,L} = (0, -n, 0), \qquad n = \sqrt{\mu / a^3} .
+
+**Hill's equations** (Clohessy-Wiltshire) for the position r of the chaser relative to the target on a circular orbit,
+both in L, with :math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
+
+.. math::
+   \ddot x &= \phantom{-}2 n \dot z + f_x \\
+   \ddot y &= -n^2 y + f_y \\
+   \ddot z &= -2 n \dot x + 3 n^2 z + f_z ,
+
+the first-order difference of two Kepler orbits; the error is of the order :math:`3 n^2 |r|^2 / a`.
+
+**Frame R** sits in the leader: x radial outward, y along the motion, z along the orbit normal:
 :math:`(x, y, z)_L = (y, -z, -x)_R`.
 
 **Circular Keplerian leader** at radius :math:`r_l`, mean motion n. For the follower at
-:math:`\rho = (x, y, z)` in R, with :math:`q = ((r_l + x)^2 + y^2 + z^2)^{3/2}` and an acceleration f beyond
-the point mass's gravity,
+:math:`\rho = (x, y, z)` in R, with :math:`q = ((r_l + x)^2 + y^2 + z^2)^{3/2}`, exactly,
 
 .. math::
    \ddot x &= \phantom{-}2 n \dot y + n^2 x - \mu \left( \frac{r_l + x}{q} - \frac{1}{r_l^2} \right) + f_x \\
    \ddot y &= -2 n \dot x + n^2 y - \mu\, y / q + f_y \\
-   \ddot z &= -\mu\, z / q + f_z ,
+   \ddot z &= -\mu\, z / q + f_z .
 
-exact; to first order they are Hill's equations.
-
-**Differential oblateness**: the acceleration of the follower by :math:`J_2` minus that of the leader, in R.
-It depends on where the leader is, given by its inertial attitude ``dcm_RI`` and position.
-
-**Truth**: leader and follower as two inertial orbits. `relative_from_inertial` measures
-:math:`\rho, \dot\rho` in the leader's true frame, which turns at :math:`h/r^2` about z and, where the
-leader is pushed out of its plane by :math:`a_h`, at :math:`r\, a_h/h` about x.
+**Truth**: leader and follower as two inertial orbits. The leader's true frame turns at :math:`h/r^2` about z and,
+where the leader is pushed out of its plane by :math:`a_h`, at :math:`r\, a_h/h` about x.
 
 SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
 
 References
 ----------
 K. T. Alfriend et al., Spacecraft Formation Flying, Elsevier 2010, chapters 4 and 7.
-
-Relative motion near a target on a circular orbit: Hill's equations in the LVLH frame.
-
-**Frame L** (local vertical, local horizontal) sits in the target: z points to the planet's centre, x along
-the target's velocity, y completes the triad (opposite to the orbit normal). It turns about the orbit
-normal,
-
-.. math:: \omega_{LI,L} = (0, -n, 0), \qquad n = \sqrt{\mu / a^3} .
-
-**Hill's equations** (Clohessy-Wiltshire) for the position r of the chaser relative to the target, both in
-L, with :math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
-
-.. math::
-   \ddot x &= \phantom{-}2 n \dot z + f_x \\
-   \ddot y &= -n^2 y + f_y \\
-   \ddot z &= -2 n \dot x + 3 n^2 z + f_z .
-
-In the form :math:`\dot v = f - M v - N r` they have M = [[0, 0, -2n], [0, 0, 0], [2n, 0, 0]] and
-N = diag(0, n^2, -3 n^2). They are the first-order difference of two Kepler orbits; the error of the
-acceleration is of the order :math:`3 n^2 |r|^2 / a`.
-
-SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
-
-References
-----------
 W. H. Clohessy, R. S. Wiltshire, Terminal guidance system for satellite rendezvous, J. Aerospace Sciences 27
 (1960).
 """

@@ -15,11 +15,7 @@ components), so that :math:`\omega_{BI} = \omega + w`. Seen from B the vector w 
 The kinetic energy :math:`\tfrac12 \omega_{BI}^T J\, \omega_{BI}` and the length of the angular momentum
 :math:`J \omega_{BI}` are constant without torque.
 
-Rates in rad/s, inertia in kg m^2, torque in N m. The inertia is three principal moments, (3,), or a symmetric
-matrix, (3, 3). Rates and torques are CasADi columns or arrays (3,) and (3, n_times), time last.
-
-Reaction wheels: a rigid body that trades angular momentum with wheels fixed in it.
-
+**Reaction wheels** trade angular momentum with the body.
 n wheels with spin axes in the columns of ``axes`` (3, n), body components, inertia :math:`I_w` about the
 axis each, spin rate :math:`\Omega` relative to the body and motor torque T (on the *body*; the wheels feel
 -T):
@@ -28,13 +24,11 @@ axis each, spin rate :math:`\Omega` relative to the body and motor torque T (on 
    J \dot\omega &= -\omega \times (J \omega + A h) + A T + T_{ext} \\
    \dot h &= -T, \qquad h = I_w \Omega .
 
-J is the inertia with the wheels locked in all but spin; the wheels' momentum along their axes that comes
-from the body's own rate is left out, as is usual (:math:`I_w \ll J`). Without external torque the total
-momentum :math:`J \omega + A h` is constant in inertial space: its length is constant, and from rest it
-stays zero, so that the gyroscopic term vanishes.
+J is the inertia with the wheels locked in all but spin; their momentum by the body's own rate is left out
+(:math:`I_w \ll J`). Without external torque the length of the total momentum :math:`J \omega + A h` is constant. The
+shaft power of wheel i is :math:`-T_i \Omega_i`: positive where the motor drives the wheel faster.
 
-The power at the shaft of wheel i is :math:`-T_i \Omega_i`: positive where the motor drives the wheel faster.
-
+The inertia is three principal moments, (3,), or a symmetric matrix, (3, 3).
 SI units. Vectors are CasADi columns or arrays (n,) and (n, n_times), time last.
 
 References

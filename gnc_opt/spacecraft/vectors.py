@@ -1,8 +1,7 @@
-"""Vector algebra in three dimensions that reads the same for CasADi symbols and for NumPy arrays.
+"""Vector algebra in three dimensions for CasADi symbols and NumPy arrays alike.
 
-A vector is a CasADi column (3, 1) or an array (3,) or (3, n_times), time last; a matrix is a CasADi (3, 3)
-or an array (3, 3) or (3, 3, n_times). Lists and tuples count as arrays; a CasADi vector among the arguments
-makes the result a CasADi vector."""
+A CasADi vector among the arguments makes the result a CasADi vector; lists and tuples count as arrays.
+"""
 
 from __future__ import annotations
 
@@ -25,35 +24,14 @@ def is_symbolic(*values: Any) -> bool:
 
 
 def stack(components: Sequence[Any]) -> Vector:
-    """Return the vector of the given scalar components (CasADi scalars, floats or arrays over time).
-
-    Parameters
-    ----------
-    components : sequence of casadi scalars, floats or arrays (n_times,)
-
-    Examples
-    --------
-    >>> print(stack([1.0, 2.0]))
-    [1. 2.]
-    """
+    """Return the vector of scalar components: CasADi scalars, floats or arrays over time."""
     if is_symbolic(*components):
         return ca.vertcat(*components)
     return np.stack(np.broadcast_arrays(*components))
 
 
 def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
-    """Return the matrix with the given rows of scalar components.
-
-    Parameters
-    ----------
-    rows : sequence of sequences of casadi scalars, floats or arrays (n_times,)
-
-    Examples
-    --------
-    >>> print(stack_rows([[1.0, 2.0], [3.0, 4.0]]))
-    [[1. 2.]
-     [3. 4.]]
-    """
+    """Return the matrix with the given rows of scalar components."""
     if is_symbolic(*(c for row in rows for c in row)):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
     flat = np.stack(np.broadcast_arrays(*[c for row in rows for c in row]))
@@ -61,50 +39,19 @@ def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
 
 
 def dot(a: Vector, b: Vector) -> Any:
-    """Return the scalar product.
-
-    Parameters
-    ----------
-    a, b : casadi (3, 1), array (3,) or (3, n_times)
-
-    Examples
-    --------
-    >>> print(dot([1.0, 2.0, 3.0], [1.0, 1.0, 1.0]))
-    6.0
-    """
+    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the vector product a x b.
-
-    Parameters
-    ----------
-    a, b : casadi (3, 1), array (3,) or (3, n_times)
-
-    Examples
-    --------
-    >>> print(cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
-    [0. 0. 1.]
-    """
+    """Return the vector product a x b."""
     return stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
     )
 
 
 def scale(factor: Any, a: Vector) -> Vector:
-    """Return a scalar (number, or array over time) times a vector.
-
-    Parameters
-    ----------
-    factor : casadi scalar, float or array (n_times,)
-    a : casadi (3, 1), array (3,) or (3, n_times)
-
-    Examples
-    --------
-    >>> print(scale(2.0, [1.0, 2.0, 3.0]))
-    [2. 4. 6.]
-    """
+    """Return a scalar (CasADi, number or array over time) times a vector."""
     return stack([factor * a[0], factor * a[1], factor * a[2]])
 
 
