@@ -45,6 +45,8 @@ RENAMED = {
     "gnc_opt.simulation.PlantFlight": "gnc_opt.simulation.ExternalPlantRun",
     "gnc_opt.simulation.RandomHold": "gnc_opt.simulation.PiecewiseConstantNoise",
     "gnc_opt.simulation.Replanner": "gnc_opt.guidance.Replanner",
+    "gnc_opt.simulation.Sampling": "gnc_opt.simulation.ZeroOrderHold",
+    "gnc_opt.simulation.Scale": "gnc_opt.simulation.ScaleFactor",
     "gnc_opt.simulation.Sinusoid": "gnc_opt.simulation.SinusoidalDisturbance",
     "gnc_opt.simulation.Sphere": "gnc_opt.simulation.RandomDirection",
     "gnc_opt.simulation.Turn": "gnc_opt.simulation.RandomRotation",

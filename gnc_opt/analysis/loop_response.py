@@ -28,9 +28,9 @@ from gnc_opt.control.sampled_data import continuous_poles
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
+from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.sensors import Sampling
 
 _PROBE = "probe of the command"
 
@@ -241,7 +241,7 @@ def loop_response(
     """
     expect(loop, ClosedLoop, "what loop_response() got", "give a ClosedLoop")
     for sensor in loop.sensors:
-        if isinstance(sensor, Sampling) and round(sensor.period / loop.dt) > 1:
+        if isinstance(sensor, ZeroOrderHold) and round(sensor.period / loop.dt) > 1:
             raise ArgumentError(
                 f"'{sensor.name}' is read every {sensor.period:g} s: a loop of two rates has no frequency response; "
                 "leave it out, or give the loop its period as dt."

@@ -71,9 +71,9 @@ class Measurement:
         many components as their difference.
     period : float, optional
         Time between two new samples, s, a multiple of the control step; default every control step. In between, the old
-        sample may be held (`Sampling`) or there may be none.
+        sample may be held (`ZeroOrderHold`) or there may be none.
     delay : float
-        Time by which samples arrive late, s, a multiple of the control step (`SensorDelay`, behind `Sampling`).
+        Time by which samples arrive late, s, a multiple of the control step (`SensorDelay`, behind `ZeroOrderHold`).
     bias : float or one per component
         Standard deviation of a constant error, which then is estimated, too; its first value is 0.
     bias_walk : float or one per component

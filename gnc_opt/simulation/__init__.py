@@ -46,7 +46,7 @@ from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, Sampling, Scale, SensorDelay, SensorOutage
+from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorDelay, SensorOutage
 from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
 
 __all__ = [
@@ -86,9 +86,7 @@ __all__ = [
     "Replan",
     "Run",
     "RunStatus",
-    "Sampling",
     "Saturation",
-    "Scale",
     "ScaleFactor",
     "SchmittTrigger",
     "SensorDelay",

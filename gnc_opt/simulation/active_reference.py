@@ -107,25 +107,9 @@ class PlanUpdater(Protocol):
 
 
 class ActiveReference:
-    """The rows of the schedule of one run.
+    """The rows ``schedule`` (n_signals, n_steps + 1) of one run; re-planning changes a copy.
 
-    Parameters
-    ----------
-    times : array (n_steps + 1,)
-        s.
-    schedule : array (n_signals, n_steps + 1)
-        As planned before the flight.
-    dt : float
-        Control step, s.
-    followed : Layout
-        States that the controller feeds back.
-    places : int array (n_followed,) or None
-        Rows of the schedule that are their reference.
-
-    Attributes
-    ----------
-    schedule : array (n_signals, n_steps + 1)
-        Now.
+    ``places`` are its rows (n_followed,) that are the reference of the states that the controller feeds back, or None.
     """
 
     def __init__(

@@ -28,10 +28,7 @@ Method: TypeAlias = Literal["pseudo-inverse", "min-max"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]
 
 _SINGULAR = 1e-10
-"""Singular values below this share of the largest are zero: that direction cannot be commanded."""
-
-_NO_ENTRY = 1e-12
-"""What is below this in a null vector, whose largest entry is 1, is zero."""
+"""Share of the largest below which singular values, and entries of a null vector, are zero."""
 
 
 def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array:
@@ -76,7 +73,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
         )
     n = np.zeros(effects.shape[1])
     n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
-    return np.where(np.abs(n) < _NO_ENTRY, 0.0, n)
+    return np.where(np.abs(n) < _SINGULAR, 0.0, n)
 
 
 def min_max_shift(u: Any, n: Array) -> Any:
@@ -85,7 +82,7 @@ def min_max_shift(u: Any, n: Array) -> Any:
     for i, j in itertools.combinations(range(n.size), 2):
         for sign in (1.0, -1.0):
             slope = n[i] - sign * n[j]
-            if abs(slope) < _NO_ENTRY:
+            if abs(slope) < _SINGULAR:
                 continue
             shift = -(u[i] - sign * u[j]) / slope
             here = ca.mmax(ca.fabs(u + shift * n))

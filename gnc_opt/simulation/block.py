@@ -23,7 +23,7 @@ Defaults: TypeAlias = dict[str, tuple[Array, str]]
 """Values and units of a block's parameters by name."""
 
 POSITIVE = 1e-300
-"""Least permitted value of a parameter that has to be > 0: limits are permitted values themselves."""
+"""Least permitted value of a parameter that has to be > 0."""
 
 
 @dataclass(frozen=True)
@@ -146,14 +146,7 @@ class Block:
         """Return what an actuator makes of a wave within a minor step, and its step.
 
         Devices that work once per minor step take the mean and hold their output; blocks that are `memoryless` act at
-        every time.
-
-        Parameters
-        ----------
-        tick, state, p, noise
-            As in `step`.
-        wave : Wave
-            What comes in.
+        every time. Arguments as in `step`.
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
@@ -195,15 +188,12 @@ def scalar(value: ArrayLike, what: str) -> Array:
 
 
 def rows(column: Any, begin: int, end: int) -> Any:
-    """Return rows of a symbolic column, as a column also if there are none (CasADi makes that a row of a scalar)."""
+    """Return rows of a symbolic column, as a column also if there are none."""
     return column[begin:end] if end > begin else type(column)(0, 1)
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:
-    """Return the SX value between its limits; not-a-number stays not-a-number.
-
-    (The minimum and maximum functions of C return the other operand instead.)
-    """
+    """Return the SX value between its limits; NaN stays NaN, which the minimum and maximum of C would replace."""
     return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
 
 

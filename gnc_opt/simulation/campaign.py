@@ -50,10 +50,9 @@ class Campaign(Strict, Printed):
         As in `Run`.
     integration_error : array (m,)
     memory : array (n_memory, m)
-        Of the controller at the end; (0, 0) in files of versions that did not store it.
+        Of the controller at the end.
     event_counts, event_times : array (n_events, m)
-        Number of occurrences of each event, and the first time (s), NaN without an occurrence; (0, 0) in
-        files of versions without events.
+        Number of occurrences of each event, and the first time (s), NaN without an occurrence.
     sums : array (3 n_quantities, m)
         Largest values, least values and integrals of the loop's quantities.
     samples : array (n_quantities, n_samples, m)
@@ -61,7 +60,7 @@ class Campaign(Strict, Printed):
     sample_times : array (n_samples,)
         s.
     replans : array (2, m)
-        Numbers of successful and of failed re-plans in flight; (2, 0) in files of versions without them.
+        Numbers of successful and of failed re-plans in flight.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -73,10 +72,10 @@ class Campaign(Strict, Printed):
         Whether Ctrl-C ended the campaign early.
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
-    flight : Flight or None
-        What was flown; not stored in files.
+    flight : CompiledLoop or None
+        Not stored in files.
     fingerprint : str
-        That of the flight; "" in files of versions that did not store it.
+        That of the flight.
 
     Examples
     --------
@@ -194,10 +193,6 @@ class Campaign(Strict, Printed):
         confidence : float
             Of each interval, in (0, 1).
 
-        Raises
-        ------
-        UnknownNameError
-            The loop had no such quantity.
         """
         place = self._measures.layout("quantity").slice(quantity).start
         unit = self._measures.layout("quantity")[quantity].unit
@@ -263,9 +258,7 @@ class Campaign(Strict, Printed):
         return [int(i) for i in self.indices[order[:count]]]
 
     def with_limits(self, **limits: float) -> Campaign:
-        """Return the same runs evaluated with other limits; names with brackets: ``**{"angle(sigma)":
-        0.01}``.
-        """
+        """Return the same runs evaluated with other limits; names with brackets: ``**{"angle(sigma)": 0.01}``."""
         changed = replace(self, limits=dict(limits))
         for name in limits:
             changed.measure(name)
@@ -303,11 +296,6 @@ class Campaign(Strict, Printed):
         """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
 
         ``outcome``; what was drawn by its dotted name; ``final.q`` and ``error.q`` at the end; every measure.
-
-        Raises
-        ------
-        GncOptError
-            pandas is not installed; it comes with the extra ``data``.
         """
         return self._records().to_pandas()
 

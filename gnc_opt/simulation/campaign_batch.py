@@ -1,15 +1,8 @@
-"""Mission: data with which a worker of a campaign can simulate any of its runs.
+"""Batches of a campaign: the task of a worker, files in which a campaign resumes, and their assembly.
 
-A batch is a range of run numbers. Whoever flies it gets the same flight and draws everything from the seed and the
-number of each run, so that it makes no difference who flies what.
-
-Checkpoint: the runs of a campaign that have ended, in a folder, one file per batch.
-
-Every file is a small `Campaign`, written atomically: it is complete even if the process is killed. A resumed
-campaign simulates the runs that are in no file. The flight, the seed and one run of each file, with its
-parameters drawn again, identify the campaign of a folder.
-
-Gathering: batches of runs as one campaign.
+A batch is a range of run numbers. Everything is drawn from the seed and the number of each run, so that results do not
+depend on the executor. A checkpoint is a folder with one `Campaign` file per batch, written atomically; the compiled
+loop, the seed and one run of each file, with its parameters drawn again, identify the campaign.
 """
 
 from __future__ import annotations
@@ -31,14 +24,17 @@ from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import sample_steps
 from gnc_opt.workers import Done, WorkerDied
 
-MOST_PER_FILE = 25
-"""Runs in a batch at most: what a process has in flight when the campaign is killed."""
+MOST_PER_BATCH = 25
+"""Runs in a batch at most: what a process can lose when the campaign is killed."""
+
+BATCHES = 32
+"""Number of batches aimed at, enough to occupy all processes evenly."""
 
 _PATTERN = "runs * to *.npz"
 
 
 def stored(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
-    """Return the runs below number ``runs`` that are in the folder; it is made if it is not there.
+    """Return the runs below number ``runs`` that are in the folder, which is made if missing.
 
     Raises
     ------
@@ -172,12 +168,6 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
     )
 
 
-MOST_PER_BATCH = 100
-"""Runs in a batch at most: what Ctrl-C can lose per process, and a step of the progress bar."""
-
-BATCHES = 32
-"""Number of batches aimed at, enough to occupy all processes evenly."""
-
 Batch: TypeAlias = range
 
 
@@ -210,16 +200,7 @@ class CampaignTask:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """A batch of runs with their parameters and endings, or with what prevented them.
-
-    Attributes
-    ----------
-    parameters : array (n_parameters, n) or None
-    mishap : str
-        Why there is no ending.
-    died : bool
-        Whether the process that was to fly it died.
-    """
+    """A batch of runs with their parameters (n_parameters, n) and endings, or with the mishap that prevented them."""
 
     batch: Batch
     parameters: Array | None
@@ -228,9 +209,9 @@ class Flown:
     died: bool = False
 
 
-def batches(runs: int, flown: Iterable[Batch] = (), most: int = MOST_PER_BATCH) -> list[Batch]:
+def batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
     """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
-    size = min(most, max(1, runs // BATCHES))
+    size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)
     gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
     return [

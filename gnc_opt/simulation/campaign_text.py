@@ -6,50 +6,20 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
-from gnc_opt.simulation.outcome import Outcome, RunStatus
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
 
-_CAUSES = 8
-"""Causes of failure that are printed."""
-
 _LISTED = 5
-"""Numbers of failed runs that are printed for each cause."""
+"""Causes of failure that are printed, and failed runs of each."""
 
-
-class CampaignStatistics(Protocol):
-    """What is printed of a campaign, see `gnc_opt.simulation.Campaign`."""
-
-    @property
-    def seed(self) -> int: ...
-    @property
-    def asked(self) -> int: ...
-    @property
-    def interrupted(self) -> bool: ...
-    @property
-    def span(self) -> tuple[float, float]: ...
-    @property
-    def limits(self) -> Mapping[str, float]: ...
-    @property
-    def measures(self) -> tuple[str, ...]: ...
-    @property
-    def counts(self) -> dict[RunStatus, int]: ...
-    @property
-    def event_totals(self) -> dict[str, int]: ...
-    @property
-    def failures(self) -> dict[int, Outcome]: ...
-    def __len__(self) -> int: ...
-    def unit(self, name: str) -> str: ...
-    def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate: ...
-    def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile: ...
-    def maximum(self, name: str) -> float: ...
+CampaignStatistics: TypeAlias = Any
+"""A `gnc_opt.simulation.Campaign`, which imports this module."""
 
 
 def shown_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
@@ -105,10 +75,10 @@ def _causes(campaign: CampaignStatistics) -> list[str]:
         struck[f"{status}: {what}" if what else status].append(index)
     ordered = sorted(struck.items(), key=lambda item: -len(item[1]))
     lines = []
-    for cause, indices in ordered[:_CAUSES]:
+    for cause, indices in ordered[:_LISTED]:
         more = ", ..." if len(indices) > _LISTED else ""
         lines.append(f"  {len(indices)} {cause} (run {', '.join(map(str, indices[:_LISTED]))}{more})")
-    rest = sum(len(indices) for _, indices in ordered[_CAUSES:])
+    rest = sum(len(indices) for _, indices in ordered[_LISTED:])
     return [*lines, f"  {rest} for other causes"] if rest else lines
 
 

@@ -34,7 +34,6 @@ from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
 
-
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
 
@@ -66,18 +65,15 @@ class ClosedLoop:
     dt : float, optional
         Control step, s; default the controller's own.
     minor_steps : int
-        Parts of a control step.
     accuracy : float
-        Of the integration over a run, relative to max(1, \\|x\\|) per state: the number of integration steps
-        per minor step is chosen so that the nominal run's error estimate is at most a tenth of it (dispersed runs are
-        less accurate), and so that the plant's modes at the start are resolved. Runs that exceed it are
-        flagged.
+        Of the integration over a run, relative to max(1, \\|x\\|) per state: the number of integration steps per minor
+        step resolves the plant's modes at the start and keeps the nominal run's error estimate below a tenth of it.
+        Runs that exceed it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     divergence_limits : float or mapping
         Size of the plant's states, one for all or by name, beyond which a run counts as *diverged* at the end of a
-        control step (a limit on the way is one on a quantity, or an event); default 1e15 in any unit, also for the
-        states that a mapping leaves out.
+        control step; default 1e15.
 
     Raises
     ------
@@ -121,11 +117,8 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            set_(
-                self,
-                name,
-                _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"),
-            )
+            parts = _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
+            set_(self, name, parts)
         set_(self, "events", _listed(self.events, Event, "events", "write Event(name, expression)"))
         quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
@@ -257,13 +250,13 @@ class ClosedLoop:
         return replace(flight, replanner=self.replanner)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
-        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
+        """Return the compiled loop with as many integration steps as its accuracy needs."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.modes(times[0], *self._at_start(nominal))
         return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), modes)
 
     def _warn_of_events(self, t: float, nominal: Array) -> None:
-        """Tell of an event that is to end the nominal run and has happened before it begins."""
+        """Warn of an event that is to end the nominal run and has happened before it begins."""
         if not self.events:
             return
         behind = self.wiring.events.behind(t, *self._at_start(nominal))
@@ -309,8 +302,7 @@ class ClosedLoop:
         every : int
             Of so many control steps one is logged; the end always is. What is summed up (effort, say) takes in all.
         folder : path, optional
-            Where the log is written while flying, as ``states.npy`` and so on; the run's arrays are read from there as
-            they are needed. For long runs: memory does not grow with the log.
+            Where the log is written during the run, as ``states.npy`` and so on, so that memory does not grow with it.
 
         Returns
         -------
@@ -390,9 +382,7 @@ class ClosedLoop:
     def _schedule(self, times: Array) -> Array:
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
-        for first in range(
-            0, times.size, LEG
-        ):  # leg by leg: what a schedule needs on its way may be many times its size
+        for first in range(0, times.size, LEG):  # a schedule may need many times its size on the way
             some = times[first : first + LEG]
             found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
             if found.shape != (size, some.size):
@@ -404,7 +394,7 @@ class ClosedLoop:
         return rows
 
     def _followed_rows(self) -> Any:
-        """Return the rows of the schedule that are the reference of what the controller follows, if it has them."""
+        """Return the rows of the schedule that are the reference of what the controller follows, or None."""
         signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
@@ -413,13 +403,11 @@ class ClosedLoop:
         return None
 
     def _estimates(self) -> Any:
-        """Return the entries of the memory that are the estimated states, where an estimator feeds the controller."""
+        """Return the entries of the memory that are the estimated states; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
-        return (
-            None
-            if states is None
-            else np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
-        )
+        if states is None:
+            return None
+        return np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
 
     def _error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))

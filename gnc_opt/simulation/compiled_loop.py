@@ -1,4 +1,4 @@
-"""Flight: a closed loop over one time span, numeric and picklable: what single runs and campaigns are made of."""
+"""A closed loop over one time span, numeric and picklable, for single runs and campaigns."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from gnc_opt.simulation.quantities import sample_steps
 from gnc_opt.simulation.run import Run
 
 LEG = 1000
-"""Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
+"""Control steps that are flown in one call at most, so that its memory does not grow with the run."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledLoop:
-    """A closed loop ready for many runs; see `ClosedLoop.flight`.
+    """A closed loop ready for many runs; see `ClosedLoop.compile`.
 
     Attributes
     ----------
@@ -211,12 +211,8 @@ class CompiledLoop:
         Parameters
         ----------
         P : array (n_parameters,)
-        seed : int or sequence of int
-        every : int
-            Of so many control steps one is logged; the end always is.
-        folder : path, optional
-            Where the log is written while flying, ``<signal>.npy`` each; the run's arrays are then read from there as
-            they are needed.
+        seed, every, folder
+            As in `ClosedLoop.simulate`.
 
         Raises
         ------
@@ -318,16 +314,7 @@ class CompiledLoop:
     ) -> Iterator[tuple[int, Array]]:
         """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
-        Parameters
-        ----------
-        seed : int, sequence of int or array (n_steps, n_numbers)
-            Or the standard normal numbers themselves.
-        known : array (at least `LEG` or all steps, n_known)
-            Whose rows are written and yielded.
-        course : ActiveReference, optional
-            What is followed; default the schedule as planned before the flight.
-        again : bool
-            Whether the rows are those of an earlier run: what is known of them need not be written if one leg is all.
+        The rows are written to ``known``; ``again``: they still hold those of an earlier run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
         followed = self._planned if course is None or planned else course.schedule.T
@@ -362,8 +349,7 @@ class CompiledLoop:
 
     @cached_property
     def _edges(self) -> list[int]:
-        """Steps at which a leg ends and another begins: every `LEG` steps, where a plan may be made and where
-        quantities are sampled."""
+        """Steps at which a leg begins, and the end: every `LEG` steps, at re-plans and where quantities are sampled."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
@@ -375,7 +361,7 @@ class CompiledLoop:
         return sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
     def _sample(self, samples: Array, step: int, X: Array) -> None:
-        """Write the quantities at a step, of which the record of a run X has the last values, to (n, n_samples)."""
+        """Write the quantities at a step, the last values in the record of a run X, to (n, n_samples)."""
         if step in self._sampled and not self._stopped(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
@@ -390,7 +376,7 @@ class CompiledLoop:
     def _consider(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
-        """Re-plan at the first of the steps ``rows``, if a new plan is due, and write the new plan to them."""
+        """Re-plan at the first of the steps ``rows`` if that is due, and write the new plan to them."""
         if self.replanner is None:
             return
         if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
@@ -492,10 +478,7 @@ class CompiledLoop:
         )
 
     def _relative(self, states: Array, reference: Any) -> Array:
-        """Return the errors of plant states relative to what is followed (n_followed, n).
-
-        States without a reference are not-a-number.
-        """
+        """Return the errors of plant states relative to what is followed (n_followed, n); NaN without a reference."""
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:
             if name in self.states:

@@ -1,10 +1,8 @@
-"""The step of a kernel, folded over many control steps: by CasADi's interpreter, or as machine code where there is a C
-compiler.
+"""Control steps, many in one call: by CasADi's interpreter, or as machine code where there is a C compiler.
 
-The machine code is the C that CasADi writes of the step, with a loop over the steps of a leg around it. Every operation
-is the interpreter's, in its order, and none are fused: the results have the same bits. A step that says that it is not
-enough (a law that solves a problem now and then, which has no C) ends the loop before it. Libraries are kept in the
-user's cache by what is in them, so that a function is compiled once per machine.
+The machine code is CasADi's C of the step in a loop over the steps of a leg, without fused operations: its results have
+the same bits. A step that reports that it is not enough (a controller that solves a problem, which has no C) ends the
+loop before it. Libraries are in the user's cache under a hash of their content.
 """
 
 from __future__ import annotations
@@ -45,15 +43,7 @@ class StepExecutor:
         self._buffers: dict[Any, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Write the state after the steps of a leg to ``final``.
-
-        Parameters
-        ----------
-        X : array (n_state,)
-        rows : array (n_steps, n_known)
-        C : array (n_constants,)
-        final : array (n_state,)
-        """
+        """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
         if self._native is None:
             self._interpret(X, rows, C, final)
             return
@@ -73,7 +63,7 @@ class StepExecutor:
         return X, C
 
     def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """The same, by the interpreter."""
+        """Do the same by the interpreter."""
 
         def leg() -> Any:
             return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
@@ -97,8 +87,7 @@ class StepExecutor:
         evaluate()
 
     def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
-        """Return the states before and after the steps of a leg (n_state, n_steps + 1), and the logs of its steps
-        (n_log, n_steps)."""
+        """Return the states (n_state, n_steps + 1) of a leg, and the logs (n_log, n_steps) of its steps."""
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
@@ -142,11 +131,10 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
-"""Higher levels take many times as long and gain little: a kernel is one long function without loops. That of absolute
-values and squares is not called, but put in its place."""
+"""A kernel is one long function without loops: higher levels compile many times as long and gain little."""
 
 MIN_EVALUATIONS_TO_COMPILE = 100_000
-"""Evaluations that cost the interpreter about four times what compiling costs; both grow with the operations."""
+"""Evaluations for which the interpreter takes about four times as long as compiling."""
 
 
 _LOOP = """
@@ -189,13 +177,11 @@ CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *row
   return failed ? -1 : k;
 }
 """
-"""A leg: the state X, then, step by step, those that follow, with one row of what is known each. Returns how many steps
-were enough."""
+"""Steps from the state X on, with one row of known values each, until one is not enough; returns how many were."""
 
 
 def native(step: Any) -> str:
-    """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``, compiled now unless it has been;
-    "" where that does not succeed."""
+    """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``; "" without a compiler or C."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -211,8 +197,8 @@ def native(step: Any) -> str:
 
 
 def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
-    """Return ``(X, rows, C, final)``, which writes to ``final`` the state after those first steps of a leg that were
-    enough, and returns how many, from a library; ``None`` where there is none on this machine."""
+    """Return ``(X, rows, C, final)``, which writes the state after the first steps that were enough to ``final`` and
+    returns their number; ``None`` where there is no library."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg

@@ -55,8 +55,7 @@ class Percentile:
     value : float
         Of the sample: one of its members.
     low, high : float
-        Interval that holds the true percentile with at least ``confidence``; infinite where the sample is too small
-        to say.
+        Interval that holds the true percentile with at least ``confidence``; infinite where the sample is too small.
     """
 
     level: float
@@ -104,14 +103,11 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed., Wiley (2003), section 7.1.
     """
     ordered = _ordered(values)
-    p, alpha = (
-        read_probability(level, "the level of a percentile"),
-        1 - read_probability(confidence, "the confidence"),
-    )
+    p = read_probability(level, "the level of a percentile")
+    alpha = 1 - read_probability(confidence, "the confidence")
     n = ordered.size
-    lower = int(
-        scipy.stats.binom.ppf(alpha / 2, n, p)
-    )  # the largest l with P(fewer than l below) <= alpha / 2
+    # the largest l with P(fewer than l below) <= alpha / 2
+    lower = int(scipy.stats.binom.ppf(alpha / 2, n, p))
     upper = int(scipy.stats.binom.ppf(1 - alpha / 2, n, p)) + 1
     return Percentile(
         level,

@@ -1,4 +1,4 @@
-"""ControlStep: the symbols and the pieces of one control step of a closed loop, which `kernel` puts together."""
+"""ControlStep: the symbols and the pieces of one control step of a closed loop, which `loop_kernel` puts together."""
 
 from __future__ import annotations
 
@@ -13,24 +13,15 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
 from gnc_opt.simulation.event_location import Watch, notes_of, record_of
-from gnc_opt.simulation.intersample_input import Input, Wave
+from gnc_opt.simulation.intersample_input import Input, Wave, stacked
 from gnc_opt.simulation.quantities import DECAY_PANELS, Extremes
-from gnc_opt.simulation.signals import Link, Places, put, put_wave, take, take_wave
+from gnc_opt.simulation.signals import Link, Places, put, put_wave, take
 from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
 
-_FINITE_LIMIT = 1e300
-"""Values of at least this size count as not finite."""
-
 
 class ControlStep:
-    """Makes the symbols, then the pieces of a step in order; SX.
-
-    Parameters
-    ----------
-    substeps : int
-        Integration steps per minor step.
-    """
+    """Makes the symbols, then the pieces of a step in order; ``substeps`` are integration steps per minor step."""
 
     def __init__(self, wiring: Wiring, substeps: int) -> None:
         self.wiring, self.substeps = wiring, substeps
@@ -146,7 +137,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = take_wave(waves, link.on, tick.h)
+            wave = stacked([waves[n] for n in link.on], tick.h)
             wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
             memory[key] = step.state
             _mark(saturated, step, link, origin)
@@ -204,8 +195,8 @@ class ControlStep:
     ) -> Any:
         """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
 
-        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state. ``watches`` are
-        called with each integration step and with what is applied at a share (0 to 1) of it.
+        ``span`` is the part of it that is flown, two times (s) since it began. ``watches`` are called with each
+        integration step and with what is applied at a share (0 to 1) of it.
         """
         f, n, held = self._rate(state), self.substeps, all(wave.held for wave in waves)
         first, last = span or (ca.SX(0), ca.SX(self.h))
@@ -282,14 +273,13 @@ class ControlStep:
         wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(seen.shape[0])):
-            fault = ca.if_else(ca.fabs(seen[i]) < _FINITE_LIMIT, fault, i + 1.0)
+            fault = ca.if_else(ca.fabs(seen[i]) < ca.inf, fault, i + 1.0)
         places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
         flags = [z[k] for place in places for k in range(place.start, place.stop)]
         alarm = ca.SX(0)
         for i, flag in reversed(list(enumerate(flags))):
-            alarm = ca.if_else(
-                ca.fabs(flag) <= 0, alarm, i + 1.0
-            )  # not "!= 0": that is false for NaN in some VMs
+            # not "!= 0": that is false for NaN in some virtual machines
+            alarm = ca.if_else(ca.fabs(flag) <= 0, alarm, i + 1.0)
         divergence = ca.SX(0)
         for i, largest in reversed(list(enumerate(wiring.divergence_limits))):
             divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)

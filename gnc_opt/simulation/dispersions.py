@@ -275,7 +275,7 @@ class RandomRotation(Dispersion):
         return turned if nominal.size == 4 else turned[1:] / (1 + turned[0])
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        """Of small angles, to first order in them."""
+        """To first order in the angle."""
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         axes = np.hstack([np.zeros((3, 1)), 0.5 * np.eye(3)])  # half a radian about each axis
         change = np.stack(
@@ -310,8 +310,8 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
 def dispersed(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
     """Return the column P (n_parameters,) of one run.
 
-    Every name has random numbers of its own, which depend on nothing but the seed, the run and the name: campaigns of
-    one seed with other controllers or more dispersions have the same initial states and parameters otherwise.
+    The random numbers of a name depend on the seed, the run and the name alone: campaigns of one seed with other
+    controllers or more dispersions share them.
     """
     P = nominal.copy()
     for name, dispersion in dispersions.items():

@@ -26,7 +26,7 @@ class Disturbance(Block):
 
     Examples
     --------
-    One's own disturbance, drag that grows with the square of the speed:
+    Drag that grows with the square of the speed:
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)

@@ -6,9 +6,8 @@ ends and their rates, of fourth order. The stability function, by which a step m
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} .
 
-Sources: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
-table 2 (RK5(4)7M); within a step, Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 2nd edition,
-1993, section II.6.
+Sources: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 1980, table 2;
+within a step, Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993, section II.6.
 """
 
 from __future__ import annotations
@@ -42,21 +41,7 @@ DENSE_WEIGHTS = (
 
 
 class Taken(NamedTuple):
-    """An integration step that has been taken.
-
-    Attributes
-    ----------
-    number : int
-        Of the step, 0 first.
-    length : SX
-        s.
-    time : SX
-        When it begins, s.
-    x, after : SX column
-        States at its beginning and at its end.
-    stages : list of SX column
-        Rates, the first at the beginning and the last at the end.
-    """
+    """An integration step: its number, length (s), beginning (s), states at both ends, and rates at its stages."""
 
     number: int
     length: Any
@@ -80,7 +65,6 @@ class Taken(NamedTuple):
 
 
 Stepped: TypeAlias = Callable[[Taken], None]
-"""Called with each step."""
 
 
 def dormand_prince(
@@ -92,25 +76,16 @@ def dormand_prince(
     u: Input | None = None,
     stepped: Stepped | None = None,
 ) -> Any:
-    """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
+    """Return the state (column) after ``length`` (s) of ``dx/dt = f(t, x, u)``, in equal steps.
 
     Parameters
     ----------
     f : callable
-        ``f(t, x, u)`` of a scalar and two columns, SX or numbers.
-    t, x : scalar and column
-        Where to begin (s and the units of the state).
-    length : scalar
-        s.
+        Of a scalar and two columns, SX or numbers.
     u : callable, optional
-        ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
+        See `Input`; it may jump between steps.
     stepped : callable, optional
-        Called with each step, see `Taken`.
-
-    Returns
-    -------
-    x : column
-        The state at the end.
+        Called with each step.
     """
     h = length / steps
     rate = None
@@ -129,11 +104,7 @@ def dormand_prince(
 
 @cache
 def _stage(row: tuple[float, ...], n: int) -> Any:
-    """Where a stage begins, from x (n,), h and the rates before it.
-
-    As a function: CasADi takes a call apart into the same operations several times as fast as it takes them from Python
-    one by one, and of a control step there are thousands.
-    """
+    """Return where a stage begins, from x (n,), h and the rates before it: CasADi expands a call faster than Python."""
     x, h, *k = _columns(n, len(row))
     return ca.Function("stage", [x, h, *k], [x + h * _combine(row, k)])
 

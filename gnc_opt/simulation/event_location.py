@@ -1,17 +1,15 @@
-r"""Crossing: location of events within a minor step, and integration through them.
+r"""Location of events within a minor step, and integration through them.
 
-While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
-been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
-step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
-through values and slopes or by the tangents of both ends, may have. Only then is the minor step flown again with care
-(`passage`): up to the crossing, whose instant is found by Newton's method inside a bracket, with the plant integrated
-anew from where the leg began to each instant tried, so that the state there is as accurate as any; then the resets;
-then on from there.
+Every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has been at zero or above since its
+event last happened. Armed rows that end the step below zero have crossed it; those that are above zero at both ends and
+sink to it in between, by the cubic through values and slopes or by the tangents of both ends, may have. Only then is
+the minor step taken again (`passage`): to the crossing, found by Newton's method inside a bracket with the plant
+integrated anew to each instant tried; then the resets; then on from there.
 
-Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions
-are evaluated before all resets, which follow in the order of declaration until one ends the run. The run also
-ends if a row rises after its reset but falls through zero again within that time (infinitely many events), or
-if a reset leaves its row at zero and the plant then drives it through zero (an unsupported contact).
+Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are
+evaluated before all resets, which follow in the order of declaration until one ends the run. The run also ends if a row
+rises after its reset but falls through zero again within that time (infinitely many events), or if a reset leaves its
+row at zero and the plant then drives it through zero (an unsupported contact).
 """
 
 from __future__ import annotations
@@ -37,8 +35,7 @@ _ROOT_ITERATIONS = 60
 """Of Newton's method and bisection; bisection alone would need 44."""
 
 _NARROWED = 12
-"""How often the way to where a row may have crossed is looked at again: a row that only touches zero promises to cross
-it however closely it is looked at."""
+"""How often the interval in which a row may have crossed is narrowed: a row that only touches zero stays in doubt."""
 
 RATE_SHARE_OF_STEP = 1e-4
 """Of a minor step: over which rates are taken as differences."""
@@ -54,26 +51,17 @@ class Watch:
     ----------
     armed : SX column
         1 for rows that can cross.
-    parameters : SX column
-        Of the plant.
-    begin : SX
-        Where the flight begins, s since the minor step began.
-    moment : float
-        s. What a row does so shortly after the beginning does not arm it: its event may just have happened, and
-        rounding left it above zero.
+    begin, moment : SX, float
+        Where the leg begins in the minor step, and how long after it a row that rises stays unarmed, s.
 
     Attributes
     ----------
-    armed : SX column
-        Now.
     found, first, last : SX
-        Whether a row may have crossed, and the ends of the interval (s since the minor step began) in which the first
-        one did.
+        Whether a row may have crossed, and the interval (s since the minor step began) of the first one.
     y, slope : SX column
         Rows at the end, and their rates (1/s).
     lost, lost_inside : SX column
-        Events that could not be noticed at the end of a step, and of one before the last: at the instant of an event,
-        rounding may leave the domain of another one's expression.
+        Events with an undefined expression at the end of a step, and of one before the last.
     """
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
@@ -94,10 +82,10 @@ class Watch:
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
         near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _POSSIBLE_CROSSING_SHARE * ca.fmax(y0, y1)
-        # what passes far faster than a step is no cubic; if it is convex, it stays above both tangents
+        # a fast row is no cubic; if it is convex, it stays above both tangents
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
-        lowest = ca.if_else(near, lowest, corner)
+        # what is below zero a moment after the beginning is rounding of an event there
         # what is below zero a moment after the beginning is what rounding has left of an event there
         later = self._now + length > self._heeded
         crosses = ca.logic_and(ca.logic_and(self.armed, later), y1 < 0)
@@ -111,14 +99,13 @@ class Watch:
         rises = ca.logic_and(y1 > 0, later)
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
-        self.lost_inside = ca.if_else(
-            length > 0, self.lost, self.lost_inside
-        )  # steps of no time end where others did
+        # steps of no time end where others did
+        self.lost_inside = ca.if_else(length > 0, self.lost, self.lost_inside)
         self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
 
 
 def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
-    """Return what is noted of the events of a control step: how many, which, when, and the states on both sides."""
+    """Return what is noted of a control step's events: how many, which, when, and the states on both sides."""
     return (
         ("number", 1),
         ("codes", EVENTS_PER_STEP_MAX),
@@ -129,30 +116,22 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
 
 
 def record_of(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
-    """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
-    the rates of the states there; and which events could not be noticed somewhere.
-    """
+    """Return what is kept of events over a run: counts, first times, which one ended it (or one more: Zeno), when, the
+    rates of the states there, and which events were undefined somewhere."""
     count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
-    """Return the flight through a minor step with events, and the layout of what it changes.
+    """Return the function ``(q, t, p, *context) -> q`` through a minor step with events, and the layout of q.
 
     Parameters
     ----------
     leg : casadi.Function
         ``(x, armed, begin, end, *context) -> (x, armed, y, dy_dt, found, first, last, lost, lost_inside, quantities)``,
-        the plant flown between two times since the minor step began.
+        the plant between two times since the minor step began at t, with the parameters p.
     h : float
         Minor step, s.
-
-    Returns
-    -------
-    casadi.Function
-        ``(q, t, p, *context) -> q``, t the beginning of the minor step (s), p the plant's parameters.
-    Places
-        Of q.
     """
     way = _Passage(events, leg, h)
     return way.function(), way.places
@@ -279,13 +258,12 @@ class _Passage:
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
         y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[2:4]
-        # a reset may put rows of other events on zero; those that it leaves where they are have only come near it
+        # a reset may put rows of other events on zero
         put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
         kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
         w["armed"] = ca.logic_or(kept, y_on > 0)
-        back = ca.logic_and(
-            ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
-        )  # within a moment, for ever
+        # within a moment, forever
+        back = ca.logic_and(ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0)
         endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
         sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
         through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))

@@ -1,10 +1,7 @@
-"""Event: what happens to a plant at an instant of its own, where an expression passes through zero.
+"""Event: what happens to a plant where an expression passes through zero.
 
-A mode of a hybrid plant is a state with the rate 0 that resets change: the equations of the plant choose by it
-(``ca.if_else(stage < 1.5, ..., ...)``), and ``where`` says in which modes an event can happen. The events are the edges
-of the graph of modes.
-
-Expressions of a plant's time, states and parameters, as events and quantities are made of.
+A mode of a hybrid plant is a state with the rate 0 that resets change: the equations choose by it
+(``ca.if_else(stage < 1.5, ..., ...)``), and ``where`` says in which modes an event can happen.
 """
 
 from __future__ import annotations
@@ -24,13 +21,7 @@ from gnc_opt.model.variables import Layout, Variable, as_expression, foreign_sym
 
 
 def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
-    """Return an SX expression (size, 1) of time, states and parameters of the plant, and of controls if they may be.
-
-    Raises
-    ------
-    ArgumentError
-        ``what`` has another size, or symbols of a control that may not be there or of another model.
-    """
+    """Return an SX expression (size, 1) of time, states and parameters of the plant, optionally of its controls."""
     expression = as_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
     foreign = foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
@@ -199,8 +190,7 @@ class Events:
         return None
 
     def lost(self, t: Any, x: Any, p: Any, y: Any) -> Any:
-        """Return, by the rows y at (t, x), which events (n_events, 1) cannot be noticed: the condition, or the
-        expression while it holds, is not-a-number; SX."""
+        """Return, by the rows y at (t, x), which events (n_events, 1) are undefined (NaN) while they can happen; SX."""
         holds, _ = self.effects(t, x, p)
         flags = []
         for j in range(len(self)):
@@ -215,13 +205,7 @@ class Events:
 
     @classmethod
     def of(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
-        """Read events of a plant.
-
-        Raises
-        ------
-        ArgumentError, ModelError
-            Two of one name, symbols of another model or of a control, wrong sizes, or no such state.
-        """
+        """Read events of a plant; raise `ArgumentError` or `ModelError` for what is none."""
         for event in declared:
             if [other.name for other in declared].count(event.name) > 1:
                 raise ArgumentError(f"two events of the closed loop are called '{event.name}': rename one.")

@@ -1,8 +1,6 @@
-"""A plant of one's own under a controller: any Python object that measures and steps.
+"""A controller with a plant that is any Python object: another simulator, or hardware behind an interface.
 
-Another maker's simulator, hardware behind an interface, a second implementation to compare with: slower than a
-`ClosedLoop`, which is one compiled function, and without its actuators, sensors, events and campaigns, which the plant
-then has itself.
+Slower than a `ClosedLoop`, and without its actuators, sensors, events and campaigns.
 """
 
 from __future__ import annotations

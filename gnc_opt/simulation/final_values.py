@@ -84,27 +84,17 @@ RICHARDSON_FACTOR = 4 / 3
 
 
 def integration_errors(places: Places, final: Array, companions: Array, end: float) -> tuple[Array, Array]:
-    """Return the estimated errors of runs, relative to max(1, \\|x\\|).
+    """Return the estimated errors (n,) of runs, relative to max(1, \\|x\\|): of all, and of the states alone.
+
+    The first includes the instants of events that end runs; the second compares the states at the same time, by the
+    rates of the companions, since a soft touchdown has half the digits in its instant.
 
     Parameters
     ----------
-    places : Places
-        Of the columns that follow.
-    final : array (n_state, n)
-        Kernels' states at the ends of the runs.
-    companions : array (n_state, n)
-        The same of the companion runs.
+    final, companions : array (n_state, n)
+        Kernels' states at the ends of the runs and of their companions.
     end : float
-        Of the span, s: when runs end that no event does.
-
-    Returns
-    -------
-    errors : array (n,)
-        Of the final states, and of the instants of events that end runs; where only one of both is ended by an event,
-        the other ends at ``end``.
-    at_one_time : array (n,)
-        Of the states alone, those of the companion taken to the instant of the run along their rates. Of it accuracy is
-        asked: a soft touchdown is a touch, whose instant has half the digits of the states.
+        When runs end that no event does, s.
     """
     one, two = places.split(final), places.split(companions)
     x, other = one["plant"], two["plant"]
@@ -118,7 +108,7 @@ def integration_errors(places: Places, final: Array, companions: Array, end: flo
 
 
 def _apart(one: Array, two: Array) -> Array:
-    """Return how far columns are apart (n,); infinitely where only the second is not finite."""
+    """Return the distance of columns (n,); infinite where only the second is not finite."""
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
     return np.asarray(np.where(np.isnan(apart) & np.isfinite(one).all(axis=0), np.inf, apart))

@@ -37,15 +37,7 @@ _TERMS = 6
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of a wave; SX columns, one entry per component.
-
-    Attributes
-    ----------
-    begin : SX
-        s, since the minor step began.
-    value, slope, decay : SX
-        v, g and c above.
-    """
+    """A stretch of a wave from ``begin`` (s, since the minor step began); SX columns v, g and c of the equation."""
 
     begin: Any
     value: Any
@@ -66,7 +58,6 @@ class Wave:
     Attributes
     ----------
     mean : SX column
-        Over the minor step.
     parts : tuple of Part
         In the order of time; none where the output is held at its mean.
     tau : SX column or None
@@ -74,7 +65,7 @@ class Wave:
     breaks : tuple of SX
         Times (s) at which components change their parts.
     after : callable, optional
-        What blocks without memory make of the components at every time.
+        What blocks without memory make of the components.
     """
 
     mean: Any

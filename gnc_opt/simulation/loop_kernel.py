@@ -1,17 +1,12 @@
-r"""Kernel: one control step of the closed loop as a CasADi function, the stuff of runs and campaigns.
+r"""Kernel: one control step of the closed loop as a CasADi function.
 
-At a control step that begins at :math:`t_k`: the sensors sample the plant, the controller computes the command, which
-is held; then m minor steps follow, in each of which the actuators advance and the plant is integrated with what they
-apply on average. Everything that changes is in one column X (`Places`), everything that can be dispersed in one
-column P (`ClosedLoop.layout`), everything known or drawn beforehand in one column w: time, schedule, random numbers.
+At a control step the sensors sample the plant and the controller computes the command, which is held; m minor steps
+follow, in each of which the actuators advance and the plant is integrated. Everything that changes is in one column X
+(`Places`), everything that can be dispersed in one column P (`ClosedLoop.layout`), everything known or drawn beforehand
+in one column w: time, schedule, random numbers.
 
 Where the loop has events, the plant is watched meanwhile; a control step in which one may happen is taken again, minor
-step by minor step, through it (`gnc_opt.simulation.event_location`).
-
-Eventful step: a control step that is taken again with care where a row of an event may have crossed zero.
-
-Minor step by minor step, each through its events (`gnc_opt.simulation.event_location`), with the
-book-keeping of any other.
+step by minor step, through its events (`gnc_opt.simulation.event_location`).
 """
 
 from __future__ import annotations
@@ -29,28 +24,17 @@ from gnc_opt.simulation.quantities import joined, neutral
 from gnc_opt.simulation.signals import Places, take
 from gnc_opt.simulation.wiring import Wiring
 
-_MIN_STEP_SHARE = 1e-300
-"""Share of a minor step in which nothing was applied: a run that an event ends at once."""
-
 
 def with_events(step: ControlStep, act: Any) -> Any:
-    """Return the function of the minor steps, ``act`` without regard to events, that flies through them.
+    """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``, the minor steps through their events.
 
-    Parameters
-    ----------
-    act : casadi.Function
-        ``(X, w, C, y, u, z_next) -> (X_next, log, found)``, found: whether a row may have crossed zero.
-
-    Returns
-    -------
-    casadi.Function
-        ``(X, w, C, y, u, z_next) -> (X_next, log)``.
+    ``act`` returns a third result: whether a row may have crossed zero.
     """
     return _EventfulStep(step).function(act)
 
 
 def until_the_end(control_step: ControlStep, step: Any, told: Any) -> Any:
-    """Return the step that is inactive after an event has ended the run; its second output then is ``told``."""
+    """Return the step that is inactive after an event has ended the run, with the second output ``told``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, told])
     either = ca.Function.if_else("either", rest, step)
@@ -64,7 +48,7 @@ class _EventfulStep:
         self.state, self.known = step.state, step.known
 
     def function(self, act: Any) -> Any:
-        """Return ``act``, then with care if it has found anything."""
+        """Return ``act``, taken again through events if it has found any."""
         sizes = [act.size1_in(i) for i in range(act.n_in())]
         x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]
         after, log, found = act(*inputs)
@@ -148,7 +132,7 @@ class _EventfulStep:
         told = {
             "measured": y,
             "commands": u,
-            "applied": n["applied"] / ca.fmax(n["flown"], _MIN_STEP_SHARE * self.h),
+            "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
         told |= {name: n[name] for name, _ in notes_of(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]

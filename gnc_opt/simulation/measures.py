@@ -1,13 +1,10 @@
-"""Measures: named numbers of each run that a campaign evaluates.
-
-Envelope: between which values a quantity of all runs stays over time, with bands of order statistics.
-"""
+"""Measures: named numbers of each run that a campaign evaluates, and envelopes of quantities over time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,7 +13,8 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import percentile
 from gnc_opt.simulation.quantities import KEPT
-from gnc_opt.simulation.run import rotation_angle
+from gnc_opt.spacecraft.attitude import mrp_to_quaternion
+from gnc_opt.spacecraft.quaternion import quaternion_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,44 +79,8 @@ ATTITUDE = (3, 4)
 """Components that an attitude can have: modified Rodrigues parameters, or a quaternion."""
 
 
-class Runs(Protocol):
-    """What measures read of a campaign."""
-
-    @property
-    def layouts(self) -> Mapping[str, Layout]: ...
-
-    @property
-    def measured(self) -> Mapping[str, Array]: ...
-
-    @property
-    def states(self) -> Array: ...
-
-    @property
-    def errors(self) -> Array: ...
-
-    @property
-    def target(self) -> Array: ...
-
-    @property
-    def effort(self) -> Array: ...
-
-    @property
-    def energy(self) -> Array: ...
-
-    @property
-    def saturation_time(self) -> Array: ...
-
-    @property
-    def variation(self) -> Array: ...
-
-    @property
-    def event_times(self) -> Array: ...
-
-    @property
-    def replans(self) -> Array: ...
-
-    @property
-    def sums(self) -> Array: ...
+Runs: TypeAlias = Any
+"""A `gnc_opt.simulation.Campaign`, which imports this module."""
 
 
 class Measures:
@@ -129,8 +91,9 @@ class Measures:
         self._known: dict[str, Array] = {}
 
     def layout(self, kind: str) -> Layout:
-        """Return names, sizes and units of a kind; files of older versions know neither events nor quantities."""
-        return self._runs.layouts.get(kind, Layout(kind, (), "the campaign"))
+        """Return names, sizes and units of a kind; older files have neither events nor quantities."""
+        layouts: Mapping[str, Layout] = self._runs.layouts
+        return layouts.get(kind, Layout(kind, (), "the campaign"))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,7 +110,7 @@ class Measures:
     def values(self, name: str) -> Array:
         """Return a measure of every run, (m,)."""
         if name in self._runs.measured:
-            return self._runs.measured[name]
+            return np.asarray(self._runs.measured[name])
         if name in REPLANS:
             return np.asarray(self._runs.replans[REPLANS.index(name)])
         if name not in self._known:
@@ -175,9 +138,11 @@ class Measures:
         if kind == "error":
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
         if kind == "angle":
-            place = self.layout("state").slice(subject)
-            columns, target = runs.states[place].T, runs.target[place]
-            return np.array([rotation_angle(c, target) if np.isfinite(c).all() else np.nan for c in columns])
+            place, to_quaternion = self.layout("state").slice(subject), mrp_to_quaternion
+            attitudes = (runs.states[place], runs.target[place][:, None])
+            if attitudes[0].shape[0] == ATTITUDE[0]:
+                attitudes = (to_quaternion(attitudes[0]), to_quaternion(attitudes[1]))
+            return np.asarray(quaternion_angle(*attitudes))
         if kind == "time":
             return np.asarray(runs.event_times[self.layout("event").slice(subject)][0])
         if kind in KEPT:

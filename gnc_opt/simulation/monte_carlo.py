@@ -1,7 +1,4 @@
-"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random.
-
-Criteria: what the runs of a campaign are compared with and measured by.
-"""
+"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random."""
 
 from __future__ import annotations
 
@@ -21,7 +18,6 @@ from gnc_opt.errors import ArgumentError, GncOptError, in_words
 from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
-    MOST_PER_FILE,
     Batch,
     CampaignTask,
     Flown,
@@ -213,7 +209,7 @@ def monte_carlo(
 
         if before:
             show(*_tally(before))
-        todo = batches(n, [part.batch for part in before], *([] if folder is None else [MOST_PER_FILE]))
+        todo = batches(n, [part.batch for part in before])
         done = pool.run(CampaignTask.fly, todo, keep, halves)
     flown = sorted(
         [*before, *(part for batch in done for part in flown_parts(batch))], key=lambda part: part.batch.start

@@ -1,7 +1,4 @@
-"""Outcome: the status of a run, and the time of its first fault.
-
-Judge: the outcome of a run from the final state of its kernel.
-"""
+"""Outcome: the status of a run and the time of its first fault, from the final state of its kernel."""
 
 from __future__ import annotations
 
@@ -17,19 +14,16 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
 
 _LOST = ": no digit is right"
-"""Said of runs whose states are off by more than their size; how far then is hard to tell."""
-
+"""Printed for errors of more than the size of the states."""
 _ZENO = (
     f"more than {EVENTS_PER_STEP_MAX - 1} events in a control step (Zeno: let what they follow come to rest by "
     "another event)"
 )
-"""What ended a run whose events do not let time pass."""
 
 _UNKEPT = (
     "the reset of '{}' leaves it at rest on zero, and the plant pulls it through (let it change a mode, too: a state "
     "with the rate 0, by which the equations choose what holds it there)"
 )
-"""What ended a run in which something came to rest on what does not bear it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,18 +38,14 @@ DECAY_PANELS = 2
 CURVATURE_MAX_CHANGE = 0.5
 """Between neighbouring triples of nodes, as a share: beyond it a kink or a jump is between, and no parabola is used."""
 
-_UNSET = 1e300
-"""First values of this size or larger are not set yet."""
-
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
     """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel, a plume.
 
     Campaigns then have the measures ``max(name)``, ``min(name)`` and ``integral(name)`` (over time), and
-    `Campaign.envelope`. A limit on the largest value of ``1 - distance`` is a keep-out of radius 1. Extremes of smooth
-    expressions have about the accuracy of the run; what is shorter than a third of an integration step may be missed:
-    give more ``minor_steps``.
+    `Campaign.envelope`. Extremes of smooth expressions have about the accuracy of the run; what is shorter than a third
+    of an integration step may be missed: give more ``minor_steps``.
 
     Parameters
     ----------
@@ -92,13 +88,7 @@ class Quantities:
 
     @classmethod
     def of(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
-        """Return declared quantities of a plant.
-
-        Raises
-        ------
-        ArgumentError
-            Two of one name, symbols of another model, or wrong sizes.
-        """
+        """Return declared quantities of a plant; raise `ArgumentError` for what is none."""
         names = [quantity.name for quantity in declared]
         for name in names:
             if names.count(name) > 1:
@@ -119,13 +109,10 @@ def neutral(count: int) -> Any:
 
 
 def joined(one: Any, other: Any) -> Any:
-    """Return the record of two consecutive spans, SX or MX.
-
-    Largest values, least values, integrals, first values and last values, stacked.
-    """
+    """Return the record of two consecutive spans: largest, least, integral, first and last values; SX or MX."""
     a, b = _parts(one), _parts(other)
-    first = ca.if_else(ca.fabs(a[3]) < _UNSET, a[3], b[3])
-    last = ca.if_else(ca.fabs(b[4]) < _UNSET, b[4], a[4])
+    first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
+    last = ca.if_else(ca.fabs(b[4]) < ca.inf, b[4], a[4])
     return ca.vertcat(ca.fmax(a[0], b[0]), ca.fmin(a[1], b[1]), a[2] + b[2], first, last)
 
 
@@ -135,13 +122,7 @@ def _parts(record: Any) -> tuple[Any, ...]:
 
 
 class Extremes:
-    """The record of quantities while the plant is integrated; SX.
-
-    Attributes
-    ----------
-    record : SX column (5 n_quantities,)
-        Largest and least values, integrals, first and last values.
-    """
+    """The ``record`` (5 n_quantities,) of quantities while the plant is integrated, see `joined`; SX."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels

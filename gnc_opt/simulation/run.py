@@ -1,7 +1,4 @@
-"""Run: trajectories, commands and figures of merit of one closed-loop simulation.
-
-Metrics of runs, from samples.
-"""
+"""Run: trajectories, commands and figures of merit of one closed-loop simulation."""
 
 from __future__ import annotations
 
@@ -22,13 +19,10 @@ from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.spacecraft.attitude import mrp_to_quaternion
+from gnc_opt.spacecraft.quaternion import quaternion_angle
 from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
-
-
-def as_column(value: ArrayLike, size: int, what: str) -> Array:
-    """Return a value as a column (size, 1)."""
-    return as_vector(value, size, what, ArgumentError)[:, None]
 
 
 def settling_time(times: Array, distance: Array, band: float) -> float:
@@ -46,23 +40,14 @@ def settling_time(times: Array, distance: Array, band: float) -> float:
 
 def rotation_angle(attitude: Array, reference: Array) -> float:
     """Return the angle (rad, 0 to pi) between two attitudes: quaternions (4,) or modified Rodrigues parameters (3,)."""
-    if attitude.size == 4:
-        a, b = (q / np.linalg.norm(q) for q in (attitude, reference))
-    elif attitude.size == 3:
-        a, b = (_quaternion(s) for s in (attitude, reference))
-    else:
+    if attitude.size not in (3, 4):
         raise ArgumentError(
             f"an attitude of {attitude.size} components is neither a quaternion nor modified Rodrigues parameters."
         )
-    # the half angle by its tangent: exact for small angles, where the arc cosine loses half the digits
-    apart, together = sorted([float(np.linalg.norm(a - b)), float(np.linalg.norm(a + b))])
-    return float(4 * np.arctan2(apart, together))
-
-
-def _quaternion(sigma: Array) -> Array:
-    """Return the quaternion (scalar last) of modified Rodrigues parameters."""
-    square = float(sigma @ sigma)
-    return np.append(2 * sigma, 1 - square) / (1 + square)
+    pair = (attitude, reference)
+    if attitude.size == 3:
+        pair = (mrp_to_quaternion(attitude), mrp_to_quaternion(reference))
+    return float(quaternion_angle(*(q / np.linalg.norm(q) for q in pair)))
 
 
 @dataclass(frozen=True)
@@ -190,7 +175,7 @@ class Run(Strict, Printed):
     @property
     def followed(self) -> Layout:
         """Names, sizes and units of the states that the reference is of."""
-        return self.layouts.get("followed", self.layouts["measured"])  # older files know no estimators
+        return self.layouts["followed"]
 
     # --- signals ------------------------------------------------------------------------------------------
 
@@ -243,7 +228,8 @@ class Run(Strict, Printed):
         if target is None:
             return self.error(name).values
         signal = self.state(name).values
-        return signal - as_column(target, signal.shape[0], f"the target of '{name}'")
+        what = f"the target of '{name}'"
+        return signal - as_vector(target, signal.shape[0], what, ArgumentError)[:, None]
 
     def miss(self, name: str, target: ArrayLike | None = None) -> float:
         """Return the Euclidean norm of a state's error at the end (unit of the state).
@@ -301,11 +287,6 @@ class Run(Strict, Printed):
 
         States have their names, the rest a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
         ``error.q``, ``reference.q``. What belongs to a control step stands at its beginning; there is none at the end.
-
-        Raises
-        ------
-        GncOptError
-            pandas is not installed; it comes with the extra ``data``.
         """
         return self._records().to_pandas()
 

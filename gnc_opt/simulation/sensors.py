@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_integer, read_numbers
-from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
+from gnc_opt.arguments import read_numbers
+from gnc_opt.control.sampled_data import whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     Block,
@@ -133,59 +133,6 @@ class RandomWalk(Block):
 
 
 @dataclass(frozen=True)
-class Scale(Block):
-    """A wrong scale: the measured value is ``factor`` times the true one.
-
-    Parameters
-    ----------
-    factor : float or one per component
-
-    Examples
-    --------
-    >>> block = Scale("wrong gauge", 1.02, on="q")
-    """
-
-    factor: ArrayLike
-
-    def parameters(self, size: int, unit: str) -> Defaults:
-        return {"factor": (values(self.factor, size, f"the factor of '{self.name}'"), "")}
-
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(p["factor"] * signal, state)
-
-
-@dataclass(frozen=True)
-class Sampling(Block):
-    """A slow sensor: a new sample every ``period`` (s, a multiple of the control step), held in between.
-
-    Parameters
-    ----------
-    period : float
-        A multiple of the control step, s.
-
-    Examples
-    --------
-    >>> block = Sampling("slow camera", 1.0, on="q")
-    """
-
-    period: float
-
-    def check(self, size: int, h: float, dt: float) -> None:
-        read_integer(self._steps(dt), f"the number of control steps in the period of '{self.name}'", 1)
-
-    def _steps(self, dt: float) -> int:
-        return whole_steps(self.period, dt, f"the period of '{self.name}'")
-
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return ca.vertcat(signal, 0.0)
-
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        size = signal.shape[0]
-        sample = ca.if_else(is_first(state[size]), signal, state[:size])
-        return Step(sample, ca.vertcat(sample, next_phase(state[size], self._steps(tick.dt))))
-
-
-@dataclass(frozen=True)
 class SensorDelay(Block):
     """Samples arrive ``delay`` (s, a multiple of the control step) late; until then the first one is there.
 
@@ -226,8 +173,7 @@ class SensorOutage(Block):
         s; without them, from the start and for good.
     where : callable, optional
         ``where(t, x)`` of SX, with the time (s) and the plant's states x by name; returns an SX (1, 1), and the sensor
-        fails where that is above zero or not-a-number: a star tracker while the body turns too fast for it, a radar
-        beyond its range.
+        fails where that is above zero or NaN.
 
     Examples
     --------

@@ -1,7 +1,4 @@
-"""Signals: named columns that a chain of blocks acts on, and the places of their parameters and memories.
-
-Places: consecutive parts of a column, by name.
-"""
+"""Signals: named columns that a chain of blocks acts on, and the places of their parameters and memories."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ import casadi as ca
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Block, rows
-from gnc_opt.simulation.intersample_input import Wave, cut, stacked
+from gnc_opt.simulation.intersample_input import Wave, cut
 
 
 @dataclass(frozen=True)
@@ -54,19 +51,7 @@ Kinds = dict[str, tuple[int, str]]
 
 @dataclass(frozen=True)
 class Link:
-    """A block with what it acts on and what it leaves.
-
-    Attributes
-    ----------
-    on : tuple of str
-        Names of the signals it takes.
-    size : int
-        Components of them.
-    unit : str
-        Theirs, "" if they differ.
-    outputs : dict
-        Sizes and units of the signals that replace them.
-    """
+    """A block with the names, components and common unit of the signals it takes, and what replaces them."""
 
     block: Block
     on: tuple[str, ...]
@@ -127,11 +112,6 @@ def put(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
         rest[name] = column[at : at + size]
         at += size
     return rest
-
-
-def take_wave(waves: Mapping[str, Wave], names: Sequence[str], h: float) -> Wave:
-    """Return the stacked wave of named signals."""
-    return stacked([waves[n] for n in names], h)
 
 
 def put_wave(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:

@@ -1,7 +1,6 @@
 r"""Number of integration steps of a loop, from the error of its nominal run and from its modes.
 
 The error of the nominal run is estimated with a companion run with half the step. A run at rest has no error
-for any step, but a dispersed run may: a lightly damped mode of 20 rad/s becomes unstable with one step in 0.1
 s. The modes of the plant at the start therefore count too. n steps of the Runge-Kutta method in a time h
 replace :math:`e^{\lambda h}` by the power :math:`R(\lambda h / n)^n`,
 
@@ -43,7 +42,7 @@ def steps_to_be_stable(modes: Any, length: float) -> int:
 def steps_for_modes(modes: Any, length: float, asked: float) -> int:
     """Return how many steps in a length (s) modes (1/s, complex) need, `MAX_SUBSTEPS` at most.
 
-    ``asked`` is the error over the length, relative to the larger one of 1 and the size of the mode after it.
+    ``asked`` is the error over the length, relative to max(1, size of the mode after it).
     """
     z = np.asarray(modes, dtype=complex) * length
     truth = np.exp(z)
@@ -56,8 +55,7 @@ def steps_for_modes(modes: Any, length: float, asked: float) -> int:
 
 
 def steps_for_run(modes: Any, length: float, duration: float, asked: float) -> int:
-    """Return how many steps in a length (s) a run needs in which modes (1/s, complex) of size 1 are let go; 1 if not
-    even `MAX_SUBSTEPS` do.
+    """Return how many steps in a length (s) a run needs in which modes (1/s, complex) of size 1 decay; 1 if none do.
 
     ``asked`` is the sum of its errors over the duration (s). Modes that grow count as if they stayed, with the errors
     relative to their growth in a step.
@@ -78,8 +76,7 @@ NOMINAL_SHARE = 0.1
 """Share of the accuracy up to which the error of the nominal run is accepted: dispersed runs have larger ones."""
 
 STALLED_SHARE = 0.5
-"""Share of the error that is left after halving the steps where it is not one of the integration: a relay has turned
-the other way, or it is rounding."""
+"""Share of the error left after halving the steps from which it is not one of the integration: a relay or rounding."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +107,8 @@ class StepSelection:
     def reached(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
         """Return the flight with as many integration steps as its accuracy needs.
 
-        First as many as its modes need; then twice as many until the nominal run and its companion agree, or until
-        twice as many bring no more.
-
-        Parameters
-        ----------
-        flight_with : function
-            Returns it with so many integration steps per minor step.
-        modes : array (n_states,)
-            Of the plant at its start, 1/s.
+        First as many as its modes (1/s, n_states,) need; then twice as many until the nominal run and its companion
+        agree, or until twice as many bring no more.
         """
         if self.substeps is not None:
             return flight_with(self.substeps)

@@ -19,9 +19,6 @@ from gnc_opt.errors import DesignError
 from gnc_opt.simulation.allocation import Mixer, check_rows, effect_matrix
 from gnc_opt.simulation.block import Block, Parameters, Step, Tick
 
-_NO_LENGTH = 1e-12
-"""A direction shorter than this has no direction."""
-
 
 @dataclass(frozen=True)
 class NonNegativeAllocation(Block):
@@ -122,7 +119,7 @@ class ThrusterSet:
             raise DesignError(
                 f"thrusters have positions {r.shape} and directions {d.shape}: give (3, n) for both."
             )
-        if np.any(np.linalg.norm(d, axis=0) < _NO_LENGTH):
+        if not np.all(np.linalg.norm(d, axis=0) > 0):
             raise DesignError("a thruster has a direction of zero length: give where it pushes.")
 
     @property

@@ -1,7 +1,4 @@
-"""Wiring: a plant and its controller with every block in its place, before anything is compiled.
-
-Whether plant, controller and blocks fit together; what does not is named.
-"""
+"""Wiring: a plant and its controller with every block in its place, before anything is compiled."""
 
 from __future__ import annotations
 
@@ -196,13 +193,7 @@ def wire(
     minor_steps: int,
     divergence_limits: Array,
 ) -> Wiring:
-    """Put the blocks in their places.
-
-    Raises
-    ------
-    ArgumentError, UnknownNameError
-        Something does not fit; the message names it.
-    """
+    """Put the blocks in their places; raise `ArgumentError` or `UnknownNameError` if something does not fit."""
     check_measured(plant, controller)
     for block in (*blocks.actuators, *blocks.sensors):
         if isinstance(block, Disturbance):

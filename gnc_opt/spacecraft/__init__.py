@@ -65,7 +65,7 @@ from gnc_opt.spacecraft.rigid_body import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from gnc_opt.spacecraft.vectors import apply, transpose
+from gnc_opt.spacecraft.vectors import apply, cross, transpose
 
 __all__ = [
     "FLATTENING_EARTH",
@@ -83,6 +83,7 @@ __all__ = [
     "angular_momentum",
     "apply",
     "array_momentum",
+    "cross",
     "differential_j2",
     "divide_by_inertia",
     "drag_acceleration",

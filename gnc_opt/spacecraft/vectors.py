@@ -44,7 +44,17 @@ def dot(a: Vector, b: Vector) -> Any:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the vector product a x b."""
+    """Return the vector product a x b.
+
+    Parameters
+    ----------
+    a, b : casadi (3, 1), array (3,) or (3, n_times)
+
+    Examples
+    --------
+    >>> print(cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    [0. 0. 1.]
+    """
     return stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
     )

@@ -55,11 +55,11 @@ from gnc_opt.simulation import (
     Quantity,
     RandomRotation,
     RandomWalk,
-    Sampling,
     ScaleFactor,
     SensorDelay,
     SensorOutage,
     Uniform,
+    ZeroOrderHold,
     monte_carlo,
 )
 from gnc_opt.simulation.block import clip
@@ -192,7 +192,7 @@ def loop(name: str, *, bias: bool = True) -> ClosedLoop:
             Noise("star tracker", TRACKER_NOISE, quaternion_retraction, on="q"),
             SensorOutage("too fast", where=lambda t, x: ca.norm_2(x["omega"]) - TRACKER_RATE, on="q"),
             SensorOutage("glare", 60.0, 80.0, on="q"),
-            Sampling("exposures", TRACKER_PERIOD, on="q"),
+            ZeroOrderHold("exposures", TRACKER_PERIOD, on="q"),
             SensorDelay("image processing", TRACKER_DELAY, on="q"),
             Noise("gyro", GYRO_NOISE, on="omega"),
             Bias("gyro bias", np.zeros(3), on="omega"),

@@ -57,7 +57,7 @@ EXPECTED = {
         Allocation UniformInBall Bias Block Campaign Choice ClosedLoop ConstantDisturbance Deadband Delay Disturbance
         FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag MinimumImpulse Mixer Noise
         NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome ExternalPlantRun Pwm Pwpf Quantisation
-        Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Sampling Saturation Scale
+        Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Saturation
         ScaleFactor SchmittTrigger SensorDelay SinusoidalDisturbance RandomDirection ThrusterSet
         RandomRotation Uniform WheelArray
         simulate_external_plant monte_carlo
@@ -71,7 +71,7 @@ EXPECTED = {
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
         air_density air_temperature air_velocity
         altitude angular_acceleration angular_momentum apply
-        array_momentum differential_j2 divide_by_inertia drag_acceleration
+        array_momentum cross differential_j2 divide_by_inertia drag_acceleration
         gravity_gradient_torque gravity_potential hill_acceleration inertial_from_relative
         j2_gravity lvlh_rate mean_motion mrp_difference mrp_from_axis_angle mrp_rate mrp_retraction mrp_shadow
         mrp_to_dcm mrp_to_quaternion mrp_to_rotation

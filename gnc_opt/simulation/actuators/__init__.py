@@ -1,9 +1,7 @@
 """Actuators: what becomes of a command on its way to the plant.
 
-A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it
-(`gnc_opt.simulation.intersample_input`), blocks without memory act at every time, and all others are
-devices that work once per
-minor step, with the mean of what they get.
+A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it, blocks
+without memory act at every time, and all others work once per minor step with the mean of what they get.
 """
 
 from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold

@@ -1,4 +1,4 @@
-"""Actuators whose output comes after the command: lags, limited rates, delays, and those that listen now and then."""
+"""Actuators with memory: lags, limited rates, delays and holds."""
 
 from __future__ import annotations
 
@@ -30,27 +30,17 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME
 MIN_TIME_CONSTANT_S = 1e-12
 """A time constant below this (s) is none."""
 
-_TRIM = "trim"
-"""Value of ``initial`` for an actuator that begins with the feedforward."""
-
 
 @dataclass(frozen=True)
 class _Following(Block):
-    """An actuator whose output follows the command from somewhere.
-
-    Attributes
-    ----------
-    initial : float, one per component or "trim"; optional
-        First output, unit of the command; default zero. ``"trim"``: what arrives of the controller's feedforward, so
-        that a vehicle that rests under it stays at rest.
-    """
+    """An actuator whose output starts at ``initial``; see `Lag`."""
 
     initial: ArrayLike | None = field(default=None, kw_only=True)
 
     @property
     def starts_at_trim(self) -> bool:
         """Whether it begins with the feedforward."""
-        return isinstance(self.initial, str) and self.initial == _TRIM
+        return isinstance(self.initial, str) and self.initial == "trim"
 
     def _first(self, size: int, unit: str) -> Defaults:
         """Return the parameter that says where it begins, if a number does."""
@@ -161,8 +151,8 @@ class RateLimit(_Following):
 class Delay(_Following):
     """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
 
-    Commands held over minor steps arrive when they do, also within a minor step; of waves the mean is taken. As delays,
-    rate limits and lags are the same in any order, put the delay first.
+    Commands held over minor steps arrive when they do, also within a minor step; of waves the mean is taken. Put delays
+    before rate limits and lags.
 
     Parameters
     ----------
@@ -201,12 +191,10 @@ class Delay(_Following):
         line = ca.vertcat(wave.mean, state)  # newest first
         steps = p["delay"] / tick.h
         whole = ca.floor(steps + SAME_TIME)
-        share = ca.fmax(
-            0.0, steps - whole
-        )  # of the minor step, at its beginning, that belongs to the older command
+        share = ca.fmax(0.0, steps - whole)  # of the minor step, in which the older command still acts
         newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
         for i in range(line.shape[0] // size):
-            # chosen, not weighed: a command that is not a number must not arrive early
+            # chosen, not weighted: a NaN command must not arrive early
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
             older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)
@@ -218,12 +206,12 @@ class Delay(_Following):
 
 @dataclass(frozen=True)
 class ZeroOrderHold(Block):
-    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step).
+    """A new command or sample only every ``period`` (s), held in between.
 
     Parameters
     ----------
     period : float
-        A multiple of the minor step, s.
+        A multiple of the minor step (of sensors: the control step), s.
 
     Examples
     --------

@@ -50,7 +50,7 @@ class Saturation(Block):
 
 @dataclass(frozen=True)
 class ScaleFactor(Block):
-    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0).
+    """Output ``factor * u + bias`` of an actuator or sensor: calibration errors, a dead thruster (factor 0).
 
     Parameters
     ----------

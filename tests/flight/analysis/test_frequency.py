@@ -12,7 +12,7 @@ import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
-from gnc_opt.simulation import Event, Lag, Sampling, Saturation, ScaleFactor, SensorDelay
+from gnc_opt.simulation import Event, Lag, Saturation, ScaleFactor, SensorDelay, ZeroOrderHold
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 
@@ -178,7 +178,7 @@ def test_mistakes_are_refused():
     with pytest.raises(go.ArgumentError, match="before its end"):
         loop_response(bare(), **HERE, at=[1.0])
     with pytest.raises(go.ArgumentError, match="loop of two rates"):
-        loop_response(bare(sensors=[Sampling("slow", 3 * DT)]), **HERE)
+        loop_response(bare(sensors=[ZeroOrderHold("slow", 3 * DT)]), **HERE)
     model = sled()
     ends = go.ClosedLoop(model, regulator(model), events=[Event("gate", model.symbol("q"))])
     with pytest.raises(go.ArgumentError, match="has events"):

@@ -19,8 +19,8 @@ from gnc_opt.simulation import (
     PiecewiseConstantNoise,
     Run,
     RunStatus,
-    Sampling,
     SensorOutage,
+    ZeroOrderHold,
 )
 
 DT = 0.1
@@ -140,7 +140,7 @@ def test_outputs_are_measured_and_slow_sensors_held():
         sensors=[
             Noise("radar", 0.02, on="distance"),
             Noise("doppler", 0.05, on="v"),
-            Sampling("slow", 0.3, on="v"),
+            ZeroOrderHold("slow", 0.3, on="v"),
         ],
     )
     run = loop.simulate([1.05, 0.1], tf=3.0)

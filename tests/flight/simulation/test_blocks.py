@@ -26,9 +26,7 @@ from gnc_opt.simulation import (
     Quantisation,
     RandomWalk,
     RateLimit,
-    Sampling,
     Saturation,
-    Scale,
     ScaleFactor,
     SchmittTrigger,
     SensorDelay,
@@ -103,7 +101,6 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
         (Bias("b", 0.3), {"bias": ([0.3, 0.3], "N")}, {}),
         (Bias("b", [1, 2, 3], lambda x, e: x), {"bias": ([1, 2, 3], "N")}, {}),
         (RandomWalk("b", 0.3), {"sigma": ([0.3, 0.3], "N/s^0.5")}, {"sigma": (0.0, INF)}),
-        (Scale("b", 1.1), {"factor": ([1.1, 1.1], "")}, {}),
         (SensorOutage("b", 2.0), {"begin": ([2], "s"), "end": ([INF], "s")}, {}),
         (SensorOutage("b"), {"begin": ([-INF], "s"), "end": ([INF], "s")}, {}),
         (ConstantDisturbance("b", 2.0, on="x"), {"level": ([2, 2], "N")}, {}),
@@ -143,7 +140,6 @@ def test_a_longest_delay_that_is_none_is_refused(longest):
     ("block", "message"),
     [
         (ZeroOrderHold("b", 0.0), "number of minor steps in the period of 'b'"), (ZeroOrderHold("b", 0.25), "multiple"),
-        (Sampling("b", 0.0), "number of control steps in the period of 'b'"), (Sampling("b", 0.3), "multiple"),
         (SensorDelay("b", 0.3), "multiple"), (PiecewiseConstantNoise("b", 1.0, 0.3, on="x"), "multiple"),
     ],
 )  # fmt: skip

@@ -6,7 +6,7 @@ import pytest
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation import Bias, ClosedLoop, Noise, RandomWalk, Sampling, Scale, SensorDelay
+from gnc_opt.simulation import Bias, ClosedLoop, Noise, RandomWalk, ScaleFactor, SensorDelay, ZeroOrderHold
 
 
 def see(sensors, *, tf=3.0, size=1, seed=0):
@@ -21,12 +21,12 @@ def test_without_sensors_the_state_is_seen():
 
 
 def test_bias_and_scale():
-    run = see([Scale("scale", 1.1), Bias("bias", 0.5)])
+    run = see([ScaleFactor("scale", 1.1), Bias("bias", 0.5)])
     assert run.measured == pytest.approx(1.1 * run.states[:, :-1] + 0.5)
 
 
 def test_sampling_holds_from_sample_to_sample():
-    run = see([Sampling("slow", 0.4)])
+    run = see([ZeroOrderHold("slow", 0.4)])
     k = np.arange(30)
     assert np.array_equal(run.measured[0], run.states[0, 4 * (k // 4)])
 
@@ -65,7 +65,7 @@ def test_noise_on_a_manifold_moves_along_it():
 
 def test_periods_that_are_no_multiples_are_refused():
     with pytest.raises(ArgumentError, match=r"period of 'slow' is 0\.25 s, not a multiple"):
-        see([Sampling("slow", 0.25)])
+        see([ZeroOrderHold("slow", 0.25)])
     with pytest.raises(ArgumentError, match=r"delay of 'late' is 0\.05 s, not a multiple"):
         see([SensorDelay("late", 0.05)])
 

@@ -92,6 +92,7 @@ def test_quaternion_agrees_with_scipy_scalar_first() -> None:
         pytest.param(sc.mrp_rate, id="mrp_rate"),
         pytest.param(lambda a, b: sc.mrp_shadow(a), id="mrp_shadow"),
         pytest.param(lambda a, b: sc.mrp_to_quaternion(a), id="mrp_to_quaternion"),
+        pytest.param(sc.cross, id="cross"),
         pytest.param(lambda a, b: sc.apply(sc.transpose(sc.mrp_to_dcm(a)), b), id="apply"),
         pytest.param(lambda a, b: sc.angular_acceleration(INERTIA, a, b), id="angular_acceleration"),
         pytest.param(lambda a, b: sc.hill_acceleration(a, b, 1e-3), id="hill_acceleration"),
