@@ -1,13 +1,8 @@
 """Results on disk: one compressed NumPy archive with a JSON header; floats keep every bit, nothing is pickled.
 
-The header holds the tree that `packing` makes of a result, the arrays are entries of their own, so ``numpy.load(path)``
-alone can read a file. Opening a file from a stranger runs none of the stranger's code.
-
-Packing: frozen dataclasses as a tree of JSON values and named arrays, and back; floats keep every bit.
-
-The tree is tagged with the types of its members. Arrays are named by their place in it
-(``phases.leg.lam_start``). Only the listed classes are written and created, so unpacking runs no foreign
-code.
+The header holds a tree of JSON values tagged with types, the arrays are entries named by their place in it
+(``phases.leg.lam_start``), so ``numpy.load(path)`` alone can read a file. Only listed classes are created: a file
+from a stranger runs no foreign code.
 """
 
 from __future__ import annotations
@@ -34,15 +29,7 @@ Arrays: TypeAlias = dict[str, Array]
 
 @dataclass(frozen=True)
 class Packing:
-    """Packs and unpacks instances of some classes.
-
-    Attributes
-    ----------
-    classes : tuple of types
-        Dataclasses and enumerations that may occur.
-    left_out : mapping of type to names
-        Fields that are not packed; they have defaults.
-    """
+    """Packs and unpacks instances of ``classes`` (dataclasses, enumerations) without their ``left_out`` fields."""
 
     classes: tuple[type, ...]
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
@@ -163,18 +150,10 @@ def _join(place: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """How results of one class are written to files and read.
+    """How results of one class, the ``kind``, are written to files and read.
 
-    Attributes
-    ----------
-    kind : type
-    noun : str
-        What a file holds: ``"run"``.
-    version : int
-        Raise it whenever a stored class changes its fields.
-    packing : Packing
-    alike : tuple of int
-        Older versions that lack only fields with defaults.
+    Raise ``version`` whenever a stored class changes its fields; ``alike`` are older ones that lack fields with
+    defaults.
     """
 
     kind: type

@@ -1,7 +1,4 @@
-"""Reading the arguments of calls: invalid values raise a one-sentence error.
-
-Objects that refuse misspelt attributes instead of swallowing them.
-"""
+"""Reading the arguments of calls: invalid values and misspelt attributes raise a one-sentence error."""
 
 from __future__ import annotations
 

@@ -43,23 +43,10 @@ PERIOD = 0.1
 
 @contextmanager
 def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
-    """Show the iterations of a solve while it runs.
+    """Show the iterations of a solve; yields ``show(iteration, objective, infeasibility)``, the largest scaled
+    violation.
 
-    On a terminal one line is updated in place, at most ten times a second, and stays when the solve ends.
-    Elsewhere (a file, a pipe) only that last line is written.
-
-    Parameters
-    ----------
-    name : str
-        Of the problem.
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(iteration, objective, infeasibility)``: the NLP's iterate; infeasibility is the largest scaled
-        violation.
+    On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
     console = _standard_error() if console is None else console
     meter = _Meter(name, console)
@@ -105,22 +92,7 @@ class _Meter:
 
 @contextmanager
 def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
-    """Show each pass of a refinement when it is done, and on a terminal that the next one is being solved.
-
-    Parameters
-    ----------
-    name : str
-        Of the problem.
-    tolerance : float
-        What the error should come down to.
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(record)``
-    """
+    """Show each iteration of a refinement to a tolerance when it is done; yields ``show(record)``."""
     console = _standard_error() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
@@ -144,22 +116,10 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
 def search_meter(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
-    """Show how many of ``total`` tasks have ended and the best objective among them.
+    """Show how many of ``total`` tasks have ended and the best objective; yields ``show(objective)``, None without
+    one.
 
-    Parameters
-    ----------
-    name : str
-        What is counted.
-    total : int
-    sense : float
-        Negative where a larger objective is better.
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(objective)``; None for a task without one.
+    ``sense`` is negative where a larger objective is better.
     """
     with _bar(name, total, console) as advance:
         best: float | None = None
@@ -175,19 +135,7 @@ def search_meter(
 
 @contextmanager
 def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
-    """Show how many of ``total`` runs have ended and how many of those failed.
-
-    Parameters
-    ----------
-    total : int
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(runs, failed)``: so many more have ended, so many of those failed.
-    """
+    """Show how many of ``total`` runs have ended and failed; yields ``show(runs, failed)`` for further ones."""
     with _bar("runs", total, console) as advance:
         all_failed = 0
 

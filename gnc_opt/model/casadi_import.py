@@ -74,18 +74,8 @@ class Given:
 def declared(given: Any, what: str) -> list[Declared]:
     """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
-    Parameters
-    ----------
-    given : casadi.SX or casadi.MX (n, 1), sequence of these, or mapping
-        Symbols without a mapping keep their names: ``SX.sym("r", 3)`` is one variable, whose elements CasADi calls
-        r_0, r_1, r_2; ``vertcat(q, v)`` are two.
-    what : str
-        For messages.
-
-    Raises
-    ------
-    ModelError
-        Neither symbols nor sizes.
+    Symbols without a mapping keep their names: ``SX.sym("r", 3)`` is one variable, whose elements CasADi calls r_0,
+    r_1, r_2; ``vertcat(q, v)`` are two. ``what`` is for the `ModelError` of anything else.
     """
     if isinstance(given, Mapping):
         return [_entry(name, value, what) for name, value in given.items()]
@@ -104,7 +94,7 @@ def known_names(given: Mapping[str, Any] | None, names: Sequence[str], what: str
 def derivative_in(
     f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
 ) -> Any:
-    """Return dx/dt, SX (size, 1), in new symbols.
+    """Return dx/dt, SX (size, 1), in new symbols; raise `ModelError` for other inputs, sizes or symbols.
 
     Parameters
     ----------
@@ -114,15 +104,6 @@ def derivative_in(
         The new SX symbols (n, 1) of t, x, u and p.
     symbols : mapping
         Those that an expression is written in, a list for each of t, x, u and p, stacked like the new ones.
-    size : int
-        Number of states.
-    what : str
-        For messages.
-
-    Raises
-    ------
-    ModelError
-        Other inputs, sizes or symbols.
     """
     function = f if isinstance(f, ca.Function) else _function(f, symbols, what)
     _check_inputs(function, arguments, what)

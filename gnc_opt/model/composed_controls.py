@@ -15,15 +15,7 @@ from gnc_opt.model.variables import Variable
 
 @dataclass(frozen=True)
 class ComposedControl:
-    """A control u made of others.
-
-    Attributes
-    ----------
-    variable : Variable
-        Name, size and unit of u.
-    parts : tuple of str
-        Names of the controls that it is made of.
-    """
+    """A control u, the ``variable``, made of other controls, the ``parts``."""
 
     variable: Variable
     parts: tuple[str, ...]
@@ -44,13 +36,9 @@ class ComposedControl:
 
 @dataclass(frozen=True)
 class SplitControl(ComposedControl):
-    """The sum of controls >= 0 less another one, of which an optimum that pays for all fills one after the other.
+    """The sum of controls >= 0 less another one; an optimum that pays for all fills one after the other.
 
-    Attributes
-    ----------
-    corners : tuple of tuple of float
-        Where each part but the last one begins, for each component; the last one is what u is below the first corner.
-        Empty for two parts that meet at zero.
+    ``corners`` says where each part but the last one begins, for each component; empty for two parts that meet at zero.
     """
 
     corners: tuple[tuple[float, ...], ...] = ()
@@ -109,13 +97,7 @@ class VectorControl(ComposedControl):
 
 @dataclass(frozen=True)
 class AssembledControl(ComposedControl):
-    """Components of a vector that is a magnitude times a direction, and of other controls.
-
-    Attributes
-    ----------
-    rows : tuple of int
-        Places of the components of u in the vector, followed by the other controls.
-    """
+    """Components (``rows``) of a vector that is a magnitude times a direction, followed by other controls."""
 
     rows: tuple[int, ...] = ()
 

@@ -1,10 +1,7 @@
 """Numeric calls of CasADi functions of (t, x, ...).
 
-CasADi functions by NumPy, an operation on all columns at a time.
-
-CasADi calls a function once per column, which for the short expressions of most models takes several times as long as
-what it computes. Where columns are many, one NumPy operation after another on all of them is the quicker way, by a
-factor of 3 to 300. Results differ from CasADi's by the rounding of transcendental functions at most.
+CasADi calls a function once per column. Where columns are many, one NumPy operation after another on all of them is
+quicker by a factor of 3 to 300; results differ by the rounding of transcendental functions at most.
 """
 
 from __future__ import annotations
@@ -208,16 +205,9 @@ def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
 
 
 def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
-    """Evaluate a CasADi function of columns n times, its first output as columns of the result, (rows, n).
+    """Return a CasADi function's first output for n columns, (rows, n), by blocks and in place: ten times as fast.
 
-    In place, by blocks: converting whole matrices to CasADi's and back takes ten times as long as evaluating.
-
-    Parameters
-    ----------
-    n : int
-        Evaluations.
-    *arguments : array (rows,) or (rows, n)
-        What stays the same, or one column each time; double precision.
+    Arguments (rows,) stay the same, those (rows, n) have one column each time; double precision.
     """
     pattern = function.sparsity_out(0)
     if not pattern.nnz():
@@ -253,19 +243,9 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
 
 
 def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
-    """Evaluate a CasADi function of (state, input) again and again, each time with the state that it gave before.
+    """Return the states (n_states, n + 1) of a CasADi function of (state, input), from the start (n_states,) on.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Dense columns in, a dense column out.
-    start : array (n_states,)
-    inputs : array (n_inputs, n)
-
-    Returns
-    -------
-    array (n_states, n + 1)
-        The start and every state after it.
+    The inputs are (n_inputs, n); all columns are dense.
     """
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])

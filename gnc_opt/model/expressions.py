@@ -1,11 +1,7 @@
-"""Norms in expressions: numerical detection of nodes that depend on symbols by their Euclidean norm alone.
+"""Expressions: their graph of operations, smooth functions, and nodes that depend on symbols by their norm alone.
 
-A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``);
-all are invariant to rotations of the vector and scale with its length or the square of its length.
-
-The graph of a CasADi SX expression: its operations one by one.
-
-Smooth stand-ins for functions with kinks.
+A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``); all are
+invariant to rotations of the vector and scale with its length or the square of its length.
 """
 
 from __future__ import annotations
@@ -37,17 +33,9 @@ def nodes_of(expression: Any) -> Iterator[Any]:
 
 
 def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
-    """Return a column in which nodes are replaced; nodes that do not depend on these are unchanged.
+    """Return a column in which nodes are replaced; nodes that do not depend on these, such as tables, are unchanged.
 
-    (Table calls, identified by their nodes, are therefore preserved; ``casadi.substitute`` creates new
-    nodes.)
-
-    Parameters
-    ----------
-    expression : casadi.SX
-        A column.
-    replacement : function
-        Returns the replacement of a node, or None to visit its operands.
+    ``replacement`` returns the replacement of a node, or None to visit its operands.
     """
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -70,7 +58,7 @@ def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
 
 
 def replaced(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column, as `rebuilt` does, with what stands in place of some nodes by their hashes."""
+    """Return a column with nodes replaced by their hashes, see `rebuilt`."""
     return rebuilt(expression, lambda node: instead.get(node.element_hash()))
 
 
@@ -104,10 +92,6 @@ def smooth_abs(x: Any, width: float) -> Any:
     x : casadi.SX or float
     width : float
         > 0, in the unit of x.
-
-    Returns
-    -------
-    casadi.SX or float
 
     Raises
     ------
@@ -165,15 +149,7 @@ class NormNodes:
         return node.element_hash() in self.degrees
 
     def replaced(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
-        """Return a column with another symbol for the norm of the vector, and other expressions for its components.
-
-        Parameters
-        ----------
-        norm : casadi.SX
-            >= 0.
-        instead : mapping
-            By the hash of a scalar symbol, what stands for it where it is not in a norm.
-        """
+        """Return a column with another symbol (>= 0) for the norm of the vector, and others by hash elsewhere."""
         unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
 
         def replacement(node: Any) -> Any | None:

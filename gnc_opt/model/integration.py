@@ -1,11 +1,8 @@
 """Integration of dynamics with guaranteed termination, and the time and reason of an early end.
 
-Dormand and Prince's Runge-Kutta method of order 8, all stages of a step in one call of CasADi.
-
-The method and its control of the step are those of SciPy's DOP853 (Hairer, Nørsett & Wanner, Solving Ordinary
-Differential Equations I, sections II.4 and II.5), which calls Python for every stage: that takes several
-times as long as the dynamics of a usual model. `gnc_opt.model.integration.integrate` handles exceptional
-cases.
+Dormand and Prince's Runge-Kutta method of order 8 with all stages of a step in one call of CasADi; the method and its
+control of the step are those of SciPy's DOP853 (Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I,
+sections II.4 and II.5), which handles exceptional cases (`integrate`).
 """
 
 from __future__ import annotations
@@ -36,18 +33,10 @@ Controls = Callable[[Array], Array]
 
 
 def step_function(rates: Any) -> Any:
-    """Return the CasADi function of a step.
+    """Return the CasADi function of a step, from rates of (t, x, u, ...).
 
-    Parameters
-    ----------
-    rates : casadi.Function
-        Of (t, x, u, ...).
-
-    Returns
-    -------
-    casadi.Function
-        Of (t, h, x, dx/dt, the controls at the later stages one after another, ...); in one column the new state, its
-        rate, and the error estimates of order 5 and 3 per second.
+    Its arguments are t, h, x, dx/dt, the controls at the later stages one after another, ...; its result, in one
+    column, the new state, its rate, and the error estimates of order 5 and 3 per second.
     """
     method = scipy.integrate.DOP853
     size, channels = rates.size1_in(1), rates.size1_in(2)
@@ -79,22 +68,8 @@ def carried(
 ) -> Array | None:
     """Return the state (n,) at the end of a span, or None where numbers or steps do not stay ordinary.
 
-    Parameters
-    ----------
-    step : callable
-        `step_function` of its first five arguments.
-    rate : callable
-        The dynamics under the controls.
-    controls : callable
-    x : array (n_states,)
-        Initial state.
-    span : tuple of two floats
-        Where to begin and to end, the later one.
-
-    Raises
-    ------
-    SpentError
-        They take too many evaluations.
+    ``step`` is `step_function` of its first five arguments, ``rate`` the dynamics under the controls; the end of
+    the span is the later one. `SpentError`: they take too many evaluations.
     """
     t, end = span
     places = np.asarray(scipy.integrate.DOP853.C[1:STAGES])
@@ -169,15 +144,7 @@ class SpentError(EndedError):
 
 
 class Budget:
-    """Counts evaluations of dynamics, and remembers the earliest time at which they are not finite.
-
-    Parameters
-    ----------
-    labels : sequence of str
-        Names of the states.
-    most : int, optional
-        At most so many evaluations; default: `MOST_RATES`.
-    """
+    """Counts evaluations of dynamics, ``most`` at most, and the earliest time at which they are not finite."""
 
     def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
         self.labels = labels
@@ -235,16 +202,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Integration:
-    """Result of `integrate`.
-
-    Attributes
-    ----------
-    times : array (n_times,)
-        Of the integrator's steps; the last one is that of the stop, if there was one.
-    states : array (n_states, n_times)
-    dense : callable
-        States at any time between, if requested.
-    """
+    """Steps of an integrator: times (n,), states (n_states, n), and states in between if requested."""
 
     times: Array
     states: Array

@@ -45,29 +45,14 @@ class Pieces:
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
 
     def localised(self, coefficients: Array) -> tuple[Pieces, Array]:
-        """Return the same polynomials with the coefficients of the powers themselves, one set per interval.
-
-        Parameters
-        ----------
-        coefficients : array (n_coefficients,)
-        """
+        """Return the same polynomials with the coefficients (n_coefficients,) of the powers, one set per interval."""
         n, _, powers = self.matrices.shape
         own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.windows])
         return Pieces(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
 
 
 def linear(x: Array, values: Array) -> tuple[Pieces, Array]:
-    """Straight lines between the points.
-
-    Parameters
-    ----------
-    x : array (n,)
-    values : array (n, ...)
-
-    Returns
-    -------
-    tuple of Pieces, array (n_coefficients, ...)
-    """
+    """Straight lines between the points x (n,), with values (n, ...); returns the pieces and their coefficients."""
     return Pieces(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
 
 

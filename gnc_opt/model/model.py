@@ -1,7 +1,4 @@
-"""Model: the dynamics of a vehicle, written once.
-
-How far states are from a reference, and the way back, where neither is a subtraction or a sum.
-"""
+"""Model: the dynamics of a vehicle, written once."""
 
 from __future__ import annotations
 
@@ -226,10 +223,9 @@ class Model(Strict):
     ) -> tuple[Any, Any]:
         """Declare a control with a cost of its absolute value as the difference of two nonnegative controls.
 
-        The controls are ``name_plus`` and ``name_minus``, both >= 0. At an optimum with a cost of their sum
-        at most one of them is nonzero. The sum is therefore the absolute value, and its cost is linear (an L1
-        norm, such as the fuel of opposed thrusters). ``Phase.bounds``, ``Phase.guess`` and solutions accept
-        ``name``, which is also an output.
+        The controls are ``name_plus`` and ``name_minus``, both >= 0; at an optimum with a cost of their sum at most
+        one of them is nonzero, so that the sum is the absolute value. ``Phase.bounds``, ``Phase.guess`` and
+        solutions take ``name``, which is also an output.
 
         Parameters
         ----------
@@ -240,11 +236,6 @@ class Model(Strict):
         -------
         tuple of casadi.SX
             The control and, per component, its absolute value, (size, 1) each.
-
-        Raises
-        ------
-        ModelError
-            As in `state`.
         """
         plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
         minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
@@ -257,14 +248,12 @@ class Model(Strict):
 
         The controls are ``name_magnitude``, >= 0, and ``name_direction``; a phase keeps the direction within the
         unit ball, or on the unit sphere where the norm has a lower limit > 0 or something is not affine in the
-        direction. ``Phase.norm_bounds`` takes the range of the norm, ``Phase.guess`` that of ``name``, which solutions
-        know, too, and which is also an output.
+        direction. ``Phase.norm_bounds`` takes the range of the norm, ``Phase.guess`` that of ``name``, which is
+        also an output.
 
-        Within the ball the norm of the vector is at most the magnitude. If everything is affine in the vector, the
-        Hamiltonian is least on the sphere wherever the vector matters to it, so that an optimum has the two equal;
-        where the magnitude is zero (it coasts), the direction is anything, and the Jacobian of the constraints is
-        regular all the same, which it is not for ``T @ T <= d**2``. (The relaxation is that of B. Acikmese and S. R.
-        Ploen, Convex programming approach to powered descent guidance for Mars landing, J. Guidance 30 (2007) 1353.)
+        Within the ball the norm is at most the magnitude; if everything is affine in the vector, an optimum has the
+        two equal wherever the vector matters (B. Acikmese and S. R. Ploen, Convex programming approach to powered
+        descent guidance for Mars landing, J. Guidance 30 (2007) 1353). At zero the constraints are regular.
 
         Parameters
         ----------
@@ -278,11 +267,6 @@ class Model(Strict):
         -------
         tuple of casadi.SX
             The control (size, 1), and its magnitude, for costs and mass flows.
-
-        Raises
-        ------
-        ModelError
-            As in `state`, or of one component.
         """
         read_integer(size, f"the size of vector control '{name}' of model '{self.name}'", 2, ModelError)
         magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
@@ -418,16 +402,10 @@ class Model(Strict):
         composed: Sequence[tuple[ComposedControl, Any]],
         express: Callable[[Any], Any],
     ) -> Model:
-        """Return the same dynamics in other controls: same states, same parameters.
+        """Return the same dynamics in other controls.
 
-        Parameters
-        ----------
-        controls : sequence of Symbol
-            All of the new ones.
-        composed : sequence of (ComposedControl, casadi.SX)
-            Those that are stated no more, and what they are in the new ones.
-        express : function
-            Returns an expression of the old ones in the new ones.
+        ``composed`` are those that are stated no more, with their expressions in the new ``controls``; ``express``
+        returns an expression of the old ones in the new ones.
         """
         twin = copy.copy(self)
         twin._functions = {}
@@ -439,14 +417,9 @@ class Model(Strict):
         return twin
 
     def with_states(self, rates: Mapping[Symbol, Any], controls: Sequence[Symbol] = ()) -> Model:
-        """Return the same dynamics with further states, which may be controls of this model, and further controls.
+        """Return the same dynamics with further states and their rates, and further controls.
 
-        Parameters
-        ----------
-        rates : mapping of Symbol to casadi.SX
-            Time derivatives of the states that are added; a control of this model keeps its symbol.
-        controls : sequence of Symbol
-            Controls that are added.
+        States may be controls of this model, which keep their symbols.
         """
         twin = copy.copy(self)
         twin._functions = {}

@@ -27,17 +27,7 @@ MOST_VALUES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class TableUse:
-    """One call of a table with expressions.
-
-    Attributes
-    ----------
-    arguments : casadi.SX
-        The column of arguments, one per axis.
-    comparisons : casadi.SX
-        The nodes of the expression that find the intervals.
-    value : casadi.SX
-        The expression.
-    """
+    """One call of a table: its column of arguments, the nodes that find the intervals, and its value; all SX."""
 
     table: Table
     arguments: Any
@@ -205,18 +195,10 @@ class Table(Strict):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Where a number lies along an axis, as expressions.
+    """Where a number lies along an axis, SX.
 
-    Attributes
-    ----------
-    inside : SX (n_intervals, 1)
-        1 for its interval, else 0.
-    u : SX
-        Place in the interval, from 0 to 1.
-    beyond : SX
-        How far outside of the table, in widths of the interval; 0 inside.
-    comparisons : SX
-        What decides all that.
+    ``inside`` (n_intervals, 1) is 1 for its interval, u its place there (0 to 1), ``beyond`` the distance outside
+    of the table in widths of the interval; the comparisons decide all that.
     """
 
     inside: Any
@@ -254,16 +236,7 @@ class _Found:
 
 
 def _select(window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any) -> tuple[Any, Indices]:
-    """Choose the window of one axis.
-
-    Parameters
-    ----------
-    window : SX column
-        All that is left of the coefficients.
-    places : int array
-        Of each coefficient in that column, by axis.
-    inside : SX (n_intervals, 1)
-    """
+    """Return the window of one axis and the places of its coefficients, from those that are left of both."""
     candidates = np.moveaxis(np.take(places, pieces.windows, axis=axis), axis, 0)
     n, *shape = candidates.shape
     flat = candidates.reshape(n, -1)
@@ -296,10 +269,6 @@ def table(
         outside of it are errors. The summary of a solution names every table that it leaves.
     name : str, optional
         For messages.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------
@@ -378,10 +347,6 @@ def table_from_csv(
         Column of the values; names the table.
     method, outside
         As in `table`.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""Records: named quantities along one axis, as tables of other packages and as files.
-
-Columns of numbers from a CSV file.
-"""
+"""Tables: named quantities along one axis, as objects of other packages and as files; columns of a CSV file."""
 
 from __future__ import annotations
 
@@ -22,16 +19,7 @@ from gnc_opt.model.variables import Layout, Variable
 
 
 def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
-    """Return columns of a CSV file by their names in its first row.
-
-    Parameters
-    ----------
-    others : iterable of str
-        Optional columns; all other columns are ignored.
-
-    Returns
-    -------
-    dict of str to array (n_rows,)
+    """Return columns (n_rows,) of a CSV file by their names in its first row; ``others`` are optional ones.
 
     Raises
     ------
@@ -119,20 +107,10 @@ class Records:
         return xarray.Dataset(variables, {axis: (axis, self.points, {"units": self.axis.unit})}, self.about)
 
     def write(self, path: str | Path) -> Path:
-        """Write a file of the kind that its suffix names, and return its path.
+        """Write a file of the kind that its suffix names, and return its path; raise `ArgumentError` for others.
 
-        Parameters
-        ----------
-        path : str or Path
-            ``.csv``: a column per component, labels in the first row. ``.json``: columns, units and
-            attributes. ``.mat``: a matrix (n, size) per quantity, points in a column, ``units`` a structure.
-            Dots in names become underscores there. Numbers have all their digits; NaN is an empty field or
-            null.
-
-        Raises
-        ------
-        ArgumentError
-            Another suffix.
+        ``.csv``: a column per component. ``.json``: columns, units and attributes. ``.mat``: a matrix (n, size) per
+        quantity, with underscores for dots in names, and the structure ``units``. NaN is an empty field or null.
         """
         target = Path(path)
         if target.suffix not in _WRITERS:

@@ -1,8 +1,4 @@
-"""Trajectory: states and controls of a model over time.
-
-Planning makes trajectories (`gnc_opt.Solution`), controllers follow them (`gnc_opt.control.Reference`); neither
-package imports the other.
-"""
+"""Trajectory: states and controls of a model over time, made by planning and followed by controllers."""
 
 from __future__ import annotations
 

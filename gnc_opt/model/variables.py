@@ -1,9 +1,4 @@
-"""The states, controls and parameters that a model declares.
-
-Named variables and their places in a stacked vector.
-
-The symbol that a declaration returns: a CasADi SX vector with a name.
-"""
+"""The states, controls and parameters that a model declares, their symbols and their places in a stacked vector."""
 
 from __future__ import annotations
 
@@ -239,18 +234,7 @@ class VectorSymbols(tuple[Any, Any]):
 
 
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
-    """Return ``value`` (SX, number, list of both) as an SX column vector.
-
-    Parameters
-    ----------
-    value : casadi.SX, float, array-like or list of these
-    what : str
-        Names the expression in error messages.
-    size : int, optional
-        Required number of rows.
-    failure : class of GncOptError
-        What to raise for a wrong size or type.
-    """
+    """Return ``value`` (SX, number, list of both) as an SX column vector of ``size`` rows; else raise ``failure``."""
     if isinstance(value, VectorSymbols):
         raise failure(f"{what} is {value.remedy}")
     try:

@@ -1,7 +1,4 @@
-"""Sampling signals for drawing: dense, and with both limits wherever they may jump.
-
-Common elements of figures over time: labels of components, their lines, axes that span all phases.
-"""
+"""Elements of figures over time: dense samples with both limits at jumps, labels and lines of components, axes."""
 
 from __future__ import annotations
 
@@ -73,11 +70,9 @@ def sample(
     Parameters
     ----------
     function : callable
-        E.g. a `Signal`; returns (n, n_times), or (n_times,) for a scalar quantity.
+        Returns (n, n_times), or (n_times,) for a scalar quantity.
     breaks : array (K + 1,)
         Where the function may jump, ends included, s.
-    per_piece : int
-        Samples per piece, at least 2.
     gaps : bool
         Separate the pieces by NaN, so that a line is not drawn across a jump.
 
@@ -113,13 +108,8 @@ def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] 
 
 
 def zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
-    """Return the times at which sampled values change sign, by linear interpolation.
-
-    Parameters
-    ----------
-    t, values : array (n_times,)
-    negligible : float
-        Values up to this magnitude are rounding and have no sign.
+    """Return the times at which samples (n_times,) change sign, by linear interpolation; ``negligible`` ones have no
+    sign.
     """
     clear = np.abs(values) > negligible
     t, values = t[clear], values[clear]

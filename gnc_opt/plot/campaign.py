@@ -1,7 +1,4 @@
-"""Figures of campaigns: where the runs end, and how what was measured is distributed.
-
-The tube around the mean path of many runs that holds a stated share of them.
-"""
+"""Figures of campaigns: where runs end, how measures are distributed, and the tube that holds a share of runs."""
 
 from __future__ import annotations
 
@@ -42,19 +39,9 @@ _FLAT = 1e-6
 def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
     """Return points of the tube at each instant, (3, n_times, 25).
 
-    Each section lies across the mean path and is the ellipse of the covariance of the runs' deviations there,
-    enlarged until it holds the share: no distribution is assumed. Deviations along the path do not show.
-
-    Parameters
-    ----------
-    positions : array (n_runs, 3, n_times)
-        Of the runs at the same instants, finite.
-    share : float
-        Of the runs within each section, in (0, 1].
-
-    Returns
-    -------
-    array (3, n_times, 25)
+    Each section lies across the mean path and is the ellipse of the covariance of the runs' deviations there, enlarged
+    until it holds the share of the runs: no distribution is assumed. Deviations along the path do not show.
+    ``positions`` (n_runs, 3, n_times) are finite.
     """
     mean = positions.mean(axis=0)
     least = _FLAT * max(float(np.max(np.ptp(mean, axis=1))), np.finfo(float).tiny)
@@ -127,7 +114,7 @@ legible."""
 
 
 def plot_dispersion(campaign: Campaign, name: str) -> Figure:
-    """Draw where the runs end: the components of a state's error against each other.
+    """Return a figure that shows where the runs end: the components of a state's error against each other.
 
     Dots are runs that passed all limits, crosses those that did not; the circle is the limit on the length of the
     error. Runs that ended with no finite number are counted in the legend.
@@ -137,10 +124,6 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     campaign : Campaign
     name : str
         A state with two components or more; of three, the first is drawn against each of the others.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -203,7 +186,7 @@ def _dispersion_legend(campaign: Campaign, name: str, passed: Any, finite: Any, 
 
 
 def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
-    """Draw how measures are distributed: a histogram and the empirical distribution of each.
+    """Return a figure that shows how measures are distributed: a histogram and the empirical distribution of each.
 
     Percentiles are marked on the distribution, with bars for their confidence intervals. A distribution that ends
     below 100 % has runs without a value.
@@ -213,10 +196,6 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     campaign : Campaign
     names : sequence of str, optional
         Measures; default those with limits, or the errors and efforts if there are none.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -295,7 +274,7 @@ def _draw_limit(ax: Axes, limit: float | None, finite: Any, height: float) -> No
 
 
 def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:
-    """Draw between which values a quantity of the loop stays over time, over all runs.
+    """Return a figure that shows between which values a quantity of the loop stays over time, over all runs.
 
     Lines are percentiles, areas about them the intervals of order statistics (95 % at each time).
 
@@ -306,10 +285,6 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
         A quantity of the loop.
     levels : sequence of float
         In (0, 1).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------

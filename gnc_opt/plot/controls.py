@@ -62,13 +62,11 @@ def plot_controls(
     labels: Labels | None = None,
     hamiltonian_unit: str = "",
 ) -> Figure:
-    """Draw every control component and, next to it, its switching function.
+    """Return a figure that shows every control component and, next to it, its switching function.
 
-    Left: the applied signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
-    nodes and is cut off beyond an eighth of the range), bounds dashed. Right: the switching function dH/du;
-    a bounded control belongs on its upper bound where this is negative. Dotted lines mark its changes of
-    sign. A solution that was loaded without its problem has no switching functions. Controls that are composed of two
-    (``Model.vector_control``, ``Model.split_control``) follow, as applied.
+    Left: the applied signal (bold), the collocation polynomial with its nodes (thin), bounds dashed. Right: the
+    switching function dH/du (not of a solution without its problem); a bounded control belongs on its upper bound
+    where this is negative; dotted lines mark its changes of sign. Composed controls follow, as applied.
 
     Parameters
     ----------
@@ -81,10 +79,6 @@ def plot_controls(
         Component labels by control name.
     hamiltonian_unit : str
         Cost per second; none for minimum time. The switching function has this unit per unit of the control.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------

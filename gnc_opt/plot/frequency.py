@@ -22,17 +22,13 @@ _LINES_MAX = 7
 
 
 def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:
-    """Draw gain and phase of the open loop of a command, the others closed, a line for each instant.
+    """Return a figure that shows gain and phase of the open loop of a command, the others closed, by instant.
 
     Parameters
     ----------
     response : LoopResponse
     command : str, optional
         Default the first.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -58,7 +54,7 @@ def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:
 
 
 def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
-    """Draw the open loop of a command in the complex plane about -1, a line for each instant.
+    """Return a figure that shows the open loop of a command in the complex plane about -1, a line for each instant.
 
     The disk holds the points that a change of gain and phase within the smallest disk margin moves to -1: the lines
     stay outside of it (Seiler, Packard and Gahinet, An introduction to disk margins (2020), figure 6).
@@ -68,10 +64,6 @@ def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
     response : LoopResponse
     command : str, optional
         Default the first.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -103,15 +95,11 @@ def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
 
 
 def plot_sensitivity(response: LoopResponse) -> Figure:
-    """Draw the largest singular values of the sensitivity S and of T = 1 - S, a line for each instant.
+    """Return a figure that shows the largest singular values of the sensitivity S and of T = 1 - S, by instant.
 
     Parameters
     ----------
     response : LoopResponse
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -137,16 +125,12 @@ def plot_sensitivity(response: LoopResponse) -> Figure:
 
 
 def plot_margins(response: LoopResponse) -> Figure:
-    """Draw the disk margin over the instants, with the gain and phase that all commands may change by at once.
+    """Return a figure that shows the disk margin, and its changes of gain and phase, over the instants.
 
     Parameters
     ----------
     response : LoopResponse
         At many instants.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------

@@ -31,7 +31,7 @@ PATH_SAMPLES = 400
 
 
 def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: str) -> Figure:
-    """Draw rows of values over time in one axis, e.g. Euler angles computed from a solution.
+    """Return a figure that shows rows of values over time in one axis, e.g. Euler angles computed from a solution.
 
     Parameters
     ----------
@@ -41,10 +41,6 @@ def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: 
     labels : sequence of n str
     ylabel : str
         With its unit.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -74,7 +70,7 @@ def plot_path(
     axis_notes: Sequence[str] = ("", "", ""),
     down: bool = True,
 ) -> Figure:
-    """Draw a path in three dimensions with the body's axes along it.
+    """Return a figure that shows a path in three dimensions with the body's axes along it.
 
     Parameters
     ----------
@@ -92,10 +88,6 @@ def plot_path(
         Added to the names of the three axes, e.g. ("along velocity", "", "to Earth").
     down : bool
         Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------
@@ -128,7 +120,7 @@ def plot_path(
 
 
 def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
-    """Draw the path of a vehicle in space, the vehicle at equal intervals of time, and the other bodies of a view.
+    """Return a figure that shows the path of a vehicle, the vehicle at equal intervals of time, and other bodies.
 
     Parameters
     ----------
@@ -137,10 +129,6 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
         With a position; the vehicle is drawn as a box with its axes if there is an attitude, else as a dot.
     vehicles : int
         How often the vehicle is drawn, start and end included.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""Figures of a mesh refinement: the error over the points, and the meshes.
-
-The verdict as a picture: how far each condition is from its tolerance.
-"""
+"""Figures of a refinement, its error and its meshes, and of how far each optimality condition is from its tolerance."""
 
 from __future__ import annotations
 
@@ -111,21 +108,15 @@ _NARROW = 3e-3
 
 
 def plot_refinement(history: History) -> Figure:
-    """Draw how a refinement went.
+    """Return a figure that shows how a refinement went.
 
-    Above, the estimated error of each iteration over its number of collocation points, in order, with the tolerance;
-    iterations whose solve failed are crossed out.
-    Below, for each phase, one row per iteration: its segments over time, coloured by their degrees. Where the first
-    or last segments are too narrow to be seen, time is the share of the phase on a logit axis,
-    which stretches both ends.
+    Above, the estimated error of each iteration over its collocation points, with the tolerance; failed solves are
+    crossed out. Below, for each phase, one row per iteration: its segments over time, coloured by their degrees; on
+    a logit axis where the first or last segments are too narrow to be seen.
 
     Parameters
     ----------
     history : History
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------

@@ -12,17 +12,13 @@ from gnc_opt.simulation.run import Logged, Run
 
 
 def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Draw states of the plant over time, one axis per (vector) state; their reference dashed grey.
+    """Return a figure that shows states of the plant, one axis per (vector) state; their reference dashed grey.
 
     Parameters
     ----------
     run : Run
     names : sequence of str, optional
         Default all.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -47,17 +43,13 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
 
 
 def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Draw the errors of states relative to the reference, one axis each; arguments as in `plot_run_states`.
+    """Return a figure that shows the errors of states relative to the reference, one axis each.
 
     Parameters
     ----------
     run : Run
     names : sequence of str, optional
         States; default all.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -76,17 +68,13 @@ def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
 
 
 def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Draw what was applied to the plant's controls (mean over each control step), and commands of the same name.
+    """Return a figure that shows the applied controls (means over control steps), and commands of the same name.
 
     Parameters
     ----------
     run : Run
     names : sequence of str, optional
         Controls of the plant; default all.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Examples
     --------

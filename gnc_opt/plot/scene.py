@@ -37,16 +37,8 @@ _FEWEST_OF_A_TUBE = 10
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
     """Return the scene as a piece of HTML, to be used once in a page; without Plotly, a line on how to get it.
 
-    Parameters
-    ----------
-    shown : mapping of str to Solution or Run
-        By the name to choose it by; the first is shown first. Of ten or more the tube of dispersion is shown, too.
-    regular : mapping of str to bool, optional
-        Which of them did as they should: others do not count for the tube and may fly out of the picture.
-
-    Returns
-    -------
-    str
+    Of ``shown``, by name, the first is shown first, and of ten or more the tube of dispersion; those that are not
+    ``regular`` do not count for the tube and may leave the picture.
     """
     data = _described(shown, view, regular or {})
     try:

@@ -1,8 +1,4 @@
-"""Figures of a solution over time: states, costates, Hamiltonian.
-
-Every function returns a matplotlib `Figure` that belongs to no window; write it with `save_figure`. Without a
-phase, all phases are drawn one after the other.
-"""
+"""Figures of a solution over time: states, costates, Hamiltonian; without a phase, of all phases in order."""
 
 from __future__ import annotations
 
@@ -54,7 +50,7 @@ def plot_states(
     phase: str | None = None,
     labels: Labels | None = None,
 ) -> Figure:
-    """Draw states over time, one axis per (vector) state; bounds dashed where they come into view.
+    """Return a figure that shows states over time, one axis per (vector) state; bounds in view are dashed.
 
     Parameters
     ----------
@@ -65,10 +61,6 @@ def plot_states(
         Default all, one after the other.
     labels : mapping, optional
         Component labels for the legend, by name.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -99,7 +91,7 @@ def plot_costates(
     labels: Labels | None = None,
     cost_unit: str = "",
 ) -> Figure:
-    """Draw the costates of states over time, one axis per (vector) state.
+    """Return a figure that shows the costates of states over time, one axis per (vector) state.
 
     Parameters
     ----------
@@ -112,10 +104,6 @@ def plot_costates(
         Component labels by state name.
     cost_unit : str
         Unit of the cost; a costate has the unit of the cost per unit of the state.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -140,7 +128,7 @@ def plot_costates(
 def plot_hamiltonian(
     solution: Solution, *, phase: str | None = None, expected: float | None = None, unit: str = ""
 ) -> Figure:
-    """Draw the Hamiltonian over time with its range.
+    """Return a figure that shows the Hamiltonian over time with its range.
 
     Marks show it at the collocation points of the program; the line uses the applied controls.
 
@@ -154,10 +142,6 @@ def plot_hamiltonian(
         The value it ought to have, e.g. -1 for minimum time; drawn as a dashed line.
     unit : str
         Cost per second; none for minimum time.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -202,11 +186,7 @@ def _draw_each(
     label_of: Callable[[str, str], str],
     decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
 ) -> Figure:
-    """One axis per state, the phases that have it one after the other.
-
-    ``signal_of(leg, name)`` is what to draw, ``label_of(name, unit of the state)`` names its axis, and ``decorate`` may
-    add to it.
-    """
+    """One axis per state, the phases that have it one after the other; ``decorate`` may add to it."""
     legs = chosen_phases(solution, phase)
     names = chosen_names(legs, "states", names)
     with style():

@@ -162,15 +162,7 @@ def span(moved: Moved, view: View) -> tuple[float, float]:
 
 
 def motion(moved: Moved, view: View, times: Array) -> Motion:
-    """Sample a motion at times (n,), s; before its begin and after its end it stands still.
-
-    Raises
-    ------
-    UnknownNameError
-        There is no such state or control.
-    ArgumentError
-        A position, attitude or force does not have the components it must have.
-    """
+    """Return samples of a motion at times (n,), s; before its begin and after its end it stands still."""
     parts = _parts(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]

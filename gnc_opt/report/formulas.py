@@ -50,14 +50,8 @@ _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠",
 class Formulas:
     """Writes scalar expressions; collects the auxiliary quantities that they use.
 
-    Attributes
-    ----------
-    names : mapping of int to str
-        MathML of the symbols, and of subexpressions that have a name, by ``element_hash``.
-    auxiliary : list of (str, str)
-        Name and formula of the auxiliary quantities so far, in MathML, each after those that it uses.
-    shown : int
-        How many of these have been shown to the reader.
+    ``names`` is MathML by ``element_hash``; ``auxiliary`` name and formula of the auxiliary quantities, each after
+    those that it uses, of which so many have been ``shown`` to the reader.
     """
 
     names: dict[int, str]

@@ -192,7 +192,6 @@ class Campaign(Strict, Printed):
             In (0, 1).
         confidence : float
             Of each interval, in (0, 1).
-
         """
         place = self._measures.layout("quantity").slice(quantity).start
         unit = self._measures.layout("quantity")[quantity].unit

@@ -178,11 +178,6 @@ class ClosedLoop:
             Initial state of the plant.
         changes : mapping
             E.g. ``{"plant.mass": 3100.0, "initial.r_L": [20.0, 0.0, 0.0], "thrusters.tau": 0.05}``.
-
-        Raises
-        ------
-        ArgumentError, UnknownNameError
-            No such parameter, wrong sizes, no numbers, or an initial state is missing.
         """
         P = self.defaults.copy()
         states = self.plant.states
@@ -233,7 +228,7 @@ class ClosedLoop:
         x0 : array (n_states,) or mapping by name
             Nominal initial state.
         t0, tf : float
-            First time and last time, s. The last control step ends at ``tf`` or up to one step after it.
+            First and last time, s. The last control step ends at ``tf`` or up to one step after it.
         parameters : mapping
             Nominal changes of parameters by dotted name.
 

@@ -154,15 +154,14 @@ class CompiledLoop:
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
-        """Fly n runs and return how they ended; failed ones are flagged, never dropped.
+        """Return how n runs end; failed ones are flagged, never dropped.
 
         Parameters
         ----------
         P : array (n_parameters, n)
             One column per run, in the order of `layout`.
         seeds : sequence of n seeds
-            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself; or the
-            standard normal numbers themselves, array (n_steps, n_numbers).
+            Each an int, a list of ints, a ``SeedSequence``, or the standard normal numbers (n_steps, n_numbers).
         """
         P = np.asarray(P, dtype=float)
         if P.shape != (self.layout.size, len(seeds)):
@@ -206,7 +205,7 @@ class CompiledLoop:
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
-        """Fly one run and return all of it; its last state has the bits of `final`.
+        """Return all of one run; its last state has the bits of `final`.
 
         Parameters
         ----------

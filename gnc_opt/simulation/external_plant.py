@@ -63,7 +63,7 @@ class ExternalPlantRun:
 def simulate_external_plant(
     controller: Controller, plant: Plant, *, tf: float, t0: float = 0.0, dt: float | None = None
 ) -> ExternalPlantRun:
-    """Fly a plant that is a Python object under a controller.
+    """Return the run of a plant that is a Python object under a controller.
 
     Parameters
     ----------
@@ -75,10 +75,6 @@ def simulate_external_plant(
         Last and first time, s; whole control steps apart.
     dt : float, optional
         Control step, s; default the controller's.
-
-    Returns
-    -------
-    ExternalPlantRun
 
     Raises
     ------

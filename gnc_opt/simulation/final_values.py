@@ -29,9 +29,8 @@ class FinalValues:
     Attributes
     ----------
     states : array (n_states, n)
-        At the last time.
     errors : array (n_errors, n) or None
-        Of the states relative to the reference at the last time, by the plant's own difference.
+        Relative to the reference at the last time, by the plant's own difference.
     memory : array (n_memory, n)
         Of the controller.
     effort, energy : array (n_controls, n)
@@ -40,10 +39,8 @@ class FinalValues:
         Time in which a limit acted on a command, s.
     variation : array (n_commands, n)
         Sum of the changes of the commands: chattering.
-    integration_error : array (n,)
-        Estimated, relative to max(1, \\|x\\|), of the states and of the instant of an event that ends the run.
-    state_error : array (n,)
-        The same of the states at one time: ``accuracy`` is asked of it.
+    integration_error, state_error : array (n,)
+        See `integration_errors`; ``accuracy`` is asked of the latter.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         Number of occurrences of each event, and the first time (s), NaN without an occurrence.

@@ -129,7 +129,9 @@ def monte_carlo(
     checkpoint: str | Path | None = None,
     progress: bool = False,
 ) -> Campaign:
-    """Fly a closed loop n times with dispersed parameters and initial states, and fresh random numbers.
+    """Return n runs of a closed loop with dispersed parameters and initial states, and fresh random numbers.
+
+    Runs that failed are in the campaign and count as not passed. Ctrl-C ends it and returns what has ended.
 
     Parameters
     ----------
@@ -161,11 +163,6 @@ def monte_carlo(
         simulates only the missing runs; the result has the same bits.
     progress : bool
         Show how many runs have ended and how many of them failed.
-
-    Returns
-    -------
-    Campaign
-        Runs that failed are in it and count as not passed. Ctrl-C ends the campaign and returns what has ended.
 
     Raises
     ------

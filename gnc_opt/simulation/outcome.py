@@ -33,15 +33,11 @@ class OutcomeClassifier:
     Attributes
     ----------
     watched, alarms : tuple of str
-        Quantities that must stay finite, and entries of the memory that must stay 0.
-    states : Layout
-        Of the plant.
+        Quantities that must stay finite, and entries of the memory that must stay 0, by code, code 1 first.
     divergence_limits : array (n_states,)
         Size of the states beyond which a run has diverged.
-    events : tuple of str
-        By the codes that end a run, code 1 first.
-    failures : tuple of str
-        Those of them that are failures.
+    events, failures : tuple of str
+        Events by the codes that end a run, and those that are failures.
     accuracy : float
         Asked of the integration, relative.
     """

@@ -175,7 +175,7 @@ class Run(Strict, Printed):
     @property
     def followed(self) -> Layout:
         """Names, sizes and units of the states that the reference is of."""
-        return self.layouts["followed"]
+        return self.layouts.get("followed", self.layouts["measured"])  # files before estimators
 
     # --- signals ------------------------------------------------------------------------------------------
 

@@ -54,9 +54,6 @@ def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
         MRP of B relative to L.
 
-    Returns
-    -------
-    casadi (3, 3), array (3, 3) or (3, 3, n_times)
 
     Examples
     --------

@@ -1,7 +1,4 @@
-"""Processes of one's own: how they start, what each does first, and how they end.
-
-Shared: the one object that all tasks need, and the ways it gets to those who do them.
-"""
+"""Processes of one's own, and the one object that all tasks need."""
 
 from __future__ import annotations
 
@@ -117,13 +114,7 @@ def processes_fork() -> bool:
 
 
 class OwnProcesses:
-    """Processes that have a shared object; new ones take the place of those that died.
-
-    Raises
-    ------
-    GncOptError
-        The object cannot be sent to them.
-    """
+    """Processes that have a shared object; new ones take the place of those that died."""
 
     def __init__(self, shared: Shared[Any]) -> None:
         # by forking where that is safe: what the processes inherit need not be sent
@@ -134,8 +125,7 @@ class OwnProcesses:
     def _written(self, shared: Shared[Any]) -> Path:
         """Return a file with the packed object, deleted with this one.
 
-        A process that dies while it starts leaves the parent waiting for ever if its arguments exceed the buffer of a
-        pipe (64 kB): large objects must not be arguments.
+        A process that dies while it starts leaves the parent waiting if its arguments exceed a pipe's buffer (64 kB).
         """
         packed = shared.packed()
         try:
