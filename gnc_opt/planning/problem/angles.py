@@ -21,18 +21,16 @@ ELSEWHERE = 0.37
 
 @dataclass(frozen=True)
 class Turns:
-    """Angular controls without effective limits, and the range in which their values are returned.
+    """Angular controls whose bounds leave out no direction, and the range in which their values are returned.
 
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        Range of one turn, or the bounds if they are wider; half a turn for the second angle of a pair;
-        infinite for other controls.
+        Range of at least one turn, half a turn for the elevation of a pair; infinite for other controls.
     periods : array (n_controls,)
-        Period of each control; 0 for controls that are not angles.
+        0 for controls that are not angles.
     pairs : tuple of (int, int)
-        Azimuths and elevations: half a turn of the first and the other side of the end of the second one's range are
-        the same direction.
+        Azimuths and elevations: half a turn of the first cancels a reflection of the second at an end of its range.
     """
 
     lower: Array
@@ -46,11 +44,7 @@ class Turns:
         return np.isfinite(self.lower)
 
     def around(self, bounds: Interval) -> Interval:
-        """Return control bounds for a solver: angles get their range extended by one turn on both sides.
-
-        The extension lets an angle cross the ends of its range. Without bounds, iterates of a long trajectory
-        move many turns away: a spiral of 100 revolutions needs 15 times the iterations.
-        """
+        """Return bounds for a solver: angles may leave their range by one turn, so that they can cross its ends."""
         return Interval(
             np.where(self.free, self.lower - self.periods, bounds.lower),
             np.where(self.free, self.upper + self.periods, bounds.upper),
@@ -76,15 +70,7 @@ class Turns:
 
 @dataclass(frozen=True)
 class AngleProbe:
-    """Finds which controls are angles, from functions of the controls at several points.
-
-    Attributes
-    ----------
-    values : callable
-        Returns the functions (k, N) of controls (n_controls, N).
-    u : array (n_controls, N)
-        Where they are compared.
-    """
+    """Finds which rows of u (n_controls, N) are angles, from functions (k, N) of them."""
 
     values: Callable[[Array], Array]
     u: Array

@@ -1,7 +1,4 @@
-"""Controls, path constraints and states that are held at their limits segment by segment.
-
-Arcs: intervals on which a control is on its lower bound, on its upper bound or between them.
-"""
+"""Arcs: intervals on which controls, path constraints and states are held at their limits, segment by segment."""
 
 from __future__ import annotations
 
@@ -19,10 +16,8 @@ from gnc_opt.planning.problem.interval import Interval
 class ArcKind(Enum):
     """Where a control, path constraint or state is during an arc.
 
-    A constrained control is between its bounds, where a state on its bound or an active path constraint
-    determines it; the arcs of the latter are LOWER or UPPER under their own names. A released control may
-    leave its limits, which shows the structure loop where its arc has to end; an eased control may do so by a
-    tenth of its range. No arc of a finished solution is released or eased.
+    A constrained control is within its bounds and follows from a state or path constraint at its limit. During the
+    solution only, a released control may leave its limits, an eased one by a tenth of its range.
     """
 
     LOWER = "lower"
@@ -88,17 +83,7 @@ MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED,
 
 @dataclass(frozen=True)
 class Smooth:
-    """One polynomial for a control over neighbouring segments.
-
-    Attributes
-    ----------
-    control : int
-        Row of the control.
-    first, last : int
-        The segments ``first, ..., last - 1``.
-    degree : int
-        Of the polynomial.
-    """
+    """One polynomial of a degree for a control, by its row, over the segments ``first, ..., last - 1``."""
 
     control: int
     first: int
@@ -151,13 +136,7 @@ def read_kinds(
     what: str,
     where: str,
 ) -> Kinds:
-    """Return kinds (n, K), given as kinds or as signs (-1 lower limit, 0 within, +1 upper limit); see `Phase.hold`.
-
-    Raises
-    ------
-    ProblemError
-        Another shape, other values, or something to be held at a limit that it does not have.
-    """
+    """Return kinds (n, K), given as kinds or as signs (-1 lower limit, 0 within, +1 upper limit); see `Phase.hold`."""
     try:
         kinds = np.atleast_2d(np.asarray(given, dtype=object))
     except (TypeError, ValueError):  # symbols, or objects that refuse

@@ -52,10 +52,7 @@ def check_problem(problem: Statement) -> None:
 
 
 def check_numbers(problem: Statement) -> None:
-    """Raise `ProblemError` for missing declarations and for contradictory times, bounds and end values.
-
-    That is all that may be wrong with a variation whose guess is not used.
-    """
+    """Raise `ProblemError` for missing declarations and for contradictory times, bounds and end values."""
     if not problem.phases:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
     if problem.cost is None:
@@ -289,9 +286,7 @@ def bounds_to_give(problem: Statement) -> str:
 
 
 def _boundless(leg: Phase) -> list[str]:
-    """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a
-    cost.
-    """
+    """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a cost."""
     box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
     if leg.vectors:  # these are limited by their length
         return []

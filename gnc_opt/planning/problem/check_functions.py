@@ -1,9 +1,4 @@
-"""Trying every function of a problem, and its derivatives, at the guess: is everything finite there?
-
-Warnings of functions without two continuous derivatives: kinks, jumps and coarse tables.
-
-Warnings of norms of controls that are not reformulated: their derivatives fail where the norm is zero.
-"""
+"""Checks of every function of a problem at the guess: not finite, kinks and jumps, coarse tables, norms of controls."""
 
 from __future__ import annotations
 
@@ -176,13 +171,9 @@ def _argument_of_norm(root: Any) -> Any | None:
 
 
 def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
-    """Return the faults of functions of controls, such as a norm, and their replacements.
+    """Return the functions whose derivatives by controls fail or vanish at zero controls, and their replacements.
 
-    Norms of controls that `restated` knows are none of these in a restated problem.
-
-    Derivatives by the controls fail if controls are zero: of a norm they do not exist there, and of a limit such as
-    ``T @ T <= d**2`` they are all zero, so that the Jacobian of the constraints is singular where an optimum coasts. A
-    lower limit has a hole around zero, from which no derivative leads out if a guess is there.
+    A norm has no derivative there; that of a limit such as ``T @ T <= d**2`` is zero; nor does one lead out of a hole.
     """
     start = start_phase(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
@@ -287,14 +278,7 @@ class NotFinite:
 def first_not_finite(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
-    """Return the first function along a phase that is not finite, or has a derivative that is not.
-
-    Parameters
-    ----------
-    times : array (N,)
-    states, controls : array (n_states, N), (n_controls, N)
-    parameters : array (n_free_parameters,)
-    """
+    """Return the first function along a trajectory (columns are times) that is not finite, or has such a derivative."""
     for tried in try_along(problem, leg, times, states, controls, parameters).values():
         bad = tried.first_bad()
         if bad:
@@ -323,16 +307,7 @@ def not_finite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
 
 @dataclass(frozen=True)
 class _Guessed:
-    """The guess of a phase, and points along it, a little off its bounds.
-
-    Attributes
-    ----------
-    start : PhaseStart
-        At both ends and between.
-    scales : array (n_states,)
-    along : tuple of array (N,), (n_states, N), (n_controls, N)
-        Times (s), states and controls between the ends.
-    """
+    """The guess of a phase at both ends and between, its state scales, and (times, states, controls) off its bounds."""
 
     start: PhaseStart
     scales: Array

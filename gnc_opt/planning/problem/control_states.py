@@ -1,17 +1,12 @@
-"""Controls as states of a phase: with limits of their rates, or as polynomials; the share of a phase that has passed.
+r"""Controls as states of a phase: with limits of their rates, or as polynomials; bounds that are functions of time.
 
-A control a with a limited rate is a state with :math:`\\dot a = r` and the control r. A polynomial of degree n over the
+A control a with a limited rate is a state with :math:`\dot a = r` and the control r. A polynomial of degree n over the
 phase is a state with constant coefficients c and, in Legendre polynomials of the fraction :math:`\tau` of the phase,
 
-.. math::
+.. math:: \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
 
-    \\dot a = 2 \\dot\tau \\sum_{k=1}^n c_k P_k'(2 \tau - 1), \\qquad \\dot c = 0.
-
-The fraction follows :math:`\\dot\tau = s, \\dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`, which makes s the inverse of the
-duration, whether that is fixed or free. All of these have costates, as other states do. A link hands a control with a
-limited rate over, as any state; polynomials and the fraction begin anew in each phase.
-
-Bounds that are functions of time are path constraints, one for each end of a range.
+The fraction follows :math:`\dot\tau = s, \dot s = 0, \tau(t_0) = 0, \tau(t_f) = 1`: s is the inverse of the duration.
+Polynomials and the fraction begin anew in each phase.
 """
 
 from __future__ import annotations
@@ -141,15 +136,7 @@ def _new(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
 
 
 def constant_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ranges with None for the ends that are functions of time, which become path constraints of a phase.
-
-    Path constraints of earlier ranges of the same names are removed.
-
-    Raises
-    ------
-    ProblemError
-        A function has the wrong size or foreign symbols, or is no end of a range (lower, upper).
-    """
+    """Return ranges with None for the ends that are functions of time, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
         for end in ("lower", "upper"):

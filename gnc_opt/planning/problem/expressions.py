@@ -1,7 +1,4 @@
-"""Which symbols may stand in which expression of a problem.
-
-The tables that a problem looks things up in: which ones, and where a trajectory is outside of them.
-"""
+"""Symbols that may stand in which expression of a problem, and the tables in which a problem looks things up."""
 
 from __future__ import annotations
 
@@ -28,19 +25,7 @@ TABLE_EDGE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class OutsideTable:
-    """A trajectory leaves a table.
-
-    Attributes
-    ----------
-    axis : int
-        From 0.
-    value : float
-        The argument that is farthest outside.
-    time : float
-        When it is that, s.
-    span : tuple of float
-        First and last time outside, s.
-    """
+    """A trajectory leaves a table in an axis (from 0): extreme argument, its time, first and last time outside, s."""
 
     table: Table
     phase: str
@@ -81,15 +66,7 @@ def table_uses(problem: Statement, leg: Phase) -> tuple[TableUse, ...]:
 def outside_tables(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
-    """Return where a trajectory is outside of tables.
-
-    Parameters
-    ----------
-    times : array (N,)
-    states, controls : array (n_states, N), (n_controls, N)
-    p, q : array
-        Values of the model's and of the problem's free parameters.
-    """
+    """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
     uses = table_uses(problem, leg)
     if not uses:
         return []
@@ -129,11 +106,7 @@ def end_symbols(phases: Iterable[Phase], free_parameters: Any) -> list[Any]:
 
 
 def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
-    """Return the model parameters of each phase, as arguments of a function of all phases.
-
-    A function cannot take a symbol twice: of phases that share a model, only the first brings its symbols,
-    and the others bring placeholders of the same size.
-    """
+    """Return the model parameters of each phase as arguments of one function; repeated ones are placeholders."""
     taken: set[int] = set()
     arguments = []
     for leg in phases:
@@ -166,17 +139,7 @@ def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expressio
 def refuse_foreign_along(
     leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
 ) -> None:
-    """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters.
-
-    Parameters
-    ----------
-    phases : iterable of Phase
-        All of the problem.
-    parameters : Layout
-        Names of the problem's free parameters.
-    free_parameters : casadi.SX
-        Their symbols, stacked.
-    """
+    """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
     foreign = foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
     if not foreign:
         return

@@ -63,7 +63,7 @@ class PhaseFunctions:
         return self._call("rates", t, x, u)
 
     def fast_rates(self) -> Callable[[float, Array, Array], Array]:
-        """Return dx/dt as a function of (t, x, u) at one time without conversion overhead, for integrators."""
+        """Return dx/dt as a function of (t, x, u) at one time without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
         return fast_call(function, costates, multipliers, self.weights, self.p, self.q)
@@ -128,11 +128,7 @@ class PhaseFunctions:
 
     @property
     def separable_controls(self) -> Mask:
-        """Controls of which H is the sum of affine functions and a function of the others (n_controls,).
-
-        None of them enters a path constraint. The test uses the sparsity of the expressions: controls whose
-        terms cancel may be missing, and a step of H in a control (zero derivative) is not detected.
-        """
+        """Controls of which H is an affine function plus one of the others, and in no path constraint (n_controls,)."""
         coupled = np.zeros(self.functions["switching"].size1_out(0), dtype=bool)
         for name in ("switching", "paths"):
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
@@ -146,10 +142,7 @@ class PhaseFunctions:
 
     @property
     def coupled_controls(self) -> list[Indices]:
-        """Controls that are not separable, in groups that neither H nor a path constraint couples.
-
-        H is the sum of affine functions and of a function of each group.
-        """
+        """Controls that are not separable, in groups that neither H nor a path constraint couples."""
         by_slope, by_path = (self.functions[name].jac_sparsity(0, 2) for name in ("switching", "paths"))
         rows, columns = np.array(by_slope.row(), dtype=int), np.array(by_slope.get_col(), dtype=int)
         constraints, controls = np.array(by_path.row(), dtype=int), np.array(by_path.get_col(), dtype=int)
@@ -162,10 +155,7 @@ class PhaseFunctions:
         return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
 
     def quadratic_in(self, controls: Indices) -> bool:
-        """Whether derivatives say that H is quadratic, and path constraints are affine, in some controls.
-
-        Kinks and steps, whose derivatives do not show them, are overlooked.
-        """
+        """Whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
         m = self.functions["switching"].size1_out(0)
         bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
         slopes = self.functions["path_control_jacobian"].jac_sparsity(0, 2).row()

@@ -1,7 +1,4 @@
-"""Reading what users write for values and ranges: a number, an array, ``None`` or ``(lower, upper)``.
-
-Ranges of states and controls as users give them, by name.
-"""
+"""Intervals: values and ranges as users write them, and ranges of states and controls by name."""
 
 from __future__ import annotations
 
@@ -128,13 +125,7 @@ class Interval:
         return np.asarray(0.5 * (low + high))
 
     def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
-        """Return which values are at, or beyond, the lower and the upper limit up to a margin.
-
-        Parameters
-        ----------
-        values : array (n, ...)
-        margin : float or array (n,)
-        """
+        """Return which values (n, ...) are at, or beyond, the lower and the upper limit up to a margin, () or (n,)."""
         shape = (-1, *(1,) * (values.ndim - 1))
         slack = np.broadcast_to(margin, self.lower.shape).reshape(shape)
         lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
@@ -147,18 +138,10 @@ def free(size: int) -> Interval:
 
 
 def read_interval(value: Any, size: int, what: str) -> Interval:
-    """Read a value or range for a quantity of ``size`` components.
+    """Read a value or range for a quantity of ``size`` components, called ``what`` in messages.
 
-    Parameters
-    ----------
-    value : None, number, array-like or tuple (lower, upper)
-        ``None`` is free; a number, list or array is a fixed value; a tuple of two is a range, each end a
-        number, an array or ``None`` (no limit). In a list ``None`` leaves that component free. A list of two for one
-        component is a range, too.
-    size : int
-        Number of components; scalars are repeated.
-    what : str
-        Names the quantity in error messages.
+    ``None`` is free; a number, list or array is a fixed value, of which entries ``None`` are free; a tuple of two, or
+    for one component a list of two, is a range, each end a number, an array or ``None`` (no limit).
 
     Raises
     ------

@@ -1,9 +1,7 @@
-"""Between which values expressions of a problem lie, and which way they go, as far as its numbers tell.
+"""Interval arithmetic: ranges and signs of expressions of a problem, as far as its numbers tell.
 
-Interval arithmetic: between which values expressions lie while their arguments lie in theirs.
-
-After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without
-rounding outwards. Repeated terms count as independent, so a range may be wider than necessary.
+After Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009, chapters 2 and 5, without outward rounding.
+Repeated terms count as independent, so a range may be wider than necessary.
 """
 
 from __future__ import annotations
@@ -29,20 +27,7 @@ ANY: Range = (-math.inf, math.inf)
 
 
 def ranges_of(function: Any, arguments: Sequence[Interval]) -> Interval:
-    """Return the range of every entry of a function's first output.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Of class SXFunction, with dense columns for arguments.
-    arguments : sequence of Interval
-        One per argument, a limit for each of its rows.
-
-    Returns
-    -------
-    Interval
-        Without limits where an operation is none of those known here.
-    """
+    """Return the range of every entry of an SXFunction's first output, for ranges of its dense arguments."""
     size = function.size1_out(0)
     found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
     work = [ANY] * function.sz_w()

@@ -1,7 +1,4 @@
-"""Typical magnitudes of the states and controls of a phase.
-
-How far path constraints let controls go that have no bounds of their own.
-"""
+"""Typical magnitudes of the states and controls of a phase."""
 
 from __future__ import annotations
 
@@ -24,19 +21,10 @@ SIZES = np.logspace(-8, 12, 161)
 
 
 def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Array:
-    """Return the typical control magnitude (m,) that path constraints allow; 0 for unconstrained controls.
+    """Return the typical control magnitude (m,) that path constraints allow ``wanted`` (m,) ones, 0 for others.
 
-    It is the smallest size, of either sign, beyond which a constraint satisfied at zero control is violated,
-    at the guessed state where that size is largest. A constraint active at zero control is ignored.
-
-    Parameters
-    ----------
-    times : array (n_times,)
-        s.
-    start : PhaseStart
-        The guess there.
-    wanted : bool array (m,)
-        Controls to evaluate; the others are 0.
+    It is the smallest size, of either sign, beyond which a constraint satisfied at zero control is violated, at the
+    guessed state where that size is largest.
     """
     reach, box = np.zeros(wanted.size), leg.path_interval()
     if not leg.paths or not np.any(wanted):
@@ -81,13 +69,10 @@ SAMPLES = np.linspace(0.0, 1.0, 9)
 """Where guess and dynamics are looked at, as fractions of a phase."""
 
 ROUNDING = 1e-12
-"""Share of a state's change near a guess below which its value, or rate, on the guess counts as zero: a
-latitude of 1e-17 on a flight due east is rounding.
-"""
+"""Share of a state's change near a guess below which its value, or rate, on the guess is rounding."""
 
 CANCELLATION_SHARE = 1e-3
-"""Share of what one control does alone below which several, all at their bounds, cancel each other: so do redundant
-wheels and thrusters that are arranged evenly."""
+"""Share of the effect of one control alone below which several, all at their bounds, cancel each other."""
 
 GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of each state's magnitude there."""
@@ -96,11 +81,8 @@ GUESS_OFFSET_SHARE = 0.01
 def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
-    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for controls, what path
-    constraints leave them; for states, what the dynamics do to them over the phase: all of it where the guess is zero
-    but for rounding, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess elsewhere (stiff dynamics at a
-    poor guess point far beyond
-    where the state will ever go).
+    The first of: the user's scale, the nominal value, finite bounds, the guess; for controls without any, what path
+    constraints allow; for states, how far the dynamics move them, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
     start = start_phase(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers

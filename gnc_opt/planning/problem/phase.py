@@ -349,15 +349,7 @@ class Phase(Strict):
         controls: Sequence[Symbol] = (),
         ends: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        """Add states, which may have been controls, with their time derivatives, and controls; bounds stay by name.
-
-        Parameters
-        ----------
-        rates, controls
-            As in `Model.with_states`.
-        ends : mapping of str to mapping of str to casadi.SX, optional
-            Symbols of the states at the "initial" and the "final" end by name; default: new ones.
-        """
+        """Add states, which may have been controls, with their rates and symbols at both ends; bounds stay by name."""
         old, box = self.model, self.numbers
         self._owner.refuse_if_frozen()
         model = old.with_states(rates, controls)
@@ -410,9 +402,8 @@ class Phase(Strict):
             LOWER or UPPER: on that bound, INTERIOR: within bounds, RELEASED: free of them. A bound of higher order (the
             state's own derivative depends on no control) needs a junction where the arc begins.
         smooth : tuple of Smooth
-            Controls that are one polynomial over several segments.
-        junctions : tuple of Junction
-            Mesh boundaries at which a state constraint meets its limit.
+        smooth, junctions : tuple
+            Controls that are one polynomial over several segments; mesh boundaries where a state meets its bound.
         """
         if arcs is None:
             self._set(arcs=None)
@@ -438,15 +429,7 @@ class Phase(Strict):
         return f"phase '{self.name}' of problem '{self._owner.name}'"
 
     def times(self) -> tuple[Interval, Interval]:
-        """Return the ranges of initial and final time.
-
-        Where one of them is a given number, the range of the duration narrows the other.
-
-        Raises
-        ------
-        ProblemError
-            ``time`` was never called.
-        """
+        """Return the ranges of initial and final time; if one is a number, the duration narrows the other."""
         initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
         if initial is None or final is None:
             raise ProblemError(f"{self.where} has no times: call time(initial=..., final=...).")
@@ -484,10 +467,9 @@ class Phase(Strict):
         return tuple(c for c in self.model.composed_controls.values() if isinstance(c, VectorControl))
 
     def on_sphere(self, vector: VectorControl) -> bool:
-        """Whether the direction of a vector control has the length 1 everywhere, instead of at most 1.
+        """Whether the direction of a vector control has length 1 everywhere, instead of at most 1.
 
-        So it is where the norm is never zero, and where anything but affine functions of the vector could make
-        shorter ones look better than they are.
+        It has where the norm is never zero, and where functions are not affine in the vector.
         """
         if vector.name in self._told_on_sphere:
             return self._told_on_sphere[vector.name]
@@ -495,15 +477,7 @@ class Phase(Strict):
         return bool(least[0] > 0) or vector.name in self._curved
 
     def replace_controls(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
-        """Record that the model, the constraints and the integrands use a vector control.
-
-        Parameters
-        ----------
-        vector : VectorControl
-        on_sphere : bool, optional
-            Whether its direction has length 1; default: the value of `on_sphere` for the other vector
-            controls.
-        """
+        """Record that the model, constraints and integrands use a vector control; see `on_sphere`, None decides."""
         lengths = {v.length for v in self.vectors}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):

@@ -87,23 +87,18 @@ def read_duration(duration: Any, where: str) -> Interval:
 
 @dataclass(frozen=True, eq=False)
 class Restatement:
-    """Explicit control norms reformulated as magnitudes of vector controls.
+    """Controls that were reformulated, and the map between stated and solved ones.
 
     Attributes
     ----------
     model : Model
         As it was stated.
-    stated : casadi.SX
-        The controls that were stated and are no more, stacked, (k, 1).
-    solved : casadi.SX
-        What they are in the controls that are solved for, (k, 1).
+    stated, solved : casadi.SX
+        The controls that were stated and are no more, (k, 1), and what they are in the controls that are solved for.
     values : casadi.SX
         The controls that are solved for, in order, in those that were stated, (m, 1); NaN where any would do.
     texts : tuple of str
-        What was restated, a clause per norm.
-    filled_in_order : tuple of str
-        Split controls of which rates are those that were stated only if no part is used before those nearer to the
-        first corner are full.
+        What was reformulated.
     """
 
     model: Model
@@ -111,7 +106,6 @@ class Restatement:
     solved: Any
     values: Any
     texts: tuple[str, ...]
-    filled_in_order: tuple[str, ...] = ()
 
     @classmethod
     def of_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
@@ -133,5 +127,4 @@ class Restatement:
             ca.vertcat(self.of(earlier.solved), self.solved),
             ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
-            (*earlier.filled_in_order, *self.filled_in_order),
         )

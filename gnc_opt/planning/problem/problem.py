@@ -1,9 +1,4 @@
-"""Problem: one or more phases, their cost, constraints, linkages and free parameters.
-
-Fingerprint: a hash by which a stored solution recognises its problem.
-
-Linkages: a phase continues where another one ends.
-"""
+"""Problem: one or more phases, their cost, constraints, linkages and free parameters."""
 
 from __future__ import annotations
 
@@ -43,10 +38,7 @@ from gnc_opt.text import heading, table
 
 
 def problem_fingerprint(problem: Statement) -> str:
-    """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits).
-
-    How an answer is looked for is left out: guesses, scales and held arcs.
-    """
+    """Return a hash of functions, names and numbers that define the problem (hex, 16 digits), not of guesses or scales."""
     digest = hashlib.sha256()
     digest.update(repr((problem.sense, _names(problem.parameters), problem.constraint_labels())).encode())
     for leg in problem.phases.values():
@@ -100,10 +92,7 @@ def _at_ends(problem: Statement) -> bytes:
 
 
 def _exact(arguments: list[Any], expressions: list[Any]) -> bytes:
-    """Return expressions with the places of their symbols and every digit of their constants.
-
-    Printed, constants would be rounded to six digits, and symbols of one name would look alike.
-    """
+    """Return expressions with the places of their symbols and every digit of their constants."""
     return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
 
 
@@ -115,11 +104,7 @@ def linkages(
     time: bool,
     jump: Mapping[str, ArrayLike] | None,
 ) -> Iterator[tuple[str, Any, Array]]:
-    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``.
-
-    The second phase notes for its guess what is handed over to it, and when. The names are
-    ``link_<first>_<second>_<state>`` and ``..._time``.
-    """
+    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``."""
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
         raise ProblemError(
@@ -166,9 +151,8 @@ class Problem(Statement):
 
     Notes
     -----
-    The cost is any expression in end-point symbols (``leg.final_time``, ``leg.final_state("m")``), integrals
-    (``leg.integral(a**2)``) and parameters. Costates follow Pontryagin's *minimum* principle for the
-    minimised functional; a maximised J is minimised as -J.
+    The cost is an expression in end-point symbols, integrals and parameters. Costates follow Pontryagin's *minimum*
+    principle for the minimised functional; a maximised J is minimised as -J.
 
     Examples
     --------
@@ -210,13 +194,7 @@ class Problem(Statement):
     # --- declarations -----------------------------------------------------------------------------
 
     def phase(self, name: str, model: Model) -> Phase:
-        """Add a phase that follows ``model`` and return it.
-
-        Raises
-        ------
-        ProblemError
-            The name is taken, empty or with brackets, or the model has missing dynamics.
-        """
+        """Add a phase that follows ``model`` and return it."""
         self.refuse_if_frozen()
         read_label(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
@@ -425,11 +403,7 @@ class Problem(Statement):
     def minimize(self, cost: Any, *, unit: str = "") -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters.
 
-        Parameters
-        ----------
-        cost : casadi.SX
-        unit : str
-            For printing. Times, end states and parameters have their own unit, which need not be stated.
+        Without ``unit``, the unit is that of the times, end states or parameters of which the cost is a sum.
         """
         self._set_cost(cost, 1.0, unit)
 
@@ -532,18 +506,13 @@ class Problem(Statement):
     def check(self) -> None:
         """Raise `ProblemError` for what a solver could only stumble over; `solve` runs it too.
 
-        Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
-        and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
-        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) and norms that
-        are not reformulated, and names a remedy; of linear tables; and of a guess outside of a table.
+        Checks times, costs, boundary values, unused controls and parameters and foreign symbols, and evaluates every
+        function and Jacobian along the guess. Warns of kinks, jumps, linear tables and norms, and names a remedy.
         """
         check_problem(self)
 
     def frozen(self) -> Problem:
-        """Return a copy that refuses to be changed; what was built serves both.
-
-        A solution keeps such a copy: what is asked of it later is asked of the problem that was solved.
-        """
+        """Return a copy that refuses to be changed, as solutions keep it; what was built serves both."""
         if self._frozen:
             return self
         twin = self.clone()

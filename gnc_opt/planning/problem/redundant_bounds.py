@@ -1,22 +1,10 @@
-"""Vectors of states whose length the dynamics keep: unit quaternions, directions, spinning momenta.
+"""Bounds that need not be imposed: of vectors whose length the dynamics keep, and of states that only rise or fall.
 
-A bound that no vector of that length can exceed is redundant. Yet a quaternion that begins at rest, (1, 0, 0,
-0), with bounds of 1 begins on a bound, whose gradient is that of the length: no step points to the interior,
-and an interior-point method needs thousands of iterations. Such bounds are dropped. (Wider ones leave an
-inside.)
+No vector of constant length exceeds a bound of that length, such as 1 of a unit quaternion, and at (1, 0, 0, 0) the
+gradient of the bound is that of the length: no step points to the interior. The bound of a budget (fuel, dose) at one
+end of a phase implies it in between, where its multiplier would not be unique once the budget is used up.
 
-States that only rise, or only fall, whatever the controls do: budgets of fuel, dose, heat.
-
-Once such a budget is used up its bound holds by itself, as long as the controls that use it are on limits of their
-own. The multiplier of the bound could then be spread over that time in any way, and so could what follows from it,
-costates and switching functions. The bound at the one end says all that it says in between; alone it has one
-multiplier, and the costate stays what it is until then. In between there are loose bounds: they keep the solver
-where the dynamics mean something, and within them nothing may turn round.
-
-Controls in roots, powers or logarithms, whose derivatives do not exist at zero.
-
-A rotor's lift pays by its power 3/2, whose second derivative is infinite at lift 0. A solver that stays between the
-bounds does not see it. Where a control is held on the bound it does, and cannot begin: there it is held a trace inside.
+Controls in roots, powers or logarithms have no second derivative at zero: arcs at such bounds are held a little inside.
 """
 
 from __future__ import annotations
@@ -46,12 +34,7 @@ def loose_bounds(leg: Phase) -> Interval:
 
 
 def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states of a phase never fall and which never rise.
-
-    They do not while controls keep to their bounds, and states to theirs as `loose_bounds` has them.
-
-    Only states with bounds that controls can bring to rest are looked at. The answer to the last numbers is kept.
-    """
+    """Return which states with bounds never fall and which never rise, for controls and `loose_bounds` of states."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
@@ -80,10 +63,7 @@ def _none(leg: Phase) -> Mask:
 
 
 def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states that never fall, and which that never rise, a later phase takes over as such.
-
-    It takes them without a jump and with the same bound or a tighter one, which so holds here, too.
-    """
+    """Return which states that never fall, and never rise, a later phase takes over without a jump or a wider bound."""
     kept = np.zeros((2, leg.model.states.size), dtype=bool)
     for later in problem.phases.values():
         for name in later.model.states.names:
@@ -138,8 +118,7 @@ def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
 
 
 PLACES, NORM_RATE_SEED = 8, 5
-"""Points at random on the sphere, with other states and controls at random, at which the length has no rate: what
-vanishes at them vanishes everywhere, but for functions made to deceive."""
+"""Random points at which a length has no rate, and their seed."""
 
 ROUNDING = 1e-12
 """Share of its terms within which a rate is none, and of a length by which a bound may fall short of it."""
@@ -149,10 +128,7 @@ NORM_BOUND_SLACK_SHARE = 1e-2
 
 
 def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which lower and which upper bounds of states are the length that a vector of them keeps.
-
-    Vectors are those that are declared as such, and what scalars that share their bounds make together.
-    """
+    """Return which lower and which upper bounds of states (n_states,) are the length that a vector of them keeps."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
     for places in _vectors(leg):

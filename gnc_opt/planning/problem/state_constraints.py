@@ -5,9 +5,8 @@ section 3.11; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section 2)
 
 .. math:: S^{(0)} = S, \qquad S^{(k+1)} = \frac{\partial S^{(k)}}{\partial t} + \frac{\partial S^{(k)}}{\partial x} f,
 
-and its order q is the first k for which :math:`S^{(k)}` depends on a control. The first q of them are functions of the
-state: a trajectory that reaches the limit to stay there, or touches it, does so with :math:`\dot S = \dots =
-S^{(q-1)} = 0`.
+and its order q is the first k for which :math:`S^{(k)}` depends on a control. A trajectory meets the limit with
+:math:`\dot S = \dots = S^{(q-1)} = 0`.
 """
 
 from __future__ import annotations

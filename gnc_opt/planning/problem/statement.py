@@ -70,11 +70,7 @@ class Statement(Strict):
 
     @property
     def cost_unit(self) -> str:
-        """The stated unit of the cost, or the one that its terms determine, else "".
-
-        A sum or difference of times, end states or parameters of one unit has that unit: a duration is in s, a final
-        mass in the unit of the state. Integrals and products give "": a factor may have any unit.
-        """
+        """The stated unit of the cost, or that of the times, end states or parameters of which it is a sum, else ""."""
         if self.stated_cost_unit or self.cost is None:
             return self.stated_cost_unit
         symbols, units = [self.parameter_symbols()], list(self.parameters.units)

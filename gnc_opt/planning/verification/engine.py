@@ -150,7 +150,7 @@ def _checked(solution: Solution, tol: float) -> Verdict:
     if any(table_uses(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.tables(solution))
     trajectory = [
-        feasibility.dynamics(problem, samples, scales, tol),
+        feasibility.dynamics(samples, scales, tol),
         _joined("limits", limits),
         feasibility.boundary(solution, samples, ends, scales, tol),
         _joined(

@@ -20,34 +20,12 @@ from gnc_opt.planning.optimality.reach import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.propagation import segment_misses
 from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, TINY
-
-
-def worst_of_parts(problem: Problem, s: PhaseSamples) -> Worst:
-    """Return by what share of its size a state is moved by parts that push at once, over a phase."""
-    restatement = problem.phases[s.leg.name].restatement
-    relied = () if restatement is None else restatement.filled_in_order
-    worst, layout = NOTHING, s.leg.controls
-    for control in s.leg.composed_controls:
-        if control.name not in relied:
-            continue
-        parts = [s.u[layout.slice(part)] for part in control.parts]
-        filled = s.u.copy()
-        for part, own in zip(control.parts, control.decompose(control.compose(*parts)), strict=True):
-            filled[layout.slice(part)] = np.where(np.isnan(own), filled[layout.slice(part)], own)
-        rates = s.functions.rates(s.times, s.x, s.u) - s.functions.rates(s.times, s.x, filled)
-        moved = np.sum(np.abs(rates) * s.weights, axis=1) / s.state_scale
-        i, j = int(np.argmax(moved)), int(np.argmax(np.max(np.abs(rates), axis=0)))
-        where = f"{s.place(j)}: parts of {control.name} push at once, which moves {s.leg.states.labels[i]}"
-        worst = worst.or_worse(Worst(float(moved[i]), where))
-    return worst
-
 
 RESOLUTION = 1e-7
 """Least scale of a number, in shares of its size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
@@ -72,14 +50,13 @@ def condition_of(name: str, worst: Worst, tolerance: float, meaning: str) -> Con
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def dynamics(problem: Problem, samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
+def dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(_missing_number(s) or NOTHING)
         for at in (s, s.finer(SCANNED)):
             worst = worst.or_worse(_worst_defect(s, at, scales, tolerance))
-        worst = worst.or_worse(worst_of_parts(problem, s))
     return condition_of(
         "dynamics",
         worst,

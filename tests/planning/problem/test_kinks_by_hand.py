@@ -118,20 +118,6 @@ def test_the_largest_of_several_controls_is_one_epigraph() -> None:
     np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
 
 
-def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
-    """An engine that is weaker in reverse: neither more nor less speed at the end is better."""
-    model = go.Model("cart")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: ca.fmin(a, 0.5 * a)})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
-    leg.initial(v=0.0)
-    leg.final(v=0.0)
-    problem.minimize(leg.integral(a**2))
-    assert restated(problem) is problem
-
-
 LIMITS: dict[str, tuple[Cost, list[float]]] = {
     "sum": (lambda x, v, a: ca.fabs(a) + ca.fabs(v) <= 2, [-0.9, -0.1, 0.1, 0.9]),
     "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
@@ -148,20 +134,6 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
     leg = solved_leg(lambda x, v, a: a**2, limit)
     assert leg.model.controls.names == ("a",)
     np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [1.0, 0.5], [0.4])), values)
-
-
-@pytest.mark.parametrize(
-    ("limit", "lower", "upper"),
-    [
-        (lambda x, v, a: ca.fabs(a) <= 2, -2.0, 2.0),
-        (lambda x, v, a: 3 - ca.fabs(2 * a - 1) >= 0, -1.0, 2.0),
-        (lambda x, v, a: ca.fmax(a, -4 * a) <= 5, -1.25, 3.0),
-    ],
-)
-def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float, upper: float) -> None:
-    leg = solved_leg(lambda x, v, a: a**2, limit, (-10.0, 3.0))
-    assert not leg.paths
-    assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
 
 
 @pytest.mark.parametrize(
@@ -263,73 +235,6 @@ def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> N
     assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
     flown = solution.saturated_control("a")(np.linspace(0, DURATION, 201))
     assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
-
-
-# --- rates ------------------------------------------------------------------------------------------------
-
-
-def rocket(cost: Callable[[Any, Any, Any], Any]) -> go.Problem:
-    """A unit of travel in three seconds, rest to rest, by engines that push both ways and burn |T| / 3."""
-    model = go.Model("rocket")
-    x, v, m, T = model.state("x"), model.state("v"), model.state("m"), model.control("T")
-    model.ode({x: v, v: T / m, m: -ca.fabs(T) / 3.0})
-    problem = go.Problem("rocket")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
-    leg.initial(x=0.0, v=0.0, m=1.0)
-    leg.final(x=1.0, v=0.0)
-    leg.bounds(T=(-1.0, 1.0), m=(0.2, 1.0))
-    problem.minimize(cost(leg, T, m))
-    return problem
-
-
-def mass_left() -> float:
-    """Full thrust, coast, full thrust back, by Tsiolkovsky's equation: the mass falls to m, then to m**2."""
-
-    def misses(m: float) -> float:
-        speed, second = -3 * np.log(m), 3 * (m - m**2)
-        up = scipy.integrate.quad(lambda t: -3 * np.log(1 - t / 3), 0.0, 3 * (1 - m))[0]
-        down = scipy.integrate.quad(lambda t: speed + 3 * np.log(1 - t / (3 * m)), 0.0, second)[0]
-        return float(up + down + speed * (3.0 - 3 * (1 - m) - second) - 1.0)
-
-    return float(scipy.optimize.brentq(misses, 0.7, 0.999)) ** 2
-
-
-@pytest.mark.parametrize(
-    "cost", [lambda leg, T, m: -leg.final_state("m"), lambda leg, T, m: leg.integral(ca.fabs(T)) / 3 - 1]
-)
-def test_mass_flows_of_absolute_thrust_meet_their_closed_form(cost: Any) -> None:
-    solution = go.solve(rocket(cost), mesh="10x3")
-    assert go.verify(solution).ok
-    assert -solution.objective == pytest.approx(mass_left(), rel=1e-8)
-    assert solution.state("m")(3.0) == pytest.approx(mass_left(), rel=1e-8)
-
-
-def test_parts_that_push_at_once_fail_the_verdict() -> None:
-    """Mass costs more than thrust does here: it would be thrown away both ways, without a thrust."""
-    wasteful = rocket(lambda leg, T, m: leg.integral(m) + 0.001 * leg.integral(ca.fabs(T)))
-    solution = go.solve(wasteful, mesh="10x3", throw=False, tol=None)
-    condition = go.verify(solution)["dynamics"]
-    assert condition.result is go.ConditionResult.FAIL
-    assert "parts of T push at once, which moves m" in condition.where
-
-
-def test_a_battery_that_gives_back_less_than_it_took_is_drained_least() -> None:
-    """Energy against |v|: the store is a state, its rate bends where the force changes sign."""
-    model = go.Model("train")
-    x, v, energy, F = model.state("x"), model.state("v"), model.state("E"), model.control("F")
-    model.ode({x: v, v: F, energy: -ca.if_else(F > 0, F * v / 0.8, 0.8 * F * v)})
-    problem = go.Problem("train")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=4.0)
-    leg.initial(x=0.0, v=0.0, E=1.0)
-    leg.final(x=2.0, v=0.0)
-    leg.bounds(F=(-1.0, 1.0), v=(0.0, None))
-    problem.maximize(leg.final_state("E"))
-    solution = go.solve(problem, mesh="10x3")
-    cruise = 2.0 - np.sqrt(2.0)  # x = 4 v - v**2 at full force up and down
-    assert go.verify(solution).ok
-    assert solution.objective == pytest.approx(1.0 - (1 / 0.8 - 0.8) * cruise**2 / 2, rel=1e-8)
 
 
 # --- what is solved as stated -----------------------------------------------------------------------------

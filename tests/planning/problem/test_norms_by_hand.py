@@ -295,20 +295,6 @@ def test_absolute_values_of_which_more_may_be_better_stay(problem: Any) -> None:
     assert restated(stated) is stated
 
 
-def test_where_more_may_be_better_the_absolute_value_is_that_of_the_difference() -> None:
-    """Parts that both push are not paid for by a limit; in a rate their sum is relied on, and judged by the verdict."""
-    leg = restated(with_absolute(ca.fabs, lambda u: -ca.fabs(u), lambda u: -ca.fabs(u))).phases["leg"]
-    _, x, u, _ = leg.model.arguments()
-    value = ca.Function(
-        "all", [x, u], [leg.integrand_expression(), leg.path_expression(), leg.model.derivative()]
-    )
-    cost, limit, rates = value([0.0, 0.5, 1.0], [0.3, 0.7])
-    assert float(cost) == pytest.approx(1.0)
-    assert float(limit) == pytest.approx(-0.4)
-    assert float(rates[2]) == pytest.approx(-1.0)
-    assert leg.restatement.filled_in_order == ("u",)
-
-
 def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of the kink

@@ -44,8 +44,7 @@ def guess_from_data(
     Raises
     ------
     ProblemError
-        No column of times, none of a state or control, some but not all components of a vector, or columns of
-        different lengths.
+        No column of times, none of a state or control, missing components of a vector, or different lengths.
     ArgumentError
         The CSV file has entries that are no numbers, or no rows.
     FileNotFoundError

@@ -1,11 +1,4 @@
-"""Guessed ends of phases: when they begin and end, and the straight lines that states follow along linked phases.
-
-Initial guesses: the user's values, and straight lines for all other quantities.
-
-End values of phases implied by boundary constraints, for the guess: a lift-off mass that is a sum of parts.
-
-The vector control that a guess of states requires: for a lander, thrust equal to its weight.
-"""
+"""Default guesses: straight lines of states between known ends of linked phases, and controls in their middle."""
 
 from __future__ import annotations
 
@@ -25,14 +18,10 @@ from gnc_opt.planning.problem.interval import Interval, intersect
 from gnc_opt.planning.problem.phase import Phase
 
 PERTURBATION = 0.01
-"""Amplitude of the control perturbation of the default guess, as a fraction of the control's range.
-
-A guess on a plane of symmetry can be a saddle of the problem (the planar rendezvous is one), from which
-Newton's method cannot leave; the perturbation is smooth, deterministic and independent of the mesh."""
+"""Amplitude of the control perturbation of the default guess, as a share of the range: off planes of symmetry."""
 
 SUSTAINED = 0.2
-"""Share of a vector control's limit above which the straight line between the ends needs sustained control.
-"""
+"""Share of a vector control's limit above which the straight line between the ends needs sustained control."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +34,7 @@ class PhaseStart:
 
 
 def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
-    """Return the guess of a phase at the given fractions of its duration, with or without `perturbation`.
-
-    Raises
-    ------
-    ProblemError
-        A guessed array or function has the wrong size.
-    """
+    """Return the guess of a phase at the given fractions of its duration, with or without `perturbation`."""
     times = guess_times(leg)
     at = times[0] + fractions * (times[1] - times[0])
     model, numbers = leg.model, leg.numbers
@@ -73,11 +56,7 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
 
 
 def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
-    """Set a vector control to the constant that gives the mean rate between the ends at their midpoint.
-
-    Applies to sustained thrust. If the required value exceeds the vector's limit, no trajectory is near the
-    straight line; if it is small, short pulses suffice and their times are unknown.
-    """
+    """Set a vector control to the constant that gives the mean rate between the ends, if sustained and allowed."""
     layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
     if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
         controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
@@ -117,8 +96,7 @@ def note_told_ends(
 ) -> None:
     """Note in phases the values at which rows of a constraint hold that are affine in one end state alone.
 
-    Free parameters in them are as guessed (the stacked symbols of all, and their guesses). Of a range it is the
-    middle, of an inequality the limit.
+    Free parameters are as guessed; of a range it is the middle, of an inequality the limit.
     """
     owners = {
         symbol.element_hash(): (leg, end, name, i)
@@ -150,17 +128,10 @@ def note_told_ends(
 def balanced(
     leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
-    r"""Return magnitude and direction of the vector by which a state best follows a rate; None if
-    undetermined.
+    r"""Return magnitude and direction of the vector by which states best follow a rate; None if undetermined.
 
-    The least squares of :math:`f(x, 0) + B T - \dot x` over the rates that the vector moves, each in units of what it
-    does to them, so that units of states do not matter.
-
-    Parameters
-    ----------
-    x, rate : array (n_states,)
-    u : array (n_controls,)
-        The other controls.
+    The least squares of :math:`f(x, 0) + B T - \dot x` over the rates that the vector moves, each in units of its
+    effect.
     """
     layout, size = leg.model.controls, vector.variable.size
 
@@ -186,11 +157,7 @@ def balanced(
 
 
 def guess_times(leg: Phase) -> Array:
-    """Return guessed initial and final time, shape (2,).
-
-    A phase linked to the end of another phase begins there. Phases with unspecified ends share the time up to
-    the next specified end evenly.
-    """
+    """Return guessed initial and final time (2,); phases without a known end share the time up to the next evenly."""
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.times()
@@ -248,9 +215,8 @@ def _time_in(interval: Interval, wanted: float, default: float) -> float:
 def end_values(leg: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
-    A state that is open at an end is what boundary constraints tell of it there, or else on a straight line between the
-    next values that are known before and after it, in this phase or in those that links join to it; beyond the first
-    and the last one it stays. Where none is known it is in the middle of its bounds.
+    A state that is open at an end is on a straight line between the known values before and after it in linked phases,
+    constant beyond these, and in the middle of its bounds if none is known.
     """
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:

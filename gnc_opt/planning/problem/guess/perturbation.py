@@ -46,18 +46,12 @@ def is_plain(index: int) -> bool:
 def with_random_guess(
     problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
 ) -> Problem:
-    """Return the problem with a random guess that depends on ``seed`` and ``index`` alone.
+    """Return the problem with a random guess that depends on ``seed`` and ``index`` alone; index 0 is its own guess.
 
-    Index 0 is the problem's own guess. Free times are drawn over decades, free parameters within their bounds. Angles
-    with a free end make as many whole turns as the drawn duration allows at the guessed rate, one more or one less;
-    those with a free beginning begin anywhere in a turn.
-
-    Plain starts (`is_plain`) change nothing else. In the others states have a smooth perturbation that leaves fixed
-    ends in place, which takes them past obstacles on either side, and controls are random bang-bang patterns or smooth
-    waves within their bounds.
-
-    With durations (s) of another solution, by phase, times are drawn near these, perturbations are large, and all
-    controls that have bounds are full bangs.
+    Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
+    their bounds. Angles with a free end make as many whole turns as the duration allows at the guessed rate, one more
+    or one less. Starts that are not `is_plain` have smooth perturbations of states that leave fixed ends in place, and
+    controls that are bang-bang patterns or smooth waves.
     """
     if index == 0:
         return problem
@@ -95,10 +89,7 @@ def angular_states(problem: Problem, leg: Phase) -> Array:
 def _draw_turns(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
-    """Return what is added to the states (n_states, n_fractions): turns of angles, linear in time.
-
-    ``turned`` holds how far each angle is turned at the end of the phase before, and after the call of this one.
-    """
+    """Return turns of angles to add to the states (n_states, n_fractions); ``turned`` carries them between phases."""
     numbers, periods = leg.numbers, angular_states(problem, leg)
     first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
     guess = start_phase(leg, FRACTIONS[[0, -1]]).states

@@ -1,7 +1,4 @@
-"""Guesses by flying: the dynamics integrated under a control law.
-
-A simulation with the guessed controls is the guess if straight lines do not converge.
-"""
+"""Guesses by simulation: the dynamics integrated under a control law."""
 
 from __future__ import annotations
 
@@ -28,11 +25,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
 def with_flown_guess(problem: Problem) -> Problem | None:
-    """Return the problem with each phase simulated from the end of the previous one with its guessed
-    controls.
-
-    Such a guess follows the dynamics, and misses the ends. Controls stay as guessed. None if a flight cannot go on.
-    """
+    """Return the problem with each phase simulated with its guessed mean controls, or None if that is impossible."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls
         held = start_phase(leg, FRACTIONS).controls.mean(axis=1)
@@ -50,8 +43,7 @@ RTOL, STIFF_RTOL = 1e-8, 1e-5
 """Of an explicit flight, and of an implicit one, whose steps are dear: a guess needs no digits."""
 
 MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
-"""Evaluations of the dynamics after which an explicit flight is taken for stiff, and an implicit one is given up: a law
-that switches without end stops that one, too. Some seconds together; 500 revolutions of a spiral take as many."""
+"""Evaluations of the dynamics after which an explicit integration counts as stiff, and an implicit one fails."""
 
 
 _SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
@@ -67,8 +59,7 @@ def guess_from_simulation(
     until: Any = None,
     n: int = 1001,
 ) -> Problem:
-    """Return the problem with a guess that follows its dynamics: those of one phase, simulated with a control
-    law.
+    """Return the problem with a guess that follows the dynamics of one phase under a control law.
 
     Parameters
     ----------
@@ -96,9 +87,7 @@ def guess_from_simulation(
     Raises
     ------
     ProblemError
-        Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), one that takes
-        too many evaluations of the dynamics, explicitly and then implicitly, or one in which ``until`` does not
-        become zero.
+        Unknown names, a law that uses controls, an integration that fails, or an ``until`` that does not become zero.
 
     Examples
     --------

@@ -23,12 +23,7 @@ P = TypeVar("P", bound=Statement)
 
 
 def bent(problem: P) -> P:
-    """Return the problem with curved state guesses in phases where a function is not finite on the straight
-    lines.
-
-    ``norm_2(r) >= c`` on a straight line through the centre, for one, has no derivative there. User guesses
-    are unchanged, as are phases that the curved guess does not improve.
-    """
+    """Return the problem with curved guesses in phases where this makes every function finite; user guesses stay."""
     for name, leg in problem.phases.items():
         if not_finite_at_guess(problem, leg) is None:
             continue

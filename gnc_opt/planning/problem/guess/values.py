@@ -30,15 +30,7 @@ def read_guess_times(time: ArrayLike, where: str) -> Array:
 def on_shared_times(
     old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
 ) -> tuple[dict[str, GuessValue], Array]:
-    """Return a guess that adds to an older one with times of its own: tables of both as they are, on the times of both.
-
-    Parameters
-    ----------
-    old, new : mapping of str to GuessValue
-        Values that are kept and those that join them, of other names.
-    old_times, times : array (n_times,)
-        The ends of the latter are those of the phase.
-    """
+    """Return two guesses with times of their own, of which the latter's ends are the phase's, on the times of both."""
     if not any(_is_table(value, old_times) for value in old.values()):
         return {**old, **new}, times
     shared = np.union1d(old_times, times)
@@ -63,23 +55,7 @@ def _resampled(value: GuessValue, times: Array, at: Array) -> Array:
 def sample_guess(
     value: GuessValue, size: int, at: Array, fractions: Array, times: Array | None, what: str
 ) -> Array:
-    """Return a guess of ``size`` components at the times ``at`` (N,), shape (size, N).
-
-    Parameters
-    ----------
-    value : constant, tuple (start, end), array (size, n_times) or function of time
-    fractions : array (N,)
-        ``at`` as fractions of the phase.
-    times : array (n_times,) or None
-        Times of an array-valued guess.
-    what : str
-        Names the guess in error messages.
-
-    Raises
-    ------
-    ProblemError
-        Wrong sizes, or values that are not finite.
-    """
+    """Return a guess of ``size`` components at the times ``at`` (N,), or fractions of a phase, shape (size, N)."""
     if callable(value):
         sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):

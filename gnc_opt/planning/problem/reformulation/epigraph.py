@@ -1,14 +1,7 @@
-r"""The form of a phase without other kinks: controls above what costs, several smooth limits for one with kinks.
+r"""Epigraph form: a kink that costs becomes a control or free parameter above its smooth pieces.
 
-The least s above all of :math:`e_0, \ldots, e_k` is the largest of them: so a control s takes the place of a kink that
-costs, with a path constraint per piece (epigraph form; S. Boyd & L. Vandenberghe, Convex Optimization, Cambridge 2004,
-section 4.1.3). The largest of them is within a limit if each of them is.
-
-Kinks along a phase that cost the more the larger they are, or limit that: which ones, and in which direction.
-
-Kinks as the largest or least of smooth pieces: ``fabs(e)`` of e and -e, ``fmax(a, b)``, sums of these and so on.
-
-The form of a problem without kinks of its cost and boundary constraints: free parameters above what costs.
+The least s above all of :math:`e_0, \ldots, e_k` is the largest of them (S. Boyd & L. Vandenberghe, Convex
+Optimization, Cambridge 2004, section 4.1.3). A limit of a kink is a limit of each of its pieces.
 """
 
 from __future__ import annotations
@@ -29,7 +22,7 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.expressions import table_uses
 from gnc_opt.planning.problem.guess.initial_guess import guess_times, start_phase
 from gnc_opt.planning.problem.guess.values import GuessValue
-from gnc_opt.planning.problem.interval import Interval, intersect
+from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import PhaseGuess, Restatement
@@ -62,66 +55,6 @@ def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str,
         if nodes:
             found[name] = list(extrema_of(integrand, nodes, wanted[name], domain))
     return {name: kinks for name, kinks in found.items() if kinks}
-
-
-def kinks_that_limit(problem: Statement, leg: Phase, domain: Domain) -> dict[tuple[str, int], list[Extremum]]:
-    """Return the kinks of path constraints that are convex towards their only limit, by constraint and row."""
-    ignored, found = _of_tables(problem, leg), {}
-    for name, constraint in leg.paths.items():
-        for i, row in enumerate(rows_of(constraint.expression)):
-            sense = limited_sense(constraint, i)
-            nodes = outermost(row, ignored, domain) if sense else []
-            if nodes:
-                found[name, i] = list(extrema_of(row, nodes, sense, domain))
-    return {place: kinks for place, kinks in found.items() if kinks}
-
-
-def kinks_that_drain(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
-    """Return the kinks of rates of states of which more is better, as fuel, and that fall by them, by state.
-
-    (And the other way round.) That more is better is presumed from costs and limits at the end: where it is not, parts
-    of a split control push at once.
-    """
-    wanted = _state_senses(problem, leg)
-    return {
-        name: kinks
-        for name, rate, nodes in _kinked_rates(problem, leg, domain)
-        if wanted[name] and (kinks := list(extrema_of(rate, nodes, wanted[name], domain)))
-    }
-
-
-def kinks_of_rates(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
-    """Return all kinks of rates that are the largest, or the least, of pieces, by state."""
-    found = {}
-    for name, _, nodes in _kinked_rates(problem, leg, domain):
-        tried = [(node, sense, pieces(node, sense, domain)) for node in nodes for sense in (1, -1)]
-        found[name] = [Extremum(node, sense, own) for node, sense, own in tried if own is not None]
-    return found
-
-
-def _kinked_rates(problem: Statement, leg: Phase, domain: Domain) -> Iterator[tuple[str, Any, list[Any]]]:
-    ignored = _of_tables(problem, leg)
-    for name, rate in zip(leg.model.states.labels, rows_of(leg.model.derivative()), strict=True):
-        nodes = outermost(rate, ignored, domain)
-        if nodes:
-            yield name, rate, nodes
-
-
-def _state_senses(problem: Statement, leg: Phase) -> dict[str, int]:
-    """Return 1 for states of which less at the end is better, as far as cost and limits tell, -1 for more, else 0."""
-    domain, numbers = Domain.at_ends(problem), leg.numbers
-    cost = problem.bind(leg, problem.sense * problem.cost)
-    senses = {}
-    for i, (name, symbol) in enumerate(
-        zip(leg.model.states.labels, ca.vertsplit(leg.ends("final")), strict=True)
-    ):
-        slope = ca.jacobian(cost, symbol)
-        end = intersect(numbers.final, numbers.states)
-        fills = end.upper[i] > numbers.initial.upper[i]
-        limits = int(np.isfinite(end.upper[i]) and fills) - int(np.isfinite(end.lower[i]))
-        told = limits * int(end.lower[i] < end.upper[i])  # a fixed end is known
-        senses[name] = told if slope.is_zero() else domain.sign(slope)
-    return senses
 
 
 def limited_sense(constraint: Constraint, row: int) -> int:
@@ -193,13 +126,7 @@ def is_smooth(expression: Any) -> bool:
 
 
 def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
-    """Return the kinks of a scalar expression that are in no other one.
-
-    Parameters
-    ----------
-    ignored : frozenset of int
-        Hashes of nodes that are left alone: those of tables.
-    """
+    """Return the kinks of a scalar expression that are in no other one, without the nodes of these hashes."""
     found: dict[int, Any] = {}
     seen: set[int] = set()
     waiting = [expression]
@@ -333,15 +260,7 @@ def has_end_kinks(problem: Statement) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class EndForm:
-    """Cost and boundary constraints with free parameters in place of kinks.
-
-    Attributes
-    ----------
-    parameters : dict of (Symbol, float)
-        Those in place of kinks, and the least that they may be.
-    texts : tuple of str
-        What was restated.
-    """
+    """Cost and boundary constraints with free parameters, of which each has a lower bound, in place of kinks."""
 
     cost: Any
     constraints: dict[str, Constraint]
@@ -393,15 +312,7 @@ class EndForm:
 
 @dataclass(frozen=True, eq=False)
 class Kinked:
-    """Replacements for the kinks of a phase.
-
-    Attributes
-    ----------
-    costs : dict of list of Extremum
-        By integral.
-    limits : dict of Constraint
-        Path constraints whose kinked rows are several smooth ones each.
-    """
+    """The kinks of integrals by name, and path constraints whose kinked rows are several smooth ones each."""
 
     costs: dict[str, list[Extremum]]
     limits: dict[str, Constraint]
@@ -459,15 +370,7 @@ def _holds(expression: Any, lower: float, upper: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class EpigraphForm(PhaseForm):
-    """A phase with controls in place of kinks.
-
-    Attributes
-    ----------
-    kinks : dict of Extremum
-        By the control that takes its place.
-    least : dict of float
-        The least that those may be.
-    """
+    """A phase with controls in place of kinks, and the lower bounds of those, by the name of the control."""
 
     kinks: dict[str, Extremum]
     least: dict[str, float]

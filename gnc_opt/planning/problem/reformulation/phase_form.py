@@ -1,7 +1,4 @@
-"""The form of a phase in other controls: all of it but the numbers.
-
-Requirements of replacement models: unused names and the same numbers.
-"""
+"""The form of a phase in other controls: all of it but the numbers."""
 
 from __future__ import annotations
 
@@ -38,12 +35,7 @@ def with_values_of(model: Model, old: Model) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class PhaseForm:
-    """A phase restated in other controls.
-
-    Attributes
-    ----------
-    integrands : dict of (symbol, expression)
-    """
+    """A phase reformulated in other controls."""
 
     model: Model
     paths: dict[str, Constraint]

@@ -1,7 +1,4 @@
-"""Reformulation of a problem with explicit control norms as one with vector controls.
-
-Bounds of angles that leave out no direction: they limit nothing, but stop a solver on its way across them.
-"""
+"""Reformulation of a problem: norms, kinks, algebraic variables, and bounds of angles that leave out no direction."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_end_kinks,
 )
-from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
+from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm
 from gnc_opt.planning.problem.reformulation.vector_norms import (
     Form,
     box_rows,
@@ -95,15 +92,7 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
 
 
 def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> AngleProbe:
-    """Return a probe of all that varies along a phase, at random times, states, controls and free parameters.
-
-    Parameters
-    ----------
-    problem : Statement
-    leg : Phase
-    of_states : bool
-        Probe the states; by default the controls.
-    """
+    """Return a probe of all that varies along a phase, at random times, states, controls and free parameters."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
 
@@ -124,10 +113,9 @@ P = TypeVar("P", bound=Statement)
 
 
 def restated(problem: P) -> P:
-    """Return the problem with its explicit control norms replaced; the same object if it has none.
+    """Return the problem in the form in which it is solved, with the same states, costates and cost; maybe itself.
 
-    Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
-    of one another. Angles whose bounds leave them a whole turn are free.
+    Variations of a problem with other numbers are reformulated as variations of one another.
     """
     return without_full_turns(_without_norms(with_algebraic_states(problem)))
 
@@ -188,11 +176,6 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
-    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
-    if bounds:
-        told = (*told, *bounds)
-        bound_controls(leg, bounds)
-        domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
         told = (*told, *bends.key)

@@ -1,22 +1,16 @@
-r"""The form of a phase without kinks along controls: each control is the sum of parts, one from corner to corner.
+r"""Controls as sums of parts, one from corner to corner of the convex, piecewise linear kinks of an integral.
 
-A cost that is convex and piecewise linear in a control, such as its absolute value, fills the cheaper parts first, so
-that each part is a control with bounds, and the cost is linear in all of them.
-
-Kinks that bend along one control: at numbers, however the rest of the problem stands.
-
-The largest of :math:`e_0, \ldots, e_k` is :math:`e_0 + c \max_i(\alpha_i u + \beta_i)` if all differences from
-:math:`e_0` are affine in one control u, with a common factor c >= 0 of anything else. The largest of those lines is one
-line, and more of it beyond each corner, where the next line takes over.
-
-Limits of kinks that are bounds of controls: ``norm_inf(u) <= 1`` keeps each component within 1.
+The cheaper parts are used first, so that each part is a control with bounds, in which the cost is linear. The largest
+of :math:`e_0, \ldots, e_k` is :math:`e_0 + c \max_i(\alpha_i u + \beta_i)` if all differences from :math:`e_0` are
+affine in one control u, with a common factor c >= 0 of anything else. The largest of those lines is one line, and more
+of it beyond each corner, where the next line takes over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,23 +20,11 @@ from gnc_opt.model.composed_controls import SplitControl
 from gnc_opt.model.expressions import replaced
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable
-from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, free, intersect
-from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn, is_affine
+from gnc_opt.planning.problem.interval import free
+from gnc_opt.planning.problem.interval_arithmetic import Domain, drawn
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_data import Restatement
-from gnc_opt.planning.problem.reformulation.epigraph import (
-    Extremum,
-    Pieces,
-    is_smooth,
-    kinks_of_rates,
-    kinks_that_cost,
-    kinks_that_drain,
-    kinks_that_limit,
-    limited_sense,
-    pieces,
-    rows_of,
-)
+from gnc_opt.planning.problem.reformulation.epigraph import Extremum, Pieces, kinks_that_cost
 from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_name
 from gnc_opt.planning.problem.reformulation.vector_norms import stated_controls
 from gnc_opt.planning.problem.statement import Statement
@@ -79,17 +61,7 @@ class Bend:
     def of(
         cls, node: Any, sense: int, found: Pieces, controls: Mapping[int, Any], domain: Domain
     ) -> Bend | None:
-        """Return the bend that a kink is; None if it is of several controls, or where it bends is no number.
-
-        Parameters
-        ----------
-        sense : int
-            1 if it is the largest of the pieces, -1 if it is the least.
-        found : list of casadi.SX
-            The pieces.
-        controls : mapping
-            Symbols of the controls in question by their places.
-        """
+        """Return the bend that a kink is; None if it is of several controls, or where it bends is no number."""
         gaps = ca.vertcat(*(sense * (e - found[0]) for e in found))
         for place, u in controls.items():
             slopes = ca.jacobian(gaps, u)
@@ -150,78 +122,11 @@ def corners_of(bends: Iterable[Bend]) -> tuple[float, ...]:
     return tuple(sorted({corner for bend in bends for corner in bend.corners}))
 
 
-BoundsByHand: TypeAlias = dict[str, Interval]
-"""Of all controls, by the path constraint that says them."""
-
-
-def bounds_by_hand(leg: Phase, domain: Domain) -> BoundsByHand:
-    """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
-    symbols = ca.vertsplit(leg.model.symbols("control"))
-    controls = {place: symbols[place] for place in stated_controls(leg).values()}
-    found = {name: _bounds(c, controls, free(len(symbols)), domain) for name, c in leg.paths.items()}
-    return {name: box for name, box in found.items() if box is not None}
-
-
-def bound_controls(leg: Phase, found: BoundsByHand) -> None:
-    """Give controls the bounds that path constraints amount to, in place of those."""
-    box = leg.numbers.controls
-    for own in found.values():
-        box = intersect(box, own)
-    leg.numbers = replace(leg.numbers, controls=box)
-    leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
-    texts = tuple(f"'{name}' is solved for as bounds of controls" for name in found)
-    leg.restatement = Restatement.of_limits(leg.model, texts).after(leg.restatement)
-
-
-def _bounds(
-    constraint: Constraint, controls: dict[int, Any], box: Interval, domain: Domain
-) -> Interval | None:
-    for i, row in enumerate(rows_of(constraint.expression)):
-        sense = limited_sense(constraint, i)
-        own = pieces(row, sense, domain) if sense and not is_smooth(row) else None
-        if own is None:
-            return None
-        limit = constraint.interval.upper[i] if sense > 0 else constraint.interval.lower[i]
-        for piece in own:
-            place, slope, offset = _line(piece, controls)
-            if place is None:
-                return None
-            end = (limit - offset) / slope
-            if sense * slope > 0:
-                box.upper[place] = min(box.upper[place], end)
-            else:
-                box.lower[place] = max(box.lower[place], end)
-    return box if np.all(box.lower <= box.upper) else None
-
-
-def _line(piece: Any, controls: dict[int, Any]) -> tuple[int | None, float, float]:
-    """Return the control that a piece is an affine function of alone, its slope and the rest; None if it is not."""
-    own = ca.symvar(piece)
-    place = next((i for i, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
-    if place is None or not is_affine(piece, own[0]):
-        return None, 0.0, 0.0
-    rest = ca.substitute(piece, own[0], 0.0)
-    slope, offset = drawn(ca.vertcat(ca.jacobian(piece, own[0]), rest))[:, 0]
-    return place, float(slope), float(offset)
-
-
-Place: TypeAlias = tuple[str, str, int]
-"""Whether of an integral or of a path constraint, its name, and the row."""
-
-
 @dataclass(frozen=True, eq=False)
 class Bends:
-    """The bends of a phase that splitting controls straightens.
+    """The bends of integrals that splitting controls removes, by integral, and corners by the place of the control."""
 
-    Attributes
-    ----------
-    at : dict of list of Bend
-        By where they are.
-    corners : dict of tuple of float
-        By the place of the control.
-    """
-
-    at: dict[Place, list[Bend]]
+    at: dict[str, list[Bend]]
     corners: dict[int, tuple[float, ...]]
 
     @classmethod
@@ -234,32 +139,18 @@ class Bends:
             tried = (Bend.of(k.node, k.sense, k.pieces, controls, domain) for k in kinks)
             return [bend for bend in tried if bend is not None]
 
-        pushed: dict[Place, list[Bend]] = {
-            ("integral", name, 0): bends(kinks)
-            for name, kinks in kinks_that_cost(problem, leg, domain).items()
-        }
-        pushed |= {
-            ("rate", name, 0): bends(kinks) for name, kinks in kinks_that_drain(problem, leg, domain).items()
-        }
+        pushed = {name: bends(kinks) for name, kinks in kinks_that_cost(problem, leg, domain).items()}
         corners = _corners(leg.model.controls, [bend for own in pushed.values() for bend in own])
-        others: dict[Place, list[Bend]] = {
-            ("path", *place): bends(kinks) for place, kinks in kinks_that_limit(problem, leg, domain).items()
-        }
-        if corners:
-            others |= {
-                ("rate", name, 0): bends(kinks)
-                for name, kinks in kinks_of_rates(problem, leg, domain).items()
-            }
         kept = {
-            place: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
-            for place, own in (pushed | others).items()
+            name: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
+            for name, own in pushed.items()
         }
-        return cls({place: own for place, own in kept.items() if own}, corners)
+        return cls({name: own for name, own in kept.items() if own}, corners)
 
     @property
     def key(self) -> tuple[Any, ...]:
         """The same for the same form."""
-        return tuple((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
+        return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
 
 
 def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
@@ -304,44 +195,32 @@ class SplitForm(PhaseForm):
 
         symbols = ca.vertsplit(old.symbols("control"))
 
-        def straight(expression: Any, place: Place) -> Any:
+        def straight(name: str, expression: Any) -> Any:
             known = {
                 b.node.element_hash(): b.expressed(symbols[b.place], beyond[b.place])
-                for b in bends.at.get(place, ())
+                for b in bends.at.get(name, ())
             }
             return split(replaced(expression, known))
 
-        def limited(name: str, c: Constraint) -> Constraint:
-            rows = (straight(row, ("path", name, i)) for i, row in enumerate(rows_of(c.expression)))
-            return replace(c, expression=ca.vertcat(*rows))
-
-        drains = {place: own for place, own in bends.at.items() if place[0] == "rate"}
-        drained = {
-            b.node.element_hash(): b.expressed(symbols[b.place], beyond[b.place])
-            for own in drains.values()
-            for b in own
-        }
-        relied = {layout.labels[b.place] for own in drains.values() for b in own}
         lengths = {v.length for v in leg.vectors}
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
         return cls(
             old.in_controls(
                 list(_new_controls(old, parts)),
                 [(c, split(ca.SX(old.symbol(c.name)))) for c in splits],
-                lambda expression: split(replaced(expression, drained)),
+                split,
             ),
-            {name: c if name in lengths or not c.size else limited(name, c) for name, c in leg.paths.items()},
             {
-                name: (symbol, straight(e, ("integral", name, 0)))
-                for name, (symbol, e) in leg.integrands.items()
+                name: c if name in lengths or not c.size else replace(c, expression=split(c.expression))
+                for name, c in leg.paths.items()
             },
+            {name: (symbol, straight(name, e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
                 old,
                 stated,
                 split(stated),
                 _values(old, splits),
                 tuple(map(_told, splits)),
-                tuple(c.name for c in splits if relied & set(c.variable.labels)),
             ),
             tuple(splits),
         )

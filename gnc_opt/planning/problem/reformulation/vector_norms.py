@@ -1,13 +1,7 @@
-r"""The form of a phase whose norm is that of a vector control: all of it but the numbers.
-
-Detection of the explicit control norms of a phase.
-
-Limits of a norm by constraints: a range of numbers, or another control as its largest value.
-
-Upper limits of roots that may vanish, without the root.
+r"""The form of a phase with vector controls in place of explicit norms of its controls, and limits without roots.
 
 :math:`\sqrt{S} \le c` holds where :math:`S / (2 c) + c / 2 \le c` does. Both sides and their gradients are the same at
-the limit, hence multipliers too; but the root has no derivative where S is zero, as the speed of what is at rest.
+the limit, hence multipliers too; but the root has no derivative where S is zero.
 """
 
 from __future__ import annotations
@@ -34,7 +28,6 @@ from gnc_opt.planning.problem.reformulation.phase_form import PhaseForm, free_na
 from gnc_opt.tolerances import EQUAL
 
 Places: TypeAlias = tuple[int, ...]
-"""Of components among the controls."""
 
 
 def norm_by_hand(leg: Phase) -> Places | None:
@@ -99,10 +92,7 @@ def _hash(symbol: Any) -> int:
 
 
 def _squared(leg: Phase) -> Iterator[Places]:
-    """Yield vectors whose squared norm is limited at zero slope, or from below without a user's guess.
-
-    A guess beyond a limit from below is out of its hole, where derivatives lead on.
-    """
+    """Yield vectors whose squared norm is limited at zero slope, or from below without a user's guess."""
     guessed = guessed_controls(leg)
     names = [v.name for v in leg.model.controls.variables for _ in range(v.size)]
     stated, controls = set(stated_controls(leg).values()), leg.model.symbols("control")
@@ -136,10 +126,7 @@ _SIZES = (0.7, 1.3, 2.1)
 
 
 def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
-    """Return the range of a norm that limits of a scalar expression of it, linear or quadratic, amount to.
-
-    None if the expression is of other things, too, or the range is empty.
-    """
+    """Return the range of a norm that limits of a linear or quadratic expression of it alone amount to, else None."""
     if any(s.element_hash() != size.element_hash() for s in ca.symvar(expression)):
         return None
     value = ca.Function("value", [size], [expression])
@@ -154,10 +141,7 @@ def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, floa
 
 
 def limiting_control(leg: Phase, expression: Any, size: Any, limits: Interval) -> int | None:
-    """Return the place of the control that a constraint says is the most that a norm may be, or is the norm.
-
-    It is >= 0, so that it can take the place of the magnitude.
-    """
+    """Return the place of the control >= 0 that a constraint makes the largest value of a norm, or equal to it."""
     model = leg.model
     controls = {s.element_hash(): i for i, s in enumerate(ca.vertsplit(model.symbols("control")))}
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
@@ -237,15 +221,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Vector:
-    """The controls that a vector is of, and those that take their place.
-
-    Attributes
-    ----------
-    model : Model
-        As it was.
-    places : tuple of int
-        Of the components among the controls.
-    """
+    """The components of controls, by their places, that make up a vector of a model."""
 
     model: Model
     places: Places
@@ -296,14 +272,14 @@ class Form(PhaseForm):
     Attributes
     ----------
     rest : Symbol or None
-        Remainder of controls that were split.
+        Remaining components of the controls that were replaced.
     product : casadi.SX
         The vector as magnitude times direction.
     limits : tuple of float
-        Limits of the norm, from the constraints that were removed.
+        Of the norm, from the constraints that were removed.
     on_sphere : bool or None
-        True if a shorter vector could violate a limit; False if the norm may be less than the magnitude (the
-        stated quantity); None if `Phase.on_sphere` decides.
+        True if a shorter vector could violate a limit; False if the norm may be less than the magnitude; None if
+        `Phase.on_sphere` decides.
     """
 
     vector: Vector
