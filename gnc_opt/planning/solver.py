@@ -1,7 +1,4 @@
-"""solve: from a stated problem to an accurate solution with its optimality check.
-
-Resolver: solving a problem again and again with other numbers, near a solution that is known.
-"""
+"""solve: from a stated problem to an accurate solution with its optimality check; Resolver: variations of a problem."""
 
 from __future__ import annotations
 
@@ -38,34 +35,29 @@ from gnc_opt.planning.transcription.scheme import GAUSS, Scheme, family_of
 class Resolver:
     """Solve variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from one solution of it.
 
-    The ways, tried in this order:
+    The methods, tried in this order:
 
     ============  ============================================================  ========================================
-    way           where                                                         how
+    method        applies to                                                    computation
     ============  ============================================================  ========================================
-    SWITCH_TIMES  one phase, every control on a bound, all conditions at       Newton's method on switch times, arcs
-                  the ends are equalities                                       dropped and added as signs ask
+    SWITCH_TIMES  one phase, every control on a bound, all conditions at       Newton's method on switch times, to 1e-9
+                  the ends are equalities                                       in the cost
     WARM          all else                                                      its arcs or mesh, and multipliers, by
                                                                                 IPOPT; refined if it was refined
-    COLD          where the others give up                                      `solve` as if nothing were known
+    COLD          where the others fail                                         `solve` without a guess
     ============  ============================================================  ========================================
 
-    SWITCH_TIMES gives the flight itself, integrated with its switches, and not a collocated solution: its cost is
-    right to 1e-9 by an estimate from two grids, switch times to the root of that in shares of the phase, and no
-    limit is exceeded, or it gives up.
-    WARM, from a refined solution, is within ``tol``; if the arcs are others or the mesh had to be refined, it also
-    passes the verdict, which it carries then, or it gives up. All else is checked by `verify` only.
-    Both find a local minimum, as a rule that next to the known one; COLD may find another. What was compiled,
-    transcribed and differentiated serves all solves. One object must not be used by two threads at once.
+    WARM is within ``tol`` if the solution was refined; if arcs or mesh changed, it carries its verdict. The first two
+    find a local minimum, usually the nearest. One object must not be used by two threads at once.
 
     Parameters
     ----------
     solution : Solution
         A solved one, with its problem.
     tol : float, optional
-        For solutions from the start; default: that which the solution was refined to; None if it was not.
+        For cold solutions; default: that which the solution was refined to; None if it was not.
     cold : bool
-        Whether to solve from the start where the other ways fail, which takes its time.
+        Whether to solve from the start where the other methods fail.
 
     Raises
     ------
@@ -100,8 +92,7 @@ class Resolver:
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `SolveMethod` it was found.
 
-        A variation may begin on the way of the known one, ``problem.with_time(initial=t).with_initial(...)``: what of
-        it lies after that time is the start.
+        A variation may begin along the known trajectory: ``problem.with_time(initial=t).with_initial(...)``.
 
         Parameters
         ----------
@@ -112,12 +103,9 @@ class Resolver:
         Raises
         ------
         ProblemError
-            The problem, or what it is to start near, is no variation of the one that the resolver knows; or it is not
-            well stated.
+            The problem, or ``near``, is no variation of the one that the resolver knows, or is not well stated.
         SolveError
-            No way has led to a solution.
-        KeyboardInterrupt
-            Ctrl-C before anything was solved; while it is solved from the start see `solve`.
+            No method has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
         stated, problem = problem, restated(problem)
@@ -205,33 +193,23 @@ def solve(
 ) -> Solution:
     """Solve an optimal control problem by collocation, refine the solution, and check that it is optimal.
 
-    What is printed of the solution says whether it is ok, a minimum, or which condition of the verdict is open;
-    `verify` returns that verdict without another check.
-
     Parameters
     ----------
     problem : Problem
     mesh : Mesh, str or mapping, optional
-        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. Refining only starts
-        from it: for the solution on this very mesh give ``tol=None``.
+        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. Refinement starts from
+        it; ``tol=None`` keeps it.
     scheme : {"LG", "LGR", "LGL"}
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
-        Start from states, controls and multipliers of an earlier solution, on any mesh; ``provenance["way"]`` of the
-        answer says how. If it is the refined solution of a variation (`Problem.with_initial`, ...), and neither mesh
-        nor options are given, its arcs or its mesh serve on, to the tolerance it was refined to; without a tolerance
-        and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
-        see `Resolver`. If these do not converge, it is refined and checked anew, from the mesh that the guess was
-        refined from, and if that does not converge, from the start. Without a guess the problem's own guess and
-        straight lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible,
-        the constraints are met first and the cost is lowered afterwards, see `gnc_opt.planning.direct.solve_mesh`.
+        Start from states, controls and multipliers of an earlier solution, on any mesh. If it is the refined solution
+        of a variation (`Problem.with_initial`, ...), and neither mesh nor options are given, its arcs or mesh are used
+        again, as by `Resolver`; if that fails, refinement starts anew. By default the problem's own guess and straight
+        lines; see `gnc_opt.planning.direct.solve_mesh`.
     tol : float, "auto" or None
-        Refine until the error between the nodes is below this, and check the result; see `refine`. A solution that
-        does not converge is compared with another one; see `gnc_opt.planning.direct.solve_mesh`. None:
-        one solve on the
-        given mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a
-        variation was refined
-        to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
+        Refine until the error between the nodes is below this, and check the result; see `refine`. None: one solve on
+        the given mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` that which a variation
+        was refined to, and None with any other.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     check : bool
@@ -244,10 +222,8 @@ def solve(
     progress : bool
         Show iterations while solving.
     throw : bool
-        Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, its
-        ``status`` says what happened and ``violations`` name the worst constraints. An interrupted solve
-        (Ctrl-C, time limit) never raises; interrupted while refining, the best solution so far is returned. Only while
-        the arcs of a guess are followed there is none yet, and Ctrl-C raises ``KeyboardInterrupt``.
+        Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, with its
+        ``status`` and ``violations``. An interrupted solve (Ctrl-C, time limit) returns the best solution so far.
 
     Returns
     -------
@@ -319,11 +295,7 @@ def said(solution: Solution, way: SolveMethod) -> Solution:
 
 
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
-    """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
-
-    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and checked only if
-    these are others.
-    """
+    """Return the solution of a variation of a known one, or None; in a loop checked only if arcs or mesh changed."""
     if not _is_variation(problem, known):
         return None
     if in_a_loop:
@@ -360,11 +332,7 @@ def _is_variation(problem: Problem, known: Solution) -> bool:
 
 
 def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
-    """Return what refining leads to where arcs and mesh of a known solution are no longer right.
-
-    Refinement begins with the mesh that the known ones were refined from, which finds the new ones sooner. If it
-    does not converge, the problem is solved from the start.
-    """
+    """Return the refinement from the mesh that the known solution was refined from, or else a cold solution."""
     meshes, start = first_meshes(known), on_the_way(known, problem)
     warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
     if warm.status is Status.INTERRUPTED:

@@ -109,11 +109,7 @@ class SolveWatch:
 
 
 class Monitor(ca.Callback):  # type: ignore[misc]
-    """The `iteration_callback` of `nlpsol`: passes each iterate to the run and stops the solver on request.
-
-    It reads the solver's memory through buffers, which is several times cheaper than CasADi matrices. The
-    iterate itself is not kept, since `nlpsol` returns the last one when it is stopped.
-    """
+    """The `iteration_callback` of `nlpsol`: passes each iterate, by buffers, to the run and stops it on request."""
 
     def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
         super().__init__()

@@ -26,13 +26,10 @@ _IPOPT_LINEAR_SOLVERS = (
     "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
 )  # fmt: skip
 
-# By default MUMPS permutes and scales all matrices by the numbers of the first one. Where these are untypical, later
-# factorisations fill up: on some problems of the benchmarks iterations then take 10 to 100 times as long. Without,
-# badly scaled problems need pivots better than IPOPT's 1e-6. On ordinary problems the two cost about 5 %.
+# By default MUMPS permutes and scales all matrices by the numbers of the first one, which may be untypical.
 _MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
 
-# From this many variables and constraints on MUMPS orders by METIS, which bears a dense row (a free final time) badly:
-# approximate minimum degree with quasi-dense rows needs half the time for the analysis and up to 40 % less afterwards.
+# From this size on MUMPS orders by METIS, which is slow with a dense row (a free final time).
 _LARGE_PROGRAM_VARIABLES = 10_000
 
 _MUMPS_LARGE = {"mumps_pivot_order": 6}
@@ -55,8 +52,7 @@ class SolverOptions:
     solver
         CasADi `nlpsol` plugin.
     linear_solver
-        IPOPT's linear solver. All but "mumps" and "spral" must be installed by the user; "ma97" is reached
-        only through `extra`, since IPOPT crashes the process where it is missing.
+        IPOPT's linear solver. All but "mumps" and "spral" must be installed by the user.
     tolerance
         On the scaled optimality conditions (IPOPT `tol`; `tol_pr` and `tol_du` of the SQP methods).
     max_iterations
@@ -64,11 +60,10 @@ class SolverOptions:
     max_wall_time
         Limit in s; None for no limit. Looked at once per iteration.
     bound_relax
-        IPOPT's `bound_relax_factor`. Zero, because IPOPT would otherwise widen every bound by 1e-8, and a
-        trajectory with a little more thrust than there is has a minimum time better than the true one.
+        IPOPT's `bound_relax_factor`. Zero: IPOPT's own 1e-8 would let trajectories exceed their limits.
     careful_pivoting
-        Have MUMPS scale rows and columns and pivot at 1e-2 instead of IPOPT's 1e-6: some 20 % slower per iteration,
-        and what nearly singular systems need. None: on meshes with movable boundaries only.
+        Have MUMPS scale rows and columns and pivot at 1e-2, for nearly singular systems. None: on meshes with movable
+        boundaries only.
     mu_init
         First barrier parameter of IPOPT; None for 0.1 cold (IPOPT's own) and 1e-6 warm.
     extra
@@ -163,20 +158,12 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
 
 
 def _complementarity(tolerance: float) -> float:
-    """Return IPOPT's `compl_inf_tol`, which also ends the barrier parameter's descent.
-
-    The barrier keeps every bounded variable off its bound: at mu = tolerance a bang-bang time of 240 nodes is 1e-8
-    too long, and multipliers per unit of time are off by mu over the quadrature weight. Two digits more cost about
-    one iteration in a hundred; below 1e-11 rounding of slacks sets in.
-    """
+    """Return IPOPT's `compl_inf_tol`, which also ends the barrier's descent: smaller, for accurate multipliers."""
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
 def last_barrier(tolerance: float) -> float:
-    """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10.
-
-    A warm start that begins there has one barrier problem to solve, and no other after it.
-    """
+    """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10."""
     return _complementarity(tolerance) / (10.0 + 1.0)
 
 

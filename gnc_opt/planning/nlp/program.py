@@ -13,7 +13,7 @@ from gnc_opt.errors import ArgumentError
 
 @dataclass(frozen=True)
 class NlpProblem:
-    """A nonlinear programme, with or without its derivatives.
+    """A nonlinear programme, with or without its derivatives, in the signatures of CasADi 3.8's IPOPT interface.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ class NlpProblem:
     ------
     ArgumentError
         If a derivative does not have the signature above.
-
-    Notes
-    -----
-    The signatures are those of CasADi 3.8's IPOPT interface, which binds arguments by position and not by
-    name. Derivatives that are left out come from CasADi's automatic differentiation.
 
     Examples
     --------

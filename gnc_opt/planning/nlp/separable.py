@@ -29,10 +29,8 @@ class PointFunction:
 
     Attributes
     ----------
-    value : casadi.Function
-        (z, d) -> F, shape (n_rows, 1).
-    jacobian : casadi.Function
-        (z, d) -> F, dense vector of the nonzeros of dF/dz; the two share most of their operations.
+    value, jacobian : casadi.Function
+        (z, d) -> F, shape (n_rows, 1); with the second, a dense vector of the nonzeros of dF/dz.
     hessian : casadi.Function
         (z, d, m) -> dense vector of the nonzeros of the upper triangle of d2(m.F)/dz2.
     jacobian_pattern, hessian_pattern : (rows, columns)
@@ -94,13 +92,7 @@ class PointBlock:
 
 @dataclass(frozen=True)
 class SeparableProgram:
-    """The rows of a partially separable program, in physical units.
-
-    Attributes
-    ----------
-    linear : scipy.sparse.coo_array (n_rows, n_variables)
-        C.
-    """
+    """The rows of a partially separable program, in physical units; ``linear`` is C, (n_rows, n_variables)."""
 
     linear: Any
     blocks: tuple[PointBlock, ...]

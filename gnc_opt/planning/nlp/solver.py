@@ -109,18 +109,12 @@ class NlpResult:
         Objective.
     lam_x, lam_g
         (nx,) and (ng,): multipliers; grad f + J^T lam_g + lam_x = 0 at a solution.
-    status
-        How it ended, and what to do about it.
-    raw_status
-        The solver's own word for it.
+    status, raw_status
+        How it ended, and the solver's own word for it.
     iterations
         Number of iterations.
-    wall_time
-        In s, without the time to set the solver up.
-    function_time
-        In s, spent in the objective, the constraints and their derivatives.
-    linear_solver_time
-        In s, what remains of the wall time without functions and callback: linear algebra and line search.
+    wall_time, function_time, linear_solver_time
+        In s, without the time to set the solver up: in all, in functions and derivatives, and what remains.
 
     Examples
     --------
@@ -158,15 +152,14 @@ class NlpResult:
 class NlpSolver:
     """Solve one NLP many times: for other bounds, parameters and guesses, cold or warm.
 
-    IPOPT takes its options when it is created, so each way to start has an instance of its own, created when it is
-    first needed. One object must not be used by two threads at once.
+    One object must not be used by two threads at once.
 
     Parameters
     ----------
     problem
         The programme.
     options
-        What to ask of the solver.
+        Of the solver.
 
     Examples
     --------
@@ -194,10 +187,7 @@ class NlpSolver:
         callback: ProgressCallback | None = None,
         deadline: float | None = None,
     ) -> NlpResult:
-        """Solve once.
-
-        Ctrl-C ends the solve after the running iteration and returns the last iterate with
-        `Status.INTERRUPTED`; a second Ctrl-C acts as it does everywhere else.
+        """Solve once; Ctrl-C returns the last iterate with `Status.INTERRUPTED`.
 
         Parameters
         ----------
@@ -219,10 +209,6 @@ class NlpSolver:
         ------
         ArgumentError
             If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
-        RuntimeError
-            If a plugin other than IPOPT breaks down instead of reporting its failure.
-        Exception
-            Whatever `callback` raises.
         """
         arguments = point.arguments(self.problem)
         box_x = Box.of("x", arguments["lbx"], arguments["ubx"])
@@ -232,13 +218,7 @@ class NlpSolver:
         return self._run(way or point.way, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
-        """Create what solves from such a point, if it has not been needed before.
-
-        Raises
-        ------
-        ArgumentError
-            If the plugin refuses its options.
-        """
+        """Create the solver for such a start, if it has not been needed before."""
         self._instance(way or point.way)
 
     def deadline(self) -> float:

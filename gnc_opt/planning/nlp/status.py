@@ -137,19 +137,7 @@ _FROM_WORD: dict[str, Status] = {
 
 
 def status_from_stats(stats: Mapping[str, object]) -> Status:
-    """Translate the `stats()` of a CasADi `nlpsol` into a `Status`.
-
-    Parameters
-    ----------
-    stats
-        Of any plugin. IPOPT's `return_status` names are looked up first (other plugins borrow many of them),
-        then keywords in that name (SLEQP calls "unbounded" a success), then `success`, then
-        `unified_return_status`.
-
-    Returns
-    -------
-    Status
-        `Status.FAILED` if nothing in `stats` is known.
+    """Translate the `stats()` of a CasADi `nlpsol` into a `Status`; FAILED if nothing in it is known.
 
     Examples
     --------

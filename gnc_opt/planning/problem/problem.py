@@ -38,7 +38,7 @@ from gnc_opt.text import heading, table
 
 
 def problem_fingerprint(problem: Statement) -> str:
-    """Return a hash of functions, names and numbers that define the problem (hex, 16 digits), not of guesses or scales."""
+    """Return a hash of functions, names and numbers that define the problem, without guesses, scales and held arcs."""
     digest = hashlib.sha256()
     digest.update(repr((problem.sense, _names(problem.parameters), problem.constraint_labels())).encode())
     for leg in problem.phases.values():

@@ -54,23 +54,14 @@ SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class MovedSolution:
-    """A solution moved to another problem of its family.
-
-    Attributes
-    ----------
-    guess : Solution
-        To start from.
-    variables : array (n_variables,)
-        Of the guess in its program, physical.
-    scales : array (n_variables,)
-    """
+    """A predicted solution as a guess, its variables in its program, physical, and their scales (n_variables,)."""
 
     guess: Solution
     variables: Array
     scales: Array
 
     def miss(self, found: Solution) -> float:
-        """Return by how much the prediction was wrong: its largest error, in shares of the variables' scales."""
+        """Return the largest error of the prediction, in shares of the variables' scales."""
         here = _start(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:
             return 0.0  # on another mesh, by a refinement: nothing to compare
@@ -78,19 +69,10 @@ class MovedSolution:
 
 
 def predict(problem: Problem, last: Solution, before: Solution | None, ratio: float) -> MovedSolution:
-    """Return where the solution is likely to go for ``problem``.
+    """Return where the solution is likely to go for ``problem``, from the ``last`` one and the one ``before`` that.
 
-    By the sensitivities of the last solution, if both problems are variations of one another (`with_parameters`,
-    `with_initial` and their like); else, or where they are not determined, along the line through the last two.
-
-    Parameters
-    ----------
-    problem : Problem
-        The next one.
-    last, before : Solution
-        Of the last problem and of the one before that.
-    ratio : float
-        Length of this step over that of the last one.
+    By the sensitivities of the last solution, if both problems are variations of one another; else along the line
+    through both, ``ratio`` being the length of this step over that of the last one.
     """
     problem = restated(problem)
     transcription, start = _start(problem, last)
@@ -163,10 +145,8 @@ class Change:
     ----------
     numbers : array (n_numbers,)
         Of model parameters and fixed times, in the order of ``Transcription.numbers``.
-    limits : array (n_variables,)
-        Of the active limits of variables.
-    row_limits : array (n_constraints,)
-        Of the active limits of rows.
+    limits, row_limits : array (n_variables,), (n_constraints,)
+        Of the active limits of variables and rows.
     """
 
     numbers: Array
@@ -184,11 +164,6 @@ class Response:
 
 class KktPoint:
     """A solution as a point of its program, with the system of first-order conditions factorised.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solved, with its problem.
 
     Raises
     ------
@@ -212,10 +187,7 @@ class KktPoint:
         return self._converge() or self._wrong_limit()
 
     def _converge(self) -> str:
-        """Newton's method on the conditions, so that derivatives belong to the exact minimum of the program.
-
-        Returns what is wrong if it fails, else nothing.
-        """
+        """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
         best = np.inf
         for _ in range(_KKT_REFINEMENT_STEPS):
             self._factorise()
@@ -242,9 +214,7 @@ class KktPoint:
         self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
 
     def _wrong_limit(self) -> str:
-        """Return a description if a multiplier has the wrong sign or a limit is violated at the new point;
-        else "".
-        """
+        """Return which multiplier has the wrong sign or which limit is violated now; else an empty text."""
         culprits = [
             limits.labels[i]
             for limits, values, multipliers in self._sides()

@@ -48,12 +48,10 @@ _RELAXATION_GUESS_TIMES = 201
 def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 
-    If the problem is convex, or linear and time-optimal with an equilibrium as target, the first-order
-    conditions are sufficient for a global minimum: its own cost is the bound. Otherwise states on which the
-    others do not depend are dropped with their limits (the position of a spacecraft whose attitude does not
-    depend on it). Each remaining part with all states of the cost is solved from the trajectory as a guess,
-    refined and verified. The highest bound counts, certified ones first. An uncertified part gives the value
-    of a local minimum, which is a bound only if no other is lower; see ``bound.certified``.
+    If the problem is convex, or linear and time-optimal with an equilibrium as target, its own cost is the bound.
+    Otherwise states on which the others do not depend are dropped with their limits. Each remaining part with all
+    states of the cost is solved from the trajectory as a guess, refined and verified. The highest bound counts,
+    certified ones first. An uncertified one is the value of a local minimum; see ``bound.certified``.
 
     Parameters
     ----------
@@ -66,13 +64,6 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     -------
     Solution
         The same numbers. ``bound`` is None if nothing can be dropped, or no part was solved to an ok verdict.
-
-    Raises
-    ------
-    GncOptError
-        The solution has no problem.
-    ProblemError
-        ``tol`` is not positive.
 
     Examples
     --------

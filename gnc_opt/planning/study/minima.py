@@ -59,9 +59,7 @@ class Minimum:
 
     @property
     def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
-        """Status of the objective: refined and accepted by the verdict, rejected by it, or of the coarse
-        mesh.
-        """
+        """Whether the objective passed the optimality check, failed it, or is that of the coarse mesh."""
         if self.verdict_ok:
             return "ok"
         return "NOT ok" if self.refined else "coarse"

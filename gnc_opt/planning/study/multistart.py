@@ -1,12 +1,9 @@
 """multistart: solves from many initial guesses to find the best of several local minima.
 
-Starts differ in what separates local minima: durations over decades, whole turns of angles, ways past obstacles, phases
-of periodic motion, switches of controls (`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a
-coarse mesh; a solution that its integrated dynamics do not confirm, once more on halved segments. Equal solutions are
-merged. The best distinct minima are refined, verified and merged again: several discretisations may approximate one
-minimum, and some are spurious.
-
-Refinement of a coarse minimum to exact switch times or on finer meshes, and its verification.
+Starts differ in durations, whole turns of angles, ways past obstacles and switches of controls
+(`gnc_opt.planning.problem.guess.perturbation`). Every start is solved on a coarse mesh; a solution that its integrated
+dynamics do not confirm, once more on halved segments. Equal solutions are merged; the best distinct minima are refined,
+verified and merged again.
 """
 
 from __future__ import annotations
@@ -42,25 +39,20 @@ MOST_POINTS = 1000
 """Of a phase on a refined mesh."""
 
 MOST_PASSES = 20
-"""Of one refinement. Structures that are worth anything stand after fewer."""
+"""Of one refinement."""
 
 WORTHWHILE = 4
-"""Growth of the mesh beyond which a minimum is left unrefined whose controls switch without a structure that the
-verdict accepts: the mesh would grow for minutes and prove nothing."""
+"""Growth of the mesh beyond which a minimum without an accepted structure of its switches is left unrefined."""
 
 MISS = 0.1
-"""A collocation solution is spurious if both its propagation misses the end and its defect between the nodes exceed
-this share of the states' magnitudes. (Either one alone may be due to unstable dynamics or to a coarse mesh.) On the
-rendezvous, 10 x 4 points, spurious solutions have 0.3 and 0.8 at least, others 0.03 and 0.4 at most."""
+"""A collocation solution is spurious if both its propagation error and its defect between nodes exceed this share of
+the states' magnitudes. On the rendezvous, 10 x 4 points, spurious solutions have at least 0.3 and 0.8.
+"""
 
 
 @dataclass(frozen=True)
 class Refining:
-    """Refine and verify a minimum; return it unchanged if that fails or gives a spurious solution.
-
-    Exact switch times are tried first; where controls do not switch or the verdict rejects the outcome, the mesh is
-    refined ("auto").
-    """
+    """Refine and verify a minimum, to exact switch times first; return it unchanged if that fails."""
 
     structure: StructureChoice
     tol: float
@@ -91,12 +83,7 @@ class Refining:
         return by_mesh if by_mesh.verdict_ok or _error(by_mesh) < _error(found) else found
 
     def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
-        """Refine to exact switch times, from up to three places.
-
-        A coarse mesh does not resolve short arcs; a solution on halved segments shows more of the structure.
-        Refinement of a spurious coarse minimum gives a better trajectory that is not optimal; a second coarse
-        solve from there descends to a true minimum.
-        """
+        """Refine to exact switch times: from the coarse solution, from halved segments, and from the first result."""
         first = self._refined(minimum, coarse, "bang-bang")
         problem = coarse.problem
         if first.verdict_ok or problem is None:
@@ -175,13 +162,12 @@ Answer = TypeVar("Answer")
 COARSE_MESH = "20x3"
 
 PLAIN_BARRIER, NEAR_BARRIER = 1e-3, 1e-5
-"""First barrier parameters of plain starts and of every second start. IPOPT's own (0.1), for the rest, forgets the
-guess: it is the most likely to find the best minimum, and it finds little else. With a small one the solver stays near
-the guess, which finds the others: turns and durations with the larger one of the two, and with the smaller one large
-perturbations and full bangs about the duration of the best solution that the other starts lead to."""
+"""First barrier parameters of plain starts and of every second start, which keep the solver near the guess; the others
+have IPOPT's own, 0.1, which is the most likely to find the best minimum.
+"""
 
 COARSE_MAX_ITERATIONS = 200
-"""Of a coarse solve; a start that needs more is worth less than another start."""
+"""Of a coarse solve."""
 
 
 @dataclass(frozen=True)
@@ -221,13 +207,7 @@ class Multistart(Printed):
 
     @property
     def best(self) -> Minimum:
-        """The best minimum.
-
-        Raises
-        ------
-        GncOptError
-            There is none.
-        """
+        """The best minimum; raises `GncOptError` if there is none."""
         if not self.minima:
             raise GncOptError(
                 f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_listed(self.failures)}): "
@@ -280,14 +260,11 @@ def multistart(
 ) -> Multistart:
     """Solve a problem from many guesses and rank the distinct minima.
 
-    Which minima there are it cannot know: one that few guesses lead to is missed by as many seeds as chance will have.
-
     Parameters
     ----------
     problem : Problem or callable
-        The problem, or a function without arguments that builds it, such as ``functools.partial(build, case=2)``.
-        Problems hold symbols that cannot be sent to another process, so executors of processes need the function;
-        the default executor can do without where processes fork (Linux).
+        The problem, or a function without arguments that builds it, such as ``functools.partial(build, case=2)``, which
+        executors of processes need unless processes fork (Linux).
     n : int
         Starts. The first one is the problem's own guess, the others are random.
     seed : int
@@ -299,11 +276,9 @@ def multistart(
     refine : bool
         Whether to refine and verify the minima, or leave them on the coarse mesh.
     max_refined : int
-        Refine the best minima until so many distinct ones are known, and at most twice as many: some are minima of
-        the coarse mesh alone, which refining leads to others.
+        Refine the best minima until so many distinct ones are known, and at most twice as many.
     within : float, optional
-        Leave minima on the coarse mesh that are worse than the best by more than this share of its objective: they
-        will hardly become the best, and poor minima take longest. For objectives far from zero, such as times.
+        Leave minima on the coarse mesh that are worse than the best by more than this share of its objective.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
     options : SolverOptions, optional

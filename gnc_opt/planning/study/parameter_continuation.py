@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
 
@@ -16,7 +16,6 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.planning.direct.failure import SolveError
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.engine import refine
 from gnc_opt.planning.solution.solution import Solution
@@ -24,7 +23,6 @@ from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
-from gnc_opt.planning.verification.engine import verify
 from gnc_opt.text import Printed
 
 Family: TypeAlias = Callable[[float], Problem]
@@ -61,10 +59,8 @@ class Continuation(Printed):
     solutions : tuple of Solution
         One per value.
     status : ContinuationStatus
-        VANISHED if no solution was found beyond the last value, however small the step.
     events : tuple of str
-        What happened on the way: jumps to another branch (a bifurcation or fold lies between the values), structures
-        that changed, and where and how the solution vanished.
+        Jumps to another branch, changes of the structure, and where and how the solution vanished.
 
     Examples
     --------
@@ -94,13 +90,7 @@ class Continuation(Printed):
         return np.array([solution.objective for solution in self.solutions])
 
     def at(self, value: float) -> Solution:
-        """Return the solution at a value that was solved.
-
-        Raises
-        ------
-        ArgumentError
-            There is none.
-        """
+        """Return the solution at a value that was solved; raise `ArgumentError` if there is none."""
         near = np.flatnonzero(np.isclose(self.values, value, rtol=1e-9, atol=1e-12))
         if not near.size:
             raise ArgumentError(f"the continuation has no solution at {value}: its values are {self.values}.")
@@ -139,15 +129,14 @@ def continuation(
 ) -> Continuation:
     """Follow a solution along a parameter with adaptive steps.
 
-    Each step is predicted by the sensitivities of the last solution (if the problems are variations of one another,
-    such as ``lambda k: problem.with_parameters(k=k)``) or along the last two solutions, and corrected by a warm
-    solve on the same mesh. A step whose solve fails, or whose prediction was wrong by far, is taken again in halves;
-    one that was predicted well is followed by a longer one.
+    Each step is predicted by the sensitivities of the last solution (if the problems are variations of one another) or
+    along the last two solutions, and corrected by a warm solve. A step that fails, or was predicted badly, is halved;
+    the one after a good prediction is longer.
 
     Parameters
     ----------
     problem_of : callable
-        Returns the problem for a value; all with the same phases, states and controls.
+        Returns the problem for a value, such as ``lambda k: problem.with_parameters(k=k)``.
     values : sequence of float
         Where to start, what to visit, where to end: two or more, increasing or decreasing.
     step : float, optional
@@ -157,7 +146,7 @@ def continuation(
     first : Solution, optional
         At the first value; default: solved from its problem's guess.
     tol : float, optional
-        Refine every solution to this; a detected structure is reused while the verdict accepts it.
+        Refine every solution to this; detected arcs are used again, as by `solve`.
     mesh, scheme, options
         As in `solve`.
 
@@ -271,56 +260,24 @@ class _Walk:
     ) -> tuple[Solution, float]:
         """Return the solution at a value, and how wrong its prediction was."""
         problem, last = _read(self.problem_of, value), solutions[-1]
-        if last.structure:
-            problem = _with_structure(problem, last)
         before, ratio = None, 0.0
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])
         prediction = predict(problem, last, before, ratio)
-        options = self.options or SolverOptions(max_iterations=CONTINUATION_MAX_ITERATIONS)
-        found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
+        if self.tol is not None and last.structure:
+            found = solve(problem, guess=last, tol=self.tol, throw=False)
+        else:
+            options = self.options or SolverOptions(max_iterations=CONTINUATION_MAX_ITERATIONS)
+            found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
         if not found.status.solved:
             return found, np.inf
         miss = prediction.miss(found)
-        if self.tol is None:
+        if self.tol is None or last.structure:
             return found, miss
-        if last.structure:
-            if verify(found).ok:
-                return replace(found, structure=_moved(last, found), history=last.history), miss
-            problem = _read(self.problem_of, value)
-            again = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
-            if not again.status.solved:
-                return again, np.inf
-            found = again
         try:
             return refine(found, tol=self.tol), miss
         except GncOptError:
             return found, miss
-
-
-def _with_structure(problem: Problem, last: Solution) -> Problem:
-    """Return the problem with the arcs of a solution whose switch times were optimised."""
-    old = last.need_problem("continue")
-    for name, leg in old.phases.items():
-        held = leg.numbers.arcs
-        if held is not None:
-            arcs, paths, states = (
-                np.array(kinds) if kinds else None for kinds in (held.controls, held.paths, held.states)
-            )
-            problem = problem.with_fixed_arcs(
-                name, arcs=arcs, paths=paths, states=states, smooth=held.smooth, junctions=held.junctions
-            )
-    return problem
-
-
-def _moved(last: Solution, found: Solution) -> tuple[Arc, ...]:
-    """Return the arcs of the last solution at the times of another one with the same movable mesh."""
-    arcs = []
-    for arc in last.structure:
-        old, new = last.phases[arc.phase].breaks, found.phases[arc.phase].breaks
-        start, end = (float(new[int(np.argmin(np.abs(old - t)))]) for t in (arc.start, arc.end))
-        arcs.append(replace(arc, start=start, end=end))
-    return tuple(arcs)
 
 
 def _kinds(solution: Solution) -> tuple[object, ...]:

@@ -1,8 +1,7 @@
 """Relaxations: parts of a problem without the states on which the others do not depend.
 
-A set of states is closed if no derivative in it depends on a state outside, such as a spacecraft's attitude
-and rate without its position; the Jacobian sparsity shows this. Every feasible trajectory of the problem is
-feasible for the closed set. The minimum cost of the set, without the other states and their limits, is
+A set of states is closed if no derivative in it depends on a state outside, such as a spacecraft's attitude and rate
+without its position. Every feasible trajectory of the problem is feasible for the closed set, whose minimum cost is
 therefore a lower bound.
 """
 
@@ -25,17 +24,7 @@ from gnc_opt.planning.problem.problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """A problem of fewer states.
-
-    Attributes
-    ----------
-    problem : Problem
-        Variables keep their names; of vectors that are split the components that are left.
-    states : dict of str to array of bool
-        By phase, which components of its states are left.
-    controls : dict of str to array of bool
-        The same for its controls.
-    """
+    """A problem of fewer states, and by phase which components of states and controls are left."""
 
     problem: Problem
     states: dict[str, Mask]
@@ -117,14 +106,7 @@ def _at_ends(problem: Problem, expression: Any) -> Mask:
 
 
 class _Part:
-    """A phase restricted to a closed set of states.
-
-    Parameters
-    ----------
-    states : array (n_states,) of bool
-    integrals : array (n_integrals,) of bool
-        Those that the cost and the end conditions that are left need.
-    """
+    """A phase restricted to a closed set of states, with the integrals that the cost and the end conditions need."""
 
     def __init__(self, leg: Phase, states: Mask, integrals: Mask) -> None:
         self.leg, self.states = leg, states
@@ -234,11 +216,7 @@ def _stated(
 def _parameters(
     problem: Problem, relaxed: Problem, parts: list[_Part], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
-    """Declare the free parameters that are used; return old symbols and the new ones.
-
-    All of their components are used from there on, those of model parameters of the same name included: what would
-    not be declared there would be a constant of the relaxation.
-    """
+    """Declare the free parameters that are used, with all their components; return old symbols and the new ones."""
     before, after = [], []
     for name in problem.parameters.names:
         symbols = [problem.parameter_symbols()[problem.parameters.slice(name)]]

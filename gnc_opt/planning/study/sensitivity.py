@@ -2,8 +2,6 @@
 
 They are derivatives of the transcribed program (see `gnc_opt.planning.study.kkt_sensitivity`), hence of the continuous
 problem up to the error of its mesh. They hold while the same limits stay active.
-
-Result of `Solution.sensitivity`: derivatives of an optimal solution with respect to one quantity.
 """
 
 from __future__ import annotations
@@ -36,11 +34,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 
 @dataclass(frozen=True)
 class SignalSensitivity:
-    """Derivative of a state or control at fixed time, with respect to a quantity.
-
-    ``signal(t)`` returns what the state or control itself would; for a vector quantity one such value per
-    component, stacked along a new first axis. ``side`` picks the limit exactly at a segment boundary.
-    """
+    """Derivative of a state or control at fixed time, shaped like it; a vector quantity adds a first axis."""
 
     name: str
     scalar: bool
@@ -60,7 +54,7 @@ class PhaseSensitivity:
     ----------
     initial_time, final_time : float or array (n_components,)
     switching_times : array (n_movable,) or (n_components, n_movable)
-        Of the movable mesh boundaries, which are the switch times of a solution with optimised structure.
+        Of the free mesh boundaries.
     """
 
     name: str
@@ -160,9 +154,6 @@ def sensitivity(
 ) -> Sensitivity:
     """Differentiate the optimal solution with respect to one quantity.
 
-    ``sensitivity(solution, "k")``, ``sensitivity(solution, initial="q").objective``,
-    ``sensitivity(solution, time="final").state("q")(0.3)``.
-
     Parameters
     ----------
     solution : Solution
@@ -189,8 +180,7 @@ def sensitivity(
     ProblemError
         No quantity or several, an unknown one, or one that is optimised itself.
     GncOptError
-        No problem, not solved, or first-order conditions that do not determine the solution; the message names
-        the variable.
+        No problem, not solved, or first-order conditions that do not determine the solution.
 
     Warns
     -----

@@ -95,17 +95,12 @@ class Sweep(Printed):
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 
     def pareto(self, **senses: Literal["min", "max"]) -> list[dict[str, float]]:
-        """Return the points that no other one beats in all of the named quantities, in the order of the first.
+        """Return parameters and quantities of the points that no other one beats in all named quantities, sorted.
 
         Parameters
         ----------
         **senses : "min" or "max"
             By quantity, see `array`: ``sweep.pareto(final_time="min", fuel="min")``; two or more.
-
-        Returns
-        -------
-        list of dict
-            Parameters and quantities of each point.
         """
         if len(senses) < 2 or any(sense not in ("min", "max") for sense in senses.values()):
             raise ArgumentError(
@@ -126,13 +121,7 @@ class Sweep(Printed):
         ]
 
     def to_xarray(self) -> Any:
-        """Return an xarray.Dataset of objective, final time, iterations, ending and outputs over the grid.
-
-        Raises
-        ------
-        GncOptError
-            xarray is not installed.
-        """
+        """Return an xarray.Dataset of objective, final time, iterations, ending and outputs over the grid."""
         try:
             import xarray
         except ImportError as error:
@@ -181,8 +170,8 @@ def sweep(
     Parameters
     ----------
     problem_of : callable
-        Returns the problem for keyword arguments named as in ``grid``. Variations of one problem (`with_parameters` and
-        its like) are quickest; for executors of other processes it must be picklable, hence a function of a module.
+        Returns the problem for keyword arguments named as in ``grid``; for executors of other processes it must be
+        picklable, hence a function of a module.
     grid : mapping of str to sequence of float
     outputs : mapping of str to callable, optional
         Further quantities of a solution, evaluated with its problem: ``{"peak": lambda s: ...}``.
@@ -203,8 +192,6 @@ def sweep(
         are no functions.
     GncOptError
         The family cannot be sent to the executor's processes.
-    NameError, AttributeError, TypeError, ImportError
-        Of a function that is wrong at every point; what else a function raises is the ending of its point.
 
     Examples
     --------

@@ -1,6 +1,4 @@
-"""Constraints of prescribed arcs in the program: bounds of its variables and rows, and rows that keep
-controls smooth.
-"""
+"""Constraints of prescribed arcs in the program: bounds of its variables and rows, and rows of smooth controls."""
 
 from __future__ import annotations
 
@@ -21,8 +19,7 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 
 EASE = 0.1
-"""Share of its range by which an eased control may leave its bounds: enough to tell by how much its arc is too short,
-and near enough for H to bend as it does between the bounds."""
+"""Share of its range by which an eased control may leave its bounds."""
 
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
@@ -50,8 +47,7 @@ def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCo
 def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
     """Put the bounds of states at the start and the points of their arcs.
 
-    The state polynomial of a segment is fixed by its start and its points, so that the ends of the segments follow: a
-    bound there would be one too many. So would one at the start of a phase that is handed over on the bound.
+    These determine the ends of the segments, which get no bound; neither does a start that is handed over on the bound.
     """
     if not held.states:
         return
@@ -174,15 +170,7 @@ def junction_values(junction: Junction, paths: Interval, order: int | None) -> A
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """The controls of a segment and what they are at one of its ends.
-
-    Attributes
-    ----------
-    points : int array (m, n)
-        Variables; none, (m, 0), for a junction that says nothing of controls.
-    weights : array (n,)
-        Of the points, at the end.
-    """
+    """The controls of a segment, variables (m, n), or (m, 0), and weights (n,) for their values at one of its ends."""
 
     points: Indices
     weights: Array
@@ -208,10 +196,7 @@ def smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
 
 
 def smooth_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
-    """Return the control variables of some segments (N,), and rows (N - degree - 1, N) that annihilate polynomials.
-
-    The rows are an orthonormal basis of what is orthogonal, over the points, to all polynomials in time of the degree.
-    """
+    """Return control variables of some segments (N,) and orthonormal rows that annihilate polynomials in time."""
     mesh = collocation.mesh
     points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
     left = mesh.arc_starts[smooth.first]

@@ -32,13 +32,7 @@ from gnc_opt.planning.transcription.scheme import Family, Scheme, family_of
 
 @dataclass(frozen=True)
 class PhaseCollocation:
-    """Places of one phase's variables and rows in the program, and its constant matrices.
-
-    Attributes
-    ----------
-    first_variable, first_row : int
-        Where the phase starts in the vector of variables and of constraint rows.
-    """
+    """Places of one phase's variables and rows in the program, from the first on, and its constant matrices."""
 
     scheme: Scheme
     mesh: Mesh
@@ -218,12 +212,7 @@ class PhaseCollocation:
     def weights(self, n_outputs: int, dynamics: Indices, paths: Indices) -> tuple[Indices, Indices, Array]:
         """Entries (rows, point outputs, values) by which point values enter the rows.
 
-        Parameters
-        ----------
-        n_outputs : int
-            Rows of the point function.
-        dynamics, paths : int arrays
-            Places of Delta f and of the path constraints among those rows.
+        ``dynamics`` and ``paths`` are the places of Delta f and of the path constraints among the ``n_outputs``.
         """
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):

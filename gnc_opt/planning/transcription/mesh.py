@@ -28,8 +28,8 @@ class Mesh:
     degrees : tuple of int
         Collocation points of each segment, which is the degree of its state polynomial; K of them.
     movable : tuple of int
-        Indices of interior breaks whose times the solver may move, e.g. onto the switches of a bang-bang control.
-        The other breaks keep their place relative to their movable neighbours and the phase's ends.
+        Indices of interior breaks whose times the solver may move. The others keep their place relative to their
+        movable neighbours and the phase's ends.
 
     Raises
     ------
@@ -91,8 +91,7 @@ class Mesh:
             Increasing, including the phase's start and end (any unit).
         degree : int or sequence of K ints
         movable : bool
-            Whether the solver may move the interior boundaries: a bang-bang control's switch times then become
-            variables, and switches are met exactly.
+            Whether the solver may move the interior boundaries, e.g. onto the switch times of a bang-bang control.
         """
         t = read_numbers(times, "the times of a mesh", ProblemError).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
@@ -182,13 +181,7 @@ DEFAULT_MESH = Mesh.uniform(20, 4)
 def read_meshes(
     given: MeshLike | Mapping[str, MeshLike] | None, phases: Iterable[str], problem: str
 ) -> dict[str, Mesh]:
-    """Return a mesh for every phase from one for all, one for each, or none (the default).
-
-    Raises
-    ------
-    ProblemError
-        A phase has none, or what is given is no mesh.
-    """
+    """Return a mesh for every phase from one for all, one for each, or none (the default); or raise `ProblemError`."""
     if not isinstance(given, Mapping):
         return dict.fromkeys(phases, DEFAULT_MESH if given is None else _read_mesh(given))
     missing = [name for name in phases if name not in given]

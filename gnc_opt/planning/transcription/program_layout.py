@@ -26,13 +26,12 @@ from gnc_opt.planning.transcription.scheme import Scheme
 
 @dataclass(frozen=True)
 class PhasePart:
-    """Where a phase lives in the program.
+    """Where a phase is in the program.
 
     Attributes
     ----------
     times : int array (n_arcs + 1,)
-        Places of initial time, movable mesh boundaries and final time in the extended variables; >= n_variables
-        where fixed.
+        Places of initial time, movable mesh boundaries and final time; >= n_variables where fixed.
     """
 
     name: str

@@ -1,13 +1,11 @@
 """Legendre quadrature and collocation on [-1, 1]: nodes, weights, differentiation and integration.
 
-Three families of points: ``LG`` (Gauss, no end), ``LGR`` (Radau, with -1) and ``LGL`` (Lobatto, both ends).
-The tables are computed in 50-digit decimal arithmetic and rounded once, so every entry is the float nearest
-to the exact one. In particular the matrices belong to the exact nodes, not to the nodes rounded to floats.
+Three families of points: ``LG`` (Gauss, no end), ``LGR`` (Radau, with -1) and ``LGL`` (Lobatto, both ends). The tables
+are computed in 50-digit decimal arithmetic and rounded once; the matrices belong to the exact nodes.
 
-Everything rests on one fact: P_0 ... P_{n-1} are orthogonal on the points under the quadrature's own sum,
-``sum_i w_i P_j(x_i) P_k(x_i) = g_k δ_jk``, with ``g_k`` the integral of P_k², save that Lobatto's last is
-``2/(n-1)``. Sources: Gautschi, *Orthogonal Polynomials* (2004); Berrut & Trefethen, *Barycentric Lagrange
-interpolation*, SIAM Review 46 (2004).
+P_0 ... P_{n-1} are orthogonal on the points under the quadrature's own sum, ``sum_i w_i P_j(x_i) P_k(x_i) = g_k δ_jk``,
+with ``g_k`` the integral of P_k², save that Lobatto's last is ``2/(n-1)``. Sources: Gautschi, *Orthogonal Polynomials*
+(2004); Berrut & Trefethen, *Barycentric Lagrange interpolation*, SIAM Review 46 (2004).
 """
 
 from collections.abc import Iterable
@@ -30,26 +28,21 @@ DIGITS = 50
 
 @dataclass(frozen=True, eq=False)
 class CollocationRule:
-    """The tables of one collocation method on [-1, 1]; every array is read-only.
+    """The tables of one collocation method of n points on [-1, 1]; every array is read-only.
 
     Attributes
     ----------
-    scheme : {"LG", "LGR", "LGL"}
-        Family of the collocation points.
-    n : int
-        Number of collocation points, which is also the degree of the state polynomial.
     points, weights : Array, shape (n,)
         Collocation points, ascending, and their quadrature weights (they sum to 2).
     state_nodes : Array, shape (n + 1,)
-        Nodes of the state polynomial, ascending: the points and -1 (LG), +1 (LGR), or the midpoint of the
-        widest gap (LGL; of two equal gaps the positive one). Lobatto's extra node only carries dense output.
+        Nodes of the state polynomial, ascending: the points and -1 (LG), +1 (LGR), or the midpoint of the widest gap
+        (LGL; of two equal gaps the positive one), which only serves dense output.
     differentiation : Array, shape (n, n + 1)
         Values on ``state_nodes`` → derivative at ``points``.
     end_values : Array, shape (n + 1,)
         Values on ``state_nodes`` → value at +1 (a unit vector for LGR and LGL).
     integration : Array, shape (n, n)
-        Values at ``points`` → integral of their interpolant from -1 to each point: the Butcher matrix on
-        [-1, 1] of Gauss, Radau (left end collocated) or Lobatto IIIA.
+        Values at ``points`` → integral of their interpolant from -1 to each point (the Butcher matrix on [-1, 1]).
     """
 
     scheme: Scheme
@@ -68,14 +61,7 @@ class CollocationRule:
 
 
 def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
-    """Tables of the ``n``-point method of a family; computed once, then shared.
-
-    Parameters
-    ----------
-    scheme : {"LG", "LGR", "LGL"}
-        Legendre-Gauss, Legendre-Gauss-Radau (with -1, without +1) or Legendre-Gauss-Lobatto (both ends).
-    n : int
-        Number of points, 1 to 64 (LGL: 2 to 64).
+    """Return the tables of the ``n``-point method of a family, n from 1 (LGL: 2) to 64; computed once.
 
     Raises
     ------
@@ -101,32 +87,18 @@ def weights(scheme: Scheme, n: int) -> Array:
 
 
 def barycentric_weights(nodes: ArrayLike) -> Array:
-    """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),).
-
-    Raises
-    ------
-    ArgumentError
-        Nodes that are not one-dimensional, finite and distinct.
-    """
+    """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),)."""
     return _cached_barycentric_weights(_vector(nodes).tobytes())
 
 
 def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
-    """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes)).
-
-    Each diagonal entry is minus the rest of its row, so constants differentiate to zero. Errors as
-    `barycentric_weights`.
-    """
+    """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
     x, w = _vector(nodes), barycentric_weights(nodes)
     return np.asarray(interpolation_matrix(x, at) @ _square_differentiation(x, w))
 
 
 def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
-    """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes)).
-
-    Second barycentric form; a row whose abscissa is a node is exactly a unit vector. Meant for abscissae in
-    or close to the span of the nodes. Errors as `barycentric_weights`.
-    """
+    """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
     return barycentric_basis(_vector(nodes), barycentric_weights(nodes), _vector(at))
 
 

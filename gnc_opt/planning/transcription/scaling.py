@@ -1,8 +1,7 @@
 """Automatic scaling from bounds, guess and the size of the dynamics.
 
-Variables are divided by typical magnitudes; dynamics rows by those of their state; other rows and the
-objective by the norm of their scaled gradient at and near the guess. Answers are returned in physical units and
-do not depend on any of this; the conditioning of the program does.
+Variables are divided by typical magnitudes; dynamics rows by those of their state; other rows and the objective by the
+norm of their scaled gradient at and near the guess.
 """
 
 from __future__ import annotations
@@ -18,33 +17,17 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NEARBY = 0.1
-"""How far from the guess, in typical magnitudes, gradients are looked at besides at the guess itself.
-
-A guess may by chance be stationary, as the perfect track of a tracking cost is: the gradient there is rounding,
-and its inverse no scale. Results are insensitive to the distance (0.01 to 1)."""
+"""Distance from the guess, in typical magnitudes, at which gradients are also evaluated: a guess may be stationary."""
 
 MOST_ROOM = 10.0
-"""Scaled distance from a limit that the guess has at most.
-
-Where a row has hardly a slope at the guess, as the square of a control that is next to nothing there, the inverse of
-that slope is no scale: before the limit is met it is many times as steep, and no step of a solver is short enough."""
+"""Largest scaled distance of the guess from a limit: a slope may nearly vanish at the guess."""
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
 @dataclass(frozen=True)
 class Scaling:
-    """Magnitudes by which the program is divided.
-
-    Attributes
-    ----------
-    variables : array (n_variables,)
-        scaled variable = physical variable / variables.
-    rows : array (n_constraints,)
-        scaled row = physical row * rows.
-    objective : float
-        scaled objective = physical objective * objective.
-    """
+    """Magnitudes: scaled variable = variable / variables; rows and objective are multiplied by theirs."""
 
     variables: Array
     rows: Array
@@ -73,13 +56,7 @@ def scale_variables(
 def scale_rows(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
-    """Return row scales (n_constraints,) and the objective's scale.
-
-    Parameters
-    ----------
-    start, scales : array (n_variables,)
-        The guess and the typical magnitudes of the variables, physical.
-    """
+    """Return row scales (n_constraints,) and the objective's scale, for a guess and scales of the variables."""
     gradient, nonzeros, room = _derivatives(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)

@@ -76,36 +76,22 @@ class Family(ABC):
 
     @abstractmethod
     def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
-        """Return the coefficients of the states of `row_nodes` in the dynamics rows: (rows, nodes).
+        """Return the coefficients (rows, nodes) of the states of `row_nodes` in the dynamics rows.
 
-        Parameters
-        ----------
-        differentiation : array (n, n + 1)
-            Values on the state nodes → derivative at the points.
-        end_values : array (n + 1,)
-            Values on the state nodes → value at +1.
+        ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map values on state nodes to the derivative at the
+        points and the value at +1.
         """
 
     def dynamics_matrix(self, integration: Array) -> Array:
-        """Return the coefficients of the point values F_j in the dynamics rows, before -w/2: (rows, n).
+        """Return the coefficients (rows, n) of the point values F_j in the dynamics rows, before -w/2.
 
-        Parameters
-        ----------
-        integration : array (n, n)
-            Values at the points → integral of their interpolant from -1 to each point.
+        ``integration`` (n, n) maps values at the points to the integral of their interpolant from -1 to each point.
         """
         return np.eye(len(integration))
 
     @abstractmethod
     def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
-        """Return the variables of the states that the rows join (n_states, nodes).
-
-        Parameters
-        ----------
-        start, end : int array (n_states, 1)
-            At the segment's boundaries.
-        points : int array (n_states, n)
-        """
+        """Return the variables (n_states, nodes) that the rows join: states at a segment's start, points and end."""
 
     def row_place(self, row: int, n: int) -> str:
         """Name what the row of a segment of n points is about."""
@@ -207,13 +193,7 @@ _SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "L
 
 
 def family_of(scheme: Scheme) -> Family:
-    """Return the family of points by its name.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such scheme.
-    """
+    """Return the family of points by its name, or raise `ArgumentError`."""
     if not isinstance(scheme, str) or scheme not in _FAMILIES:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
         hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""

@@ -62,13 +62,7 @@ CACHED_PROGRAMS = 8
 
 
 class Transcription(Numbering):
-    """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
-
-    Attributes
-    ----------
-    built : dict
-        What has been built on this program and goes with it: solvers, derivatives.
-    """
+    """The nonlinear program of a problem on given meshes, and what was built on it; numbers come later."""
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         super().__init__(problem, meshes, scheme)
@@ -99,10 +93,7 @@ class Transcription(Numbering):
     def _point_block(
         self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
     ) -> PointBlock:
-        """Rates times the duration, and other functions, at all collocation points.
-
-        Times that are fixed numbers are data: there is no need to differentiate with respect to them.
-        """
+        """Rates times the duration, and other functions, at all collocation points; fixed times are data."""
         part = self.parts[leg.name]
         collocation = part.collocation
         n_points = collocation.mesh.size

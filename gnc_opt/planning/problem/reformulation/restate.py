@@ -26,7 +26,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Kinked,
     has_end_kinks,
 )
-from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm
+from gnc_opt.planning.problem.reformulation.splitting import Bends, SplitForm, bound_controls, bounds_by_hand
 from gnc_opt.planning.problem.reformulation.vector_norms import (
     Form,
     box_rows,
@@ -176,6 +176,11 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
+    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
+    if bounds:
+        told = (*told, *bounds)
+        bound_controls(leg, bounds)
+        domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
         told = (*told, *bends.key)
