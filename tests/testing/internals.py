@@ -5,7 +5,7 @@ from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.control.quadratic_cost import QuadraticCost
 from gnc_opt.control.sampled_data import sample, zero_order_hold
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory, solve_mesh
 from gnc_opt.planning.nlp import NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, settle_edges
@@ -15,8 +15,14 @@ from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
 from gnc_opt.planning.problem.arcs import Held, Junction, Smooth
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
-from gnc_opt.planning.problem.guess.initial_guess import start_phase
+from gnc_opt.planning.problem.guess import simulation as guess_simulation
+from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED, end_values, guess_times, start_phase
+from gnc_opt.planning.problem.guess.simulation import with_flown_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval_arithmetic import ranges_of
+from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
+from gnc_opt.planning.problem.redundant_bounds import idle_bounds, one_way_states, reachable_bounds
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
@@ -39,11 +45,21 @@ from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import control_spans
+from gnc_opt.planning.solution.unwrap import unwound
 from gnc_opt.planning.solution.warm_start import start_from_guess
+from gnc_opt.planning.study.kkt_sensitivity import predict
+from gnc_opt.planning.transcription.arc_constraints import (
+    check_segments,
+    hold_controls,
+    hold_paths,
+    hold_states,
+    smooth_rows,
+)
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import collocation_rule
-from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
+from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
 from gnc_opt.plot.style import new_figure

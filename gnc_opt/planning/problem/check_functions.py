@@ -222,9 +222,6 @@ _FRACTIONS = (np.arange(11) + 0.5) / 11
 _BOUND_OFFSET = 1e-2
 """How far (scaled) the guess is moved off bounds before functions are tried; IPOPT does the same."""
 
-_FEW = 12
-"""Up to so many variables a message shows the point at which a function is not finite."""
-
 
 def check_values(problem: Statement) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
@@ -426,7 +423,7 @@ def _with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any
 
 
 def _not_finite(what: str, point: Mapping[str, float]) -> ProblemError:
-    shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= _FEW else ""
+    shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= 12 else ""
     return ProblemError(
         f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "
         "singularity."

@@ -133,19 +133,10 @@ _FACTORS = (ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_NEG)
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Symbols and their ranges.
-
-    Attributes
-    ----------
-    symbols : tuple of casadi.SX
-        Columns.
-    stated : tuple of Interval
-        Without what is only presumed of states.
-    """
+    """Symbols, columns, and their ranges."""
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
-    stated: tuple[Interval, ...]
 
     @classmethod
     def along(cls, problem: Statement, leg: Phase) -> Domain:
@@ -157,14 +148,15 @@ class Domain:
             if name in leg.model.parameters:
                 place = leg.model.parameters.slice(name)
                 values.lower[place], values.upper[place] = box.lower, box.upper
-        time, rest = Interval(initial.lower, final.upper), (values, problem.parameter_interval())
-        sign, never_zero = _presumed_states(leg), _divisors(problem, leg)
-        told = leg.numbers.states
-        stated = Interval(
-            np.where(never_zero, sign.lower, told.lower), np.where(never_zero, sign.upper, told.upper)
+        time = Interval(initial.lower, final.upper)
+        boxes = (
+            time,
+            _state_ranges(problem, leg),
+            leg.numbers.controls,
+            values,
+            problem.parameter_interval(),
         )
-        boxes, surely = ((time, x, leg.numbers.controls, *rest) for x in (sign, stated))
-        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely)
+        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
     def at_ends(cls, problem: Statement) -> Domain:
@@ -181,8 +173,7 @@ class Domain:
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
         symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))
-        every = (*boxes, Interval(values, values))
-        return cls(tuple(symbols), every, every)
+        return cls(tuple(symbols), (*boxes, Interval(values, values)))
 
     @property
     def key(self) -> bytes:
@@ -199,15 +190,11 @@ class Domain:
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replaced(expression, place)
         boxes = (*self.boxes, self.ranges(ca.vertcat(*nodes)))
-        within = Domain((*self.symbols, z), boxes, boxes)
+        within = Domain((*self.symbols, z), boxes)
         slopes = within.ranges(ca.jacobian(of_z, z).T)
         return [
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
-
-    def surely(self) -> Domain:
-        """Return the domain without what is only presumed."""
-        return Domain(self.symbols, self.stated, self.stated)
 
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
@@ -258,13 +245,13 @@ def _divisors(problem: Statement, leg: Phase) -> Mask:
     return problem.once(("divisors", leg.name), find)
 
 
-def _presumed_states(leg: Phase) -> Interval:
-    """The bounds of states; those without any keep the sign that both ends have, as masses do."""
-    box, numbers = leg.numbers.states, leg.numbers
+def _state_ranges(problem: Statement, leg: Phase) -> Interval:
+    """The bounds of states; those that are divisors keep the sign that both ends have, as masses do."""
+    box, numbers, divisors = leg.numbers.states, leg.numbers, _divisors(problem, leg)
     known = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
-    told = np.where(np.isfinite(known), known, 0.0)
-    above = np.all(told >= 0, axis=0) & np.any(told > 0, axis=0)
-    below = np.all(told <= 0, axis=0) & np.any(told < 0, axis=0)
+    ends = np.where(np.isfinite(known), known, 0.0)
+    above = divisors & np.all(ends >= 0, axis=0) & np.any(ends > 0, axis=0)
+    below = divisors & np.all(ends <= 0, axis=0) & np.any(ends < 0, axis=0)
     return Interval(
         np.where(above, np.maximum(box.lower, 0.0), box.lower),
         np.where(below, np.minimum(box.upper, 0.0), box.upper),

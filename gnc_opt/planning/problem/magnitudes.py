@@ -15,6 +15,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.guess.initial_guess import PhaseStart, start_phase
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.tolerances import ROUNDING
 
 SIZES = np.logspace(-8, 12, 161)
 """Trial magnitudes: eight per decade."""
@@ -67,9 +68,6 @@ UNBOUNDED_STATE_MAX_RATIO = 10.0
 
 SAMPLES = np.linspace(0.0, 1.0, 9)
 """Where guess and dynamics are looked at, as fractions of a phase."""
-
-ROUNDING = 1e-12
-"""Share of a state's change near a guess below which its value, or rate, on the guess is rounding."""
 
 CANCELLATION_SHARE = 1e-3
 """Share of the effect of one control alone below which several, all at their bounds, cancel each other."""

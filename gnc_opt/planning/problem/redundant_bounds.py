@@ -20,6 +20,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.tolerances import ROUNDING
 
 LOOSE = 0.1
 """Share of a state's bounds and start by which bounds are loosened that say nothing."""
@@ -117,12 +118,6 @@ def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
     return found
 
 
-PLACES, NORM_RATE_SEED = 8, 5
-"""Random points at which a length has no rate, and their seed."""
-
-ROUNDING = 1e-12
-"""Share of its terms within which a rate is none, and of a length by which a bound may fall short of it."""
-
 NORM_BOUND_SLACK_SHARE = 1e-2
 """Share of a length by which a bound of it may exceed it."""
 
@@ -176,9 +171,9 @@ def _kept(problem: Statement, leg: Phase, places: Indices, length: float) -> boo
     terms = problem.once(
         ("rate along itself", leg.name, places.tobytes()), lambda: _terms(problem, leg, places)
     )
-    random = np.random.default_rng(NORM_RATE_SEED)
+    random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
-    for _ in range(PLACES):
+    for _ in range(8):
         x = random.uniform(0.5, 1.5, leg.model.states.size)
         x[places] = random.standard_normal(places.size)
         x[places] *= length / np.linalg.norm(x[places])

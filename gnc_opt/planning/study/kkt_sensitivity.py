@@ -134,8 +134,6 @@ _RESIDUAL = 1e-10
 _KKT_ROUNDING_RESIDUAL = 1e-13
 """Residual at which only rounding is left."""
 
-_KKT_REFINEMENT_STEPS = 8
-
 
 @dataclass(frozen=True)
 class Change:
@@ -189,7 +187,7 @@ class KktPoint:
     def _converge(self) -> str:
         """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
         best = np.inf
-        for _ in range(_KKT_REFINEMENT_STEPS):
+        for _ in range(8):
             self._factorise()
             residual = self._point.residual
             size = float(np.max(np.abs(residual), initial=0.0))

@@ -38,10 +38,7 @@ from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.relaxation import Relaxation, relaxations
 from gnc_opt.planning.verification.engine import verify
 from gnc_opt.planning.verification.sufficiency import is_convex
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING
-
-_RELAXATION_GUESS_TIMES = 201
-"""Number of times at which the trajectory is sampled as the guess of a relaxation."""
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 
 @one_thread()
@@ -64,6 +61,11 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     -------
     Solution
         The same numbers. ``bound`` is None if nothing can be dropped, or no part was solved to an ok verdict.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem.
 
     Examples
     --------
@@ -110,7 +112,7 @@ def _guessed(relaxation: Relaxation, solution: Solution) -> Problem:
     problem = relaxation.problem
     for name, leg in problem.phases.items():
         flown = solution.phase(name)
-        times = np.linspace(flown.initial_time, flown.final_time, _RELAXATION_GUESS_TIMES)
+        times = np.linspace(flown.initial_time, flown.final_time, 201)
         states = flown.x(times, "right")[relaxation.states[name]]
         controls = flown.flown(times, "right")[relaxation.controls[name]]
         values = {n: states[leg.model.states.slice(n)] for n in leg.model.states.names}
@@ -125,9 +127,6 @@ def _labels(problem: Problem) -> tuple[str, ...]:
 
 CONVEX = "convex"
 LINEAR_TIME_OPTIMAL = "linear and time-optimal"
-
-_AT_REST = 1e-9
-"""Rates below this, relative to those of the flight, are none."""
 
 
 def theorem_of(solution: Solution, verdict: Verdict) -> str:
@@ -213,7 +212,7 @@ def _can_rest(leg: Phase, solution: Solution) -> bool:
         return np.concatenate([rate / rates, beyond])
 
     if not box.lower.size:
-        return bool(np.all(np.abs(residuals(np.zeros(0))) <= _AT_REST))
+        return bool(np.all(np.abs(residuals(np.zeros(0))) <= EQUAL))
     inner = np.where(box.fixed, np.inf, box.upper), np.where(box.fixed, -np.inf, box.lower)
     starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.flown(t, "left"))
     for start in starts:
@@ -229,6 +228,6 @@ def _can_rest(leg: Phase, solution: Solution) -> bool:
         found = scipy.optimize.least_squares(
             of_free, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
         )
-        if np.all(np.abs(found.fun) <= _AT_REST):
+        if np.all(np.abs(found.fun) <= EQUAL):
             return True
     return False

@@ -23,7 +23,6 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.planning.transcription.scheme import GAUSS, Numbers, Scheme, family_of
 
 MAX_POINTS = 64
-DIGITS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +224,7 @@ def _cached_barycentric_weights(nodes: bytes) -> Array:
 
 
 def _many_digits() -> AbstractContextManager[Context]:
-    return localcontext(Context(prec=DIGITS))
+    return localcontext(Context(prec=50))
 
 
 def _decimals(values: Iterable[float]) -> Numbers:

@@ -12,11 +12,17 @@ import itertools
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from testing.internals import DEFAULT_MESH, start_from_guess, transcribe
+from testing.internals import (
+    DEFAULT_MESH,
+    STRETCHES,
+    feasibility_starts,
+    knows_trajectory,
+    start_from_guess,
+    transcribe,
+)
 
 import gnc_opt as go
 from gnc_opt.planning import Status
-from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
 
 
 def oscillator(displacement: float, final: tuple[float, float | None] = (0.1, None)) -> go.Problem:

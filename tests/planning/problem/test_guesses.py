@@ -5,12 +5,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import start_phase
+from testing.internals import bent, guess_simulation, start_phase, with_flown_guess
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess import simulation as simulate
-from gnc_opt.planning.problem.guess.simulation import with_flown_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 
@@ -255,7 +252,7 @@ def filtered(bandwidth: float) -> go.Problem:
 
 def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind the filter with its lag 1/b the motion is x = 1 + c (t^2 / 2 - t / b + ...) with the command c."""
-    monkeypatch.setattr(simulate, "MOST_EXPLICIT", 3000)
+    monkeypatch.setattr(guess_simulation, "MOST_EXPLICIT", 3000)
     start = guessed(go.guess_from_simulation(filtered(1e6), {"u": 0.5}), "leg")
     assert start.states[0, -1] == pytest.approx(1 + 0.5 * (4**2 / 2 - 4e-6), abs=1e-4)
     assert start.states[1, -1] == pytest.approx(2.0, abs=1e-4)
@@ -263,8 +260,8 @@ def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """On the line x + v = 0 it slides: sign() is 1 and -1 in turn at every step."""
-    monkeypatch.setattr(simulate, "MOST_EXPLICIT", 2000)
-    monkeypatch.setattr(simulate, "MOST_IMPLICIT", 4000)
+    monkeypatch.setattr(guess_simulation, "MOST_EXPLICIT", 2000)
+    monkeypatch.setattr(guess_simulation, "MOST_IMPLICIT", 4000)
     problem = filtered(1e5)
     x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
     with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* led to t = .* s only\): .*tanh"):

@@ -7,10 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import start_phase
+from testing.internals import SUSTAINED, start_phase
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess.initial_guess import SUSTAINED
 
 GRAVITY, MASS, LENGTH = 1.62, 2000.0, 3.0
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import idle_bounds
 
 import gnc_opt as go
-from gnc_opt.planning.problem.redundant_bounds import idle_bounds
 
 ANGLE, TIME = 1.2, 3.0
 

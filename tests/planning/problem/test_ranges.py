@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import Interval
+from testing.internals import Interval, one_way_states, ranges_of
 
 import gnc_opt as go
-from gnc_opt.planning.problem.interval_arithmetic import ranges_of
-from gnc_opt.planning.problem.redundant_bounds import one_way_states
 
 X = ca.SX.sym("x", 2)
 EXPRESSIONS = {

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.internals import end_values, guess_times
 
 import gnc_opt as go
-from gnc_opt.planning.problem.guess.initial_guess import end_values, guess_times
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:

@@ -8,11 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Interval, free, phase_functions
+from testing.internals import Interval, free, phase_functions, unwound
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
-from gnc_opt.planning.solution.unwrap import unwound
 
 T = np.linspace(0.0, 1.0, 41)
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import fsolve
-from testing.internals import estimate_errors
+from testing.internals import estimate_errors, reachable_bounds
 
 import gnc_opt as go
-from gnc_opt.planning.problem.redundant_bounds import reachable_bounds
 
 TIME, DISTANCE, WEIGHT, SPEED = 4.0, 0.7, 0.5, 1.0
 

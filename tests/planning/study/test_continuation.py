@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.internals import predict
 from testing.problem_families import rest_to_rest, stiff
 
 import gnc_opt as go
-from gnc_opt.planning.study.kkt_sensitivity import predict
 
 
 def closed_form(k: float) -> float:

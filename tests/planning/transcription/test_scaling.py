@@ -5,12 +5,18 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Transcription, start_from_guess
+from testing.internals import (
+    NEARBY,
+    UNBOUNDED_STATE_MAX_RATIO,
+    Scheme,
+    Transcription,
+    phase_magnitudes,
+    scale_rows,
+    scale_variables,
+    start_from_guess,
+)
 
 import gnc_opt as go
-from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
-from gnc_opt.planning.transcription.quadrature import Scheme
-from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:

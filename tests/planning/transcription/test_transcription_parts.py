@@ -4,38 +4,32 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
-import scipy
 from testing.constructed_solutions import cart, interval
 from testing.internals import (
     DEFAULT_MESH,
+    NEARBY,
     SCHEMES,
     Held,
     Interval,
     PhaseCollocation,
-    PointBlock,
-    PointFunction,
     Scheme,
-    SeparableProgram,
     Smooth,
     Transcription,
+    check_segments,
+    family_of,
+    hold_controls,
+    hold_paths,
+    hold_states,
+    scale_rows,
+    scale_variables,
+    smooth_rows,
 )
 
 import gnc_opt as go
 from gnc_opt.errors import ArgumentError, ProblemError
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.nlp.program import NlpProblem
-from gnc_opt.planning.transcription.arc_constraints import (
-    check_segments,
-    hold_controls,
-    hold_paths,
-    hold_states,
-    smooth_rows,
-)
-from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_variables
-from gnc_opt.planning.transcription.scheme import family_of
 
 LOW, FREE, UP, RELEASED = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
@@ -266,42 +260,6 @@ def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
         assert rows @ t**power == pytest.approx(0.0, abs=1e-12)
     assert np.max(np.abs(rows @ t ** (degree + 1))) > 1e-4
     assert rows @ rows.T == pytest.approx(np.eye(rows.shape[0]))
-
-
-# --- separable programs -----------------------------------------------------------------------------------
-
-
-def separable() -> tuple[SeparableProgram, Any, list[Any]]:
-    """Three rows of four variables and one constant: F(z, d) = (z0 z1 d, sin z0) at three points, once z0 = z1."""
-    z, d = ca.SX.sym("z", 2), ca.SX.sym("d")
-    function = PointFunction.build("f", z, d, ca.vertcat(z[0] * z[1] * d, ca.sin(z[0])))
-    places = np.array([[0, 2, 3], [1, 2, 4]])
-    weights = scipy.sparse.csc_array(
-        np.array([[1.0, 2, 0, 3, 4, 0], [0, 5.0, 6, 0, 0, 0], [0, 0, 0, 0, 7.0, 8]])
-    )
-    data = ca.MX(ca.DM([[10.0, 20.0, 30.0]]))
-    linear = scipy.sparse.coo_array(([1.0, -2.0, 0.5], ([0, 2, 2], [3, 0, 0])), shape=(3, 4))
-    program = SeparableProgram(linear, (PointBlock(function, places, data, weights),))
-
-    x, c = ca.SX.sym("x", 4), ca.SX.sym("c", 1)
-    full = ca.vertcat(x, c)
-    outputs = [
-        v
-        for j, k in enumerate((10.0, 20.0, 30.0))
-        for v in (full[int(places[0, j])] * full[int(places[1, j])] * k, ca.sin(full[int(places[0, j])]))
-    ]
-    rows = ca.DM(linear.toarray()) @ x + ca.DM(weights.toarray()) @ ca.vertcat(*outputs)
-    return program, rows, [x, c]
-
-
-# --- nonlinear programs -----------------------------------------------------------------------------------
-
-
-def nlp(**derivatives: Any) -> NlpProblem:
-    x, p = ca.MX.sym("x", 2), ca.MX.sym("p")
-    return NlpProblem(
-        x, p, p * x[0] ** 2 + x[1], ca.vertcat(x[0] * x[1], x[0] - x[1], x[1] ** 2), **derivatives
-    )
 
 
 # --- the program of a problem -----------------------------------------------------------------------------

@@ -32,9 +32,6 @@ PERTURBATION_MIN_AMPLITUDE = 0.2
 WAVES = 4
 """Sine waves in a smooth perturbation; wave k has an amplitude of order 1/k."""
 
-MOST_SWITCHES = 4
-"""Of a random bang-bang control."""
-
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
@@ -171,7 +168,7 @@ def _draw_controls(
 
 def _bangs(rng: np.random.Generator) -> Array:
     """Return a pattern of -1 and +1 with a few random switches, at `FRACTIONS`."""
-    switches = np.sort(rng.uniform(size=rng.integers(0, MOST_SWITCHES + 1)))
+    switches = np.sort(rng.uniform(size=rng.integers(0, 5)))
     sign = rng.choice((-1.0, 1.0))
     return np.asarray(sign * (-1.0) ** np.searchsorted(switches, FRACTIONS))
 

@@ -157,7 +157,7 @@ def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
         own, operands = extremum
         if own != sense:
             return None
-        if node.op() == ca.OP_FABS and domain.surely().sign(operands[0]) > 0:
+        if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
             operands = operands[:1]
         return _union([_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()

@@ -39,8 +39,6 @@ from gnc_opt.planning.problem.statement import Statement
 FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Share of a turn that bounds may lack: pi is often written with six digits."""
 
-_RESTATE_DRAWS = 24
-
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
@@ -100,9 +98,7 @@ def angle_probe(problem: Statement, leg: Phase, *, of_states: bool = False) -> A
         return ca.Function("along", [t, x, u, p, q], [ca.densify(problem.bind(leg, along(leg)))])
 
     rng = np.random.default_rng(20)
-    times, states, controls, free = (
-        rng.uniform(-1.5, 1.5, (s.numel(), _RESTATE_DRAWS)) for s in (t, x, u, q)
-    )
+    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in (t, x, u, q))
     function, values = problem.once(("along", leg.name), build), leg.model.parameter_values
     if of_states:
         return AngleProbe(lambda x: evaluate(function, times[0], x, controls, values, free), states)
