@@ -31,17 +31,6 @@ class IterationInfo:
         f at the iterate.
     infeasibility
         Largest violation of a bound on x or g, >= 0.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver
-    >>> x = ca.SX.sym("x")
-    >>> point = NlpPoint(x0=3.0, lbx=0.0, ubx=np.inf, lbg=[], ubg=[], p=[])
-    >>> solver = NlpSolver(NlpProblem(x, ca.SX(0, 1), ca.exp(x) - 2 * x, ca.SX(0, 1)))
-    >>> stopped = solver.solve(point, callback=lambda info: info.iteration == 2)
-    >>> print(stopped.status.value, stopped.iterations)
-    interrupted 2
     """
 
     iteration: int

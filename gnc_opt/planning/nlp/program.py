@@ -35,14 +35,6 @@ class NlpProblem:
     ------
     ArgumentError
         If a derivative does not have the signature above.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
-    >>> rosenbrock = NlpProblem(x, p, (1 - x[0]) ** 2 + p * (x[1] - x[0] ** 2) ** 2, ca.SX(0, 1))
-    >>> print(rosenbrock.n_variables, rosenbrock.n_constraints, rosenbrock.n_parameters)
-    2 0 1
     """
 
     x: Any

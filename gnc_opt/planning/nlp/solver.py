@@ -60,12 +60,6 @@ class NlpPoint:
         (np,): parameters.
     lam_x0, lam_g0
         (nx,) and (ng,): multipliers of a nearby solution. With either, the solver starts warm.
-
-    Examples
-    --------
-    >>> point = NlpPoint(x0=[1.0, 1.0], lbx=0.0, ubx=np.inf, lbg=1.0, ubg=1.0, p=[])
-    >>> print(point.way)
-    cold
     """
 
     x0: npt.ArrayLike
@@ -115,15 +109,6 @@ class NlpResult:
         Number of iterations.
     wall_time, function_time, linear_solver_time
         In s, without the time to set the solver up: in all, in functions and derivatives, and what remains.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> x = ca.SX.sym("x", 2)
-    >>> nearest = NlpProblem(x, ca.SX(0, 1), ca.sumsqr(x), x[0] + x[1])  # of a line to the origin
-    >>> result = NlpSolver(nearest).solve(NlpPoint(x0=0.0, lbx=-1.0, ubx=1.0, lbg=1.0, ubg=1.0, p=[]))
-    >>> print(result.status.value, np.round(result.x, 6), np.round(result.lam_g, 6))
-    optimal [0.5 0.5] [-1.]
     """
 
     x: Array
@@ -160,17 +145,6 @@ class NlpSolver:
         The programme.
     options
         Of the solver.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> x, p = ca.SX.sym("x"), ca.SX.sym("p")
-    >>> solver = NlpSolver(NlpProblem(x, p, (x - p) ** 2, ca.SX(0, 1)))
-    >>> for wanted in (0.5, 2.0):
-    ...     point = NlpPoint(x0=0.0, lbx=0.0, ubx=1.0, lbg=[], ubg=[], p=[wanted])
-    ...     print(np.round(solver.solve(point).x, 6))
-    [0.5]
-    [1.]
     """
 
     def __init__(self, problem: NlpProblem, options: SolverOptions | None = None) -> None:

@@ -137,13 +137,7 @@ _FROM_WORD: dict[str, Status] = {
 
 
 def status_from_stats(stats: Mapping[str, object]) -> Status:
-    """Translate the `stats()` of a CasADi `nlpsol` into a `Status`; FAILED if nothing in it is known.
-
-    Examples
-    --------
-    >>> print(status_from_stats({"return_status": "Infeasible_Problem_Detected"}).value)
-    infeasible
-    """
+    """Translate the `stats()` of a CasADi `nlpsol` into a `Status`; FAILED if nothing in it is known."""
     name = str(stats.get("return_status", ""))
     if name in _FROM_NAME:
         return _FROM_NAME[name]

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.check_functions import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import end_points, parameter_arguments
+from gnc_opt.planning.problem.expressions import along, end_points, parameter_arguments
 from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 from gnc_opt.planning.problem.interval import Interval, free, intersect
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
@@ -209,13 +209,6 @@ def _show(interval: Interval | None, i: int) -> str:
 # --- what is used where -------------------------------------------------------------------------------
 
 
-def _along(problem: Statement, leg: Phase) -> Any:
-    """All expressions along a phase, stacked."""
-    return problem.bind(
-        leg, ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
-    )
-
-
 def _used(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
@@ -231,8 +224,8 @@ def check_unused_controls(problem: Statement) -> None:
     ends = _used([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
-        along = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _used([problem.bind(leg, along)])
+        acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
+        used = _used([problem.bind(leg, acted_on)])
         for variable in leg.model.controls.variables:
             idle = _idle(variable, leg.model.symbol(variable.name), used)
             if idle:
@@ -245,7 +238,9 @@ def check_unused_controls(problem: Statement) -> None:
 def _check_unused_parameters(problem: Statement) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
-    used = _used([ends, *(problem.bind(leg, ends) for leg in legs), *(_along(problem, leg) for leg in legs)])
+    used = _used(
+        [ends, *(problem.bind(leg, ends) for leg in legs), *(problem.bind(leg, along(leg)) for leg in legs)]
+    )
     models = {id(leg.model): leg.model for leg in legs}.values()
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:

@@ -86,7 +86,7 @@ def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None
         return
     start = start_phase(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
-    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    q = problem.guessed_parameters()
     p = leg.model.parameter_values
     for found in outside_tables(problem, leg, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
@@ -106,13 +106,8 @@ def _first_kinks(
     t, x, u, _ = leg.model.arguments()
     free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
-    kinds = (
-        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
-        ("path constraint", leg.path_labels, leg.path_expression()),
-        ("integral", tuple(leg.integrands), leg.integrand_expression()),
-    )
     told: set[str] = set()
-    for what, labels, stacked in kinds:
+    for what, labels, stacked in _kinds(leg):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
             for node in nodes_of(expression):
                 operation = node.op()
@@ -177,7 +172,7 @@ def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
     """
     start = start_phase(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
-    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    q = problem.guessed_parameters()
     box = leg.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
     guessed = try_along(problem, leg, times, start.states, start.controls, q)
@@ -321,7 +316,7 @@ class _Guessed:
         return cls(start, scales, (times, states, controls))
 
     def not_finite(self, problem: Statement, leg: Phase) -> NotFinite | None:
-        return first_not_finite(problem, leg, *self.along, _parameter_guess(problem))
+        return first_not_finite(problem, leg, *self.along, problem.guessed_parameters())
 
 
 def _check_along(problem: Statement, leg: Phase) -> list[Any]:
@@ -333,7 +328,7 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
         raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = try_along(problem, leg, *guessed.along, _parameter_guess(problem))["integral"]
+        integrands = try_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
     first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales)
     last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
@@ -343,7 +338,7 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
 def _check_ends(problem: Statement, ends: list[Any]) -> None:
     """Try the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _functions_at_ends(problem):
-        tried = Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
+        tried = Tried.at(what, rows, columns, function(*ends, problem.guessed_parameters()))
         bad = tried.first_bad()
         if bad:
             raise _not_finite(f"{bad[0]} at the end points of the guess", {})
@@ -356,28 +351,28 @@ def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
-def _parameter_guess(problem: Statement) -> Array:
-    return np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
-
-
 def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
     """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
-    kinds = (
-        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
-        ("path constraint", leg.path_labels, leg.path_expression()),
-        ("integral", tuple(leg.integrands), leg.integrand_expression()),
-    )
 
     def build() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
             (what, rows, _with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]))
-            for what, rows, expression in kinds
+            for what, rows, expression in _kinds(leg)
             if rows
         ]
 
     return problem.once(("check", leg.name), build)
+
+
+def _kinds(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
+    """Kind, names and expressions of what varies along a phase."""
+    return (
+        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
+        ("path constraint", leg.path_labels, leg.path_expression()),
+        ("integral", tuple(leg.integrands), leg.integrand_expression()),
+    )
 
 
 def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:

@@ -26,7 +26,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import Operations, evaluate, fast_call
 from gnc_opt.model.integration import step_function
 from gnc_opt.model.variables import as_expression
-from gnc_opt.planning.problem.expressions import parameter_arguments
+from gnc_opt.planning.problem.expressions import end_points, parameter_arguments
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 
@@ -336,13 +336,7 @@ def _build_end_function(problem: Problem) -> Any:
     for leg, parameters in zip(
         problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
     ):
-        own = [
-            leg.ends("initial"),
-            leg.ends("final"),
-            leg.initial_time,
-            leg.final_time,
-            leg.integral_symbols(),
-        ]
+        own = end_points(leg)
         differentiated += own
         arguments += [*own, parameters]
     q = problem.parameter_symbols()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,6 +135,14 @@ class Interval:
 def free(size: int) -> Interval:
     """Return the interval without limits."""
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
+
+
+def stacked(boxes: Iterable[Interval]) -> Interval:
+    """Return several intervals, or none, as one."""
+    every = [free(0), *boxes]
+    return Interval(
+        np.concatenate([box.lower for box in every]), np.concatenate([box.upper for box in every])
+    )
 
 
 def read_interval(value: Any, size: int, what: str) -> Interval:

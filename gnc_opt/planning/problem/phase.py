@@ -36,6 +36,7 @@ from gnc_opt.planning.problem.interval import (
     of_magnitudes,
     one_sided,
     read_interval,
+    stacked,
     without_negative_parts,
 )
 from gnc_opt.planning.problem.phase_data import PhaseNumbers, Restatement, read_duration
@@ -57,20 +58,10 @@ class Owner(Protocol):
 
 
 _STATEMENTS = (
-    *("bounds", "duration", "final", "final_state", "final_time", "fraction", "guess", "hold", "initial"),
-    *(
-        "initial_state",
-        "initial_time",
-        "integral",
-        "model",
-        "name",
-        "norm_bounds",
-        "path",
-        "polynomials",
-        "rates",
-    ),
-    *("scale", "time"),
-)
+    "bounds", "duration", "final", "final_state", "final_time", "fraction", "guess", "hold", "initial",
+    "initial_state", "initial_time", "integral", "model", "name", "norm_bounds", "path", "polynomials",
+    "rates", "scale", "time",
+)  # fmt: skip
 """What users state or read of a phase; the rest serves the problem and the transcription."""
 
 
@@ -455,11 +446,7 @@ class Phase(Strict):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
-        if not boxes:
-            return free(0)
-        return Interval(
-            *(np.concatenate([getattr(b, end) for b in boxes.values()]) for end in ("lower", "upper"))
-        )
+        return stacked(boxes.values())
 
     @property
     def vectors(self) -> tuple[VectorControl, ...]:

@@ -23,6 +23,7 @@ from gnc_opt.planning.problem.check import check_problem
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.division import divided
 from gnc_opt.planning.problem.expressions import (
+    end_points,
     parameter_arguments,
     refuse_foreign_along,
     refuse_foreign_ends,
@@ -86,8 +87,7 @@ def _at_ends(problem: Statement) -> bytes:
     for leg, parameters in zip(
         problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
     ):
-        arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
-        arguments += [leg.integral_symbols(), parameters]
+        arguments += [*end_points(leg), parameters]
     return _exact([*arguments, problem.parameter_symbols()], [problem.cost, problem.constraint_expression()])
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.expressions import nodes_of, operations_in
+from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.phase import Phase
@@ -107,8 +108,7 @@ def reachable_bounds(problem: Statement, leg: Phase) -> Interval:
 def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
     """Return which controls are within a root, a power or a logarithm."""
     found = np.zeros(leg.model.controls.size, dtype=bool)
-    parts = leg.model.derivative(), leg.path_expression(), leg.integrand_expression()
-    rows = problem.bind(leg, ca.vertcat(*parts))
+    rows = problem.bind(leg, along(leg))
     if not operations_in(rows) & ROOTED:
         return found
     u = leg.model.arguments()[2]

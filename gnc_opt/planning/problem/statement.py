@@ -14,7 +14,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.table import TableUse
 from gnc_opt.model.variables import Layout, Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval import Interval, free
+from gnc_opt.planning.problem.interval import Interval, stacked
 from gnc_opt.planning.problem.phase import Phase
 
 S = TypeVar("S", bound="Statement")
@@ -101,16 +101,17 @@ class Statement(Strict):
         """Stacked SX symbols of the free parameters."""
         return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)
 
+    def guessed_parameters(self) -> Array:
+        """Return the guesses of the stacked free parameters."""
+        return np.concatenate([np.zeros(0), *self.parameter_guess.values()])
+
     def parameter_table_uses(self) -> list[TableUse]:
         """Return the calls of tables with expressions in the free parameters."""
         return [use for symbol in self._parameters.values() for use in symbol.table_uses]
 
     def parameter_interval(self) -> Interval:
         """Bounds of the stacked free parameters."""
-        boxes = list(self.parameter_bounds.values())
-        if not boxes:
-            return free(0)
-        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+        return stacked(self.parameter_bounds.values())
 
     def get_phase(self, phase: Phase | str | None = None) -> Phase:
         """Return a phase by name; ``None`` is the only one there is."""
@@ -145,10 +146,7 @@ class Statement(Strict):
 
     def constraint_interval(self) -> Interval:
         """Bounds of all boundary constraint rows."""
-        boxes = [c.interval for c in self.constraints.values()]
-        if not boxes:
-            return free(0)
-        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
+        return stacked(c.interval for c in self.constraints.values())
 
     def constraint_labels(self) -> tuple[str, ...]:
         """Names of the boundary constraint rows."""

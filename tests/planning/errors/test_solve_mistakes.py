@@ -26,20 +26,8 @@ def test_meshes_and_schemes_refused() -> None:
         go.solve(rest_to_rest()[0], mesh=20, tol=None)
     with refused(go.ProblemError, "number of segments of a mesh is 0", ">= 1"):
         go.solve(rest_to_rest()[0], mesh="0x3", tol=None)
-    with refused(go.ProblemError, "degrees of a mesh", "0", "integers >= 1"):
-        go.solve(rest_to_rest()[0], mesh="4x0", tol=None)
     with refused(go.ArgumentError, "LGL has no rule with 1 points", "from 2 to 64"):
         go.solve(rest_to_rest()[0], mesh="4x1", scheme="LGL", tol=None)
-    with refused(go.ArgumentError, "LG has no rule with 65 points", "more segments"):
-        go.solve(rest_to_rest()[0], mesh="1x65", tol=None)
-    with refused(go.ProblemError, "breaks of a mesh", "increase"):
-        go.Mesh((0.0, 0.7, 0.4, 1.0), (3, 3, 3))
-    with refused(go.ProblemError, "breaks of a mesh run from 0 to 10", "fractions from 0 to 1"):
-        go.Mesh((0.0, 5.0, 10.0), (3, 3))
-    with refused(go.ProblemError, "2 segments, but 3 degrees", "one each"):
-        go.Mesh((0.0, 0.5, 1.0), (3, 3, 3))
-    with refused(go.ProblemError, "times of a mesh", "increasing"):
-        go.Mesh.at_times([0.0, 2.0, 1.0, 3.0], 3)
     with refused(
         go.UnknownNameError, "mesh of problem 'rest to rest' has no phase 'lag'", "did you mean 'leg'?"
     ):

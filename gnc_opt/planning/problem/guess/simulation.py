@@ -105,7 +105,7 @@ def guess_from_simulation(
     if duration is not None:
         tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
     law = _law(problem, leg, controls)
-    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _initial(leg, initial)
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
@@ -210,6 +210,4 @@ def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Calla
         raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
-    return fast_call(
-        function, leg.model.parameter_values, np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
-    )
+    return fast_call(function, leg.model.parameter_values, problem.guessed_parameters())

@@ -428,7 +428,7 @@ def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     """Return the values of a column along the guess of a phase, as a function of time."""
     arguments = [*stated.model.arguments(), problem.parameter_symbols()]
     function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
-    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    q = problem.guessed_parameters()
 
     def at(t: Any) -> Array:
         first, last = guess_times(stated)
