@@ -45,9 +45,6 @@ _ROWS = 25
 _RESAMPLED = 1000
 """Samples of the bootstrap."""
 
-_OTHER = 1
-"""Added to the seed: campaign B."""
-
 
 @dataclass(frozen=True)
 class IntervalEstimate:
@@ -226,9 +223,9 @@ class _Design:
         flight, dispersions = self.scenario.flight, self.scenario.dispersions
         a, b = (
             np.stack([dispersed(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1)
-            for s in (2 * self.scenario.seed, 2 * self.scenario.seed + _OTHER)
+            for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
-        numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, _OTHER)]
+        numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, 1)]
         found = [self._values(a, numbers[0]), self._values(b, numbers[1])]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)

@@ -125,10 +125,6 @@ def error_sizes(flight: CompiledLoop, states: Array) -> Array:
     )
 
 
-_SOURCES = 3
-"""Number of sources printed for each state."""
-
-
 def covariance_table(found: LinearCovariance) -> str:
     """Return the standard deviations at the end as text: a line per state, with its main sources."""
     layout = found.layouts["error"]
@@ -145,7 +141,7 @@ def covariance_table(found: LinearCovariance) -> str:
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         if found.checked:
             line += f"{_percent(float(np.max(found.nonlinearity(variable.name)[:, -1]))):<9}  "
-        shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:_SOURCES]
+        shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
         lines.append((line + ", ".join(f"{s} {_percent(share)}" for s, share in shares)).rstrip())
     if found.checked:
         bent = [name for name in layout.names if not found.linear(name)]
@@ -191,17 +187,11 @@ class PlantModes:
 LINEAR_MAX_ERROR_SIGMA = 0.05
 """Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
 
-_NONLINEARITY_RUNS = 30
-"""Default number of runs simulated to check the linear predictions."""
-
 FROZEN_GAINS_MAX_NIS = 1e-2
 """Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
 
 _FOLLOWED = 1e-3
 """Relative error of a mode over the run above which a warning is given."""
-
-_MODE_SAMPLES = 10
-"""Instants of the nominal run, about, at which the modes of the plant are looked at."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
 """Signals in addition to the errors, and their names in the log."""
@@ -371,7 +361,7 @@ def linear_covariance(
     scenario: Scenario,
     *,
     every: int = 1,
-    checks: int = _NONLINEARITY_RUNS,
+    checks: int = 30,
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
@@ -446,7 +436,7 @@ class _Pass:
         n = next(numbers)
         scatter = Scatter.first(self.sources, g, h, n)
         flown, needed = self.flight.n_steps, 1
-        looks = max(1, flown // _MODE_SAMPLES)
+        looks = max(1, flown // 10)
         resolution = PlantModes(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0

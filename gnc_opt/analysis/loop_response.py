@@ -31,6 +31,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
 from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.tolerances import ROUNDING
 
 _PROBE = "probe of the command"
 
@@ -42,9 +43,6 @@ _LOOKS = np.array([0.01, 0.1, 0.5])
 
 _NOTHING_LEFT = 1e-14
 """Of a disturbance: less of it is rounding, and the open loop infinite."""
-
-_NOTHING = 1e-12
-"""Responses to a command that are rounding."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,7 @@ class LoopResponse(Strict):
     def _open(self, index: int) -> bool:
         """Whether the law feeds back but its commands do not reach the plant."""
         fed_back = bool(np.any(self.c[index]))
-        return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
+        return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < ROUNDING))
 
     @one_thread()
     def _closed(self, omega: ArrayLike, index: int) -> Array:

@@ -24,12 +24,10 @@ from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_dispersions
 from gnc_opt.simulation.monte_carlo import Criteria, OutcomeClassifier, read_criteria
 from gnc_opt.simulation.outcome import RunStatus
+from gnc_opt.tolerances import TINY
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 """How runs end that have not failed."""
-
-_UNIFORM_MIN = 1e-300
-"""Of uniform numbers whose normal quantile is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,4 +189,4 @@ class GivenNumbers:
 
 def normal_numbers(uniform: Array) -> Array:
     """Return the standard normal numbers at which uniform ones are the quantiles."""
-    return np.asarray(scipy.special.ndtri(np.clip(uniform, _UNIFORM_MIN, 1 - np.finfo(float).epsneg)))
+    return np.asarray(scipy.special.ndtri(np.clip(uniform, TINY, 1 - np.finfo(float).epsneg)))

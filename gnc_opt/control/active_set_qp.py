@@ -19,10 +19,9 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.tolerances import LARGEST
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
-_NONE = 1e30
-"""Value of an absent limit."""
 _ITERATIONS_PER_UNKNOWN = 20
 """Iterations per unknown before a programme counts as unsolved; random ones took up to nine."""
 
@@ -78,7 +77,7 @@ class ProgrammeCode:
         sizes = {
             "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),
             "N_S": self.roots.size, "RATES": int(rows.change is not None), "N_TABLES": len(self.matrices[0]),
-            "MOST": self._most, "NONE": numbers(_NONE), "TOLERANCE": numbers(numbers.solved),
+            "MOST": self._most, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
             "DEPENDENT": numbers(numbers.dependent),
         }  # fmt: skip
         scale = 1 / rows.state_scale
@@ -135,11 +134,11 @@ class ProgrammeCode:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
-        none = np.full(states, _NONE)
-        below = np.where(np.isfinite(rows.state_lower), 0.0, -_NONE)
-        above = np.where(np.isfinite(rows.state_upper), 0.0, _NONE)
+        none = np.full(states, LARGEST)
+        below = np.where(np.isfinite(rows.state_lower), 0.0, -LARGEST)
+        above = np.where(np.isfinite(rows.state_upper), 0.0, LARGEST)
         low = np.concatenate([np.full(m, -1.0), below, -none, np.zeros(soft)])
-        high = np.concatenate([np.full(m, 1.0), none, above, np.full(soft, _NONE)])
+        high = np.concatenate([np.full(m, 1.0), none, above, np.full(soft, LARGEST)])
         return low, high
 
 

@@ -16,18 +16,13 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import as_vector
+from gnc_opt.tolerances import AT_LIMIT
 
 Limits: TypeAlias = tuple[ArrayLike, ArrayLike]
 """Lower and upper limits of the controls, (n_controls,) each or one number for all."""
 
 Authority: TypeAlias = tuple[Array, Array]
 """The same, read: lower and upper limits, (n_controls,) each."""
-
-_BESIDE = 1e-6
-"""A plan that was made within limits of states may be this much beyond them, relative to the largest of both."""
-
-_LIMIT_SAMPLES = 400
-"""Times over a reference at which its shares are looked for."""
 
 
 def read_limits(model: Model, limits: Limits | None) -> Authority | None:
@@ -63,7 +58,7 @@ def reserve_shares(reference: Reference, limits: Authority | None) -> list[Repor
     """Return the fact about the share of the limits that the feedforward leaves, one number per control."""
     if limits is None:
         return []
-    u = reference.u(reference_times(reference, _LIMIT_SAMPLES))
+    u = reference.u(reference_times(reference, 400))
     if reference.tail_control is not None:
         u = np.hstack([u, reference.tail_control[:, None]])
     half = 0.5 * (limits[1] - limits[0])
@@ -141,7 +136,7 @@ def reference_beyond(
         x, label = reference.x(times)[place], reference.states.labels[place]
         over = np.maximum(low - x, x - high)
         k = int(np.argmax(over))
-        if over[k] > _BESIDE * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
+        if over[k] > AT_LIMIT * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
             name, unit = f"reference beyond the limits of {label}", reference.states.units[place]
             facts.append(
                 ReportEntry(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")

@@ -15,9 +15,6 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
 
-LOOKS = 101
-"""Default number of times, in addition to its jumps, at which a design evaluates a reference."""
-
 
 def reference_signals(reference: Reference, *more: Variable) -> Layout:
     """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (the feedforward), then ``more``."""
@@ -49,7 +46,7 @@ class StackedSchedule:
         return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
-def reference_times(reference: Reference, samples: int = LOOKS) -> Array:
+def reference_times(reference: Reference, samples: int = 101) -> Array:
     """Return the times (s) at which a design evaluates its reference: equidistant, its ends and both sides of
     jumps.
     """

@@ -24,18 +24,14 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.control.sampled_data import continuous_poles
 from gnc_opt.environment import one_thread
-from gnc_opt.tolerances import SAME_TIME, TINY
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
-_POINTS = 2000
-_DECADES = 4.0
 _AT_ZERO = 1e-8
 """Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
 _ENTRIES = 1_000_000
 """Of the matrices that are solved with at once, at most."""
 _BESIDE = 1e-6
 """Distance of the nodes on either side of a resonance, relative to its frequency."""
-_ROOT = 1e-12
-"""Crossings are found to this, relative to their frequency."""
 _GAIN_ROUNDING_SHARE = 1e-4
 """A loop gain that rounding of A may change by more than this share is that of an integrator or undamped mode, and has
 no size: where it changes its sign it has gone through infinity and not through zero."""
@@ -185,8 +181,8 @@ def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
     size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:
         size = np.array([1.0 if dt is None else np.pi / dt])
-    low, high = np.log10(size.min()) - _DECADES, np.log10(size.max()) + _DECADES
-    grid = np.logspace(low, high, _POINTS)
+    low, high = np.log10(size.min()) - 4.0, np.log10(size.max()) + 4.0
+    grid = np.logspace(low, high, 2000)
     near = np.abs(poles.imag)[np.abs(poles.imag) > 0]
     grid = np.unique(np.concatenate([grid, near * (1 - _BESIDE), near * (1 + _BESIDE)]))
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
@@ -195,7 +191,8 @@ def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
 def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     change = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [
-        float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change
+        float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=ROUNDING))
+        for k in change
     ]
 
 

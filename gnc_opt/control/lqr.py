@@ -76,10 +76,6 @@ def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Rep
     ]
 
 
-_LINEARIZATION_SAMPLES = 25
-"""Times along a reference at which A and B are compared."""
-
-
 @one_thread()
 @suggesting_keywords
 def design_lqr(
@@ -187,7 +183,7 @@ class _WithStep:
 
 def constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are the same all along the reference, else raise `DesignError`."""
-    times = reference_times(reference, _LINEARIZATION_SAMPLES)
+    times = reference_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]

@@ -27,15 +27,12 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.control.design_report import number_text
 from gnc_opt.errors import DesignError
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import EQUAL, TINY
 
 _REACHABILITY_MIN = 1e-10
 """A direction is reached if the reachability matrix has it above this, in balanced coordinates."""
-_BOUNDARY = 1e-9
-"""Eigenvalues this near the stability boundary, relative to the fastest, count as on it."""
 _PART = 0.3
 """A state belongs to a mode if its share is above this times the largest."""
-_RICCATI_NEWTON_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,15 +175,15 @@ def _balanced(a: Array) -> tuple[Array, Array]:
 
 def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
-        return abs(eigenvalue) < 1 - _BOUNDARY
+        return abs(eigenvalue) < 1 - EQUAL
     rate = float(np.linalg.norm(_balanced(a)[0], 2))
-    return eigenvalue.real < -_BOUNDARY * rate
+    return eigenvalue.real < -EQUAL * rate
 
 
 def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sampled: bool) -> Array:
     """Newton's method on the Riccati equation (Kleinman): each step is a Lyapunov equation; kept while it helps."""
     best, error = p, residual(a, b, q, r, n, p, sampled=sampled)
-    for _ in range(_RICCATI_NEWTON_STEPS):
+    for _ in range(3):
         gain = gain_of(a, b, r, n, best, sampled=sampled)
         closed = a - b @ gain
         load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T

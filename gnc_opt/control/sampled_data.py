@@ -28,7 +28,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.tolerances import EQUAL, SAME_TIME
 
 
 def whole_steps(duration: float, step: float, what: str) -> int:
@@ -65,16 +65,12 @@ def in_order(times: Sequence[Any]) -> list[Any]:
     return times
 
 
-_CONJUGATE = 1e-9
-"""Poles typed as conjugate pairs may differ by this, relative to each coefficient of their polynomial."""
-
-
 def real_polynomial(poles: Any) -> Array | None:
     """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first; None if not
     conjugate.
     """
     polynomial = np.atleast_1d(np.poly(poles))
-    if np.any(np.abs(polynomial.imag) > _CONJUGATE * np.abs(polynomial)):
+    if np.any(np.abs(polynomial.imag) > EQUAL * np.abs(polynomial)):
         return None
     return np.asarray(polynomial.real, dtype=float)
 

@@ -32,19 +32,10 @@ from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, re
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr_gains import (
-    ContinuousGains,
-    Gains,
-    SampledGains,
-    resting_control,
-    riccati_gains,
-)
+from gnc_opt.control.tvlqr_gains import ContinuousGains, Gains, SampledGains, resting_control, riccati_gains
 from gnc_opt.environment import one_thread
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
-
-_GAIN_SAMPLES = 40
-"""Times along a reference at which the largest gain and the eigenvalues of P are looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +145,7 @@ def _facts(
     reference: Reference,
     gains: ContinuousGains | SampledGains,
 ) -> list[ReportEntry]:
-    times = reference_times(reference, _GAIN_SAMPLES)
+    times = reference_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

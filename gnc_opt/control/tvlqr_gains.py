@@ -90,11 +90,6 @@ def _interpolate(values: Array, points: Array) -> Array:
     return np.asarray((terms @ values) / terms.sum(axis=1, keepdims=True))
 
 
-_RTOL = 1e-11
-_ATOL = 1e-13
-"""Relative to the size of P."""
-
-
 class Gains(Protocol):
     """Gains and costs to go of a tracking law, at any time from the beginning of the reference on.
 
@@ -258,7 +253,7 @@ def _integrate(
 
         scale = max(float(np.max(np.abs(packed))), TINY)
         found = scipy.integrate.solve_ivp(
-            slope, (right, left), packed, method="DOP853", rtol=_RTOL, atol=_ATOL * scale, dense_output=True
+            slope, (right, left), packed, method="DOP853", rtol=1e-11, atol=1e-13 * scale, dense_output=True
         )
         if not found.success or not np.all(np.isfinite(found.y[:, -1])):
             raise DesignError(

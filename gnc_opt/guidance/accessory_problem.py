@@ -40,7 +40,7 @@ from gnc_opt.planning.problem.functions import PhaseFunctions, end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK, magnitude
+from gnc_opt.tolerances import AT_LIMIT, RANK, ROUNDING, magnitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,6 @@ _ACCESSORY_STEPS, _MIN_STEPS_PER_SEGMENT = 400, 4
 
 _CONVEX = 1e-8
 """Least curvature of H in the controls, in shares of the largest: below it H is not strictly convex."""
-
-_UNMOVED = 1e-12
-"""Share of the largest below which a variation of the states counts as one that controls cannot bring about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +278,7 @@ class _Accessory:
 
     def _require_no_conjugate(self, X: Array, Lam: Array, early: Mask) -> None:
         sizes = np.linalg.svd(X[early], compute_uv=False)
-        if not np.min(sizes[0]) > _UNMOVED:
+        if not np.min(sizes[0]) > ROUNDING:
             raise DesignError(
                 f"the controls of the plan '{self.plan.name}' do not move all of its states "
                 f"({', '.join(self.plan.leg.states.labels)}): state the problem without what is conserved, or follow "
@@ -304,7 +301,7 @@ def conjugate_time(times: Array, X: Array, Lam: Array) -> float | None:
     product = unitary @ unitary.transpose(0, 2, 1)
     angles = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
     apart = np.min(np.minimum(angles, 2 * np.pi - angles), axis=1)
-    left = np.flatnonzero(apart > _UNMOVED)
+    left = np.flatnonzero(apart > ROUNDING)
     if not left.size:
         return None
     total = np.sum(angles[: left[-1] + 1], axis=1)

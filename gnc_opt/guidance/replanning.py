@@ -34,13 +34,10 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.dormand_prince import dormand_prince
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.tolerances import RANK, SAME_TIME
 
 _A_LITTLE = 0.02
 """Share of the range of a state (of its limit, where there is only one) by which a start beyond it counts as on it."""
-
-_SAME_DIRECTION = 1e-9
-"""Two gradients of a cost point the same way if the sine of the angle between them is at most this."""
 
 
 def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
@@ -115,7 +112,7 @@ def _parallel(first: Any, second: Any) -> bool:
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive at these numbers
         return True
-    return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= _SAME_DIRECTION)
+    return bool(np.linalg.norm(a / sizes[0] - b / sizes[1]) <= RANK)
 
 
 _PREDICTED = 4

@@ -12,8 +12,8 @@ from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
+from gnc_opt.tolerances import ROUNDING
 
-_TAIL_TOLERANCE = 1e-12
 _MOST_NUMBERS = 50_000_000
 """In a table at most: some gigabytes of source, which no compiler takes."""
 
@@ -79,7 +79,7 @@ def flight_table(controller: Controller, dt: float, span: tuple[float, float] | 
             f"flight code goes on after {last:g} s, where the schedule of '{controller.name}' tells nothing: {error}"
         ) from error
     change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)
-    if change > _TAIL_TOLERANCE * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
+    if change > ROUNDING * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
         raise ArgumentError(
             f"the schedule of '{controller.name}' still changes by {change:.3g} after {last:g} s: "
             "give a span that holds all its changes."

@@ -8,11 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import Dispersion
+from testing.internals import Dispersion, Linearization
 from testing.sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
-from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.estimation import Measurement
 from gnc_opt.simulation import (
     Choice,

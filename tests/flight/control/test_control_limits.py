@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import clip, read_limits, saturated
 
-from gnc_opt.control.control_limits import clip, read_limits, saturated
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model import Model
 

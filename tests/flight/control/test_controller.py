@@ -6,13 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control import (
-    Controller,
-    DesignReport,
-    ReportEntry,
-    initial_state_function,
-    law,
-)
+from gnc_opt.control import Controller, DesignReport, ReportEntry, initial_state_function, law
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 

@@ -6,10 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control import (
-    Reference,
-    design_feedback_linearization,
-)
+from gnc_opt.control import Reference, design_feedback_linearization
 from gnc_opt.control.decoupling import Inverse, Memory, _solve
 from gnc_opt.control.feedforward import StackedSchedule
 from gnc_opt.errors import DesignError

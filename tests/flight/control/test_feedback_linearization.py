@@ -10,12 +10,7 @@ import pytest
 from scipy.integrate import trapezoid
 from testing.controller_steps import step_through
 
-from gnc_opt.control import (
-    Reference,
-    decoupling_matrix,
-    design_feedback_linearization,
-    output_errors,
-)
+from gnc_opt.control import Reference, decoupling_matrix, design_feedback_linearization, output_errors
 from gnc_opt.control.feedback_linearization import _gain, _sampling_facts
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model

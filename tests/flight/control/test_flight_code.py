@@ -24,14 +24,7 @@ from testing.c_compiler import (
 from testing.internals import Rows
 
 import gnc_opt as go
-from gnc_opt.control import (
-    Controller,
-    DesignReport,
-    design_lqr,
-    export_c,
-    initial_state_function,
-    law,
-)
+from gnc_opt.control import Controller, DesignReport, design_lqr, export_c, initial_state_function, law
 from gnc_opt.control.c_export.c_writer import DOUBLE, c_statements, wrapped
 from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix
 from gnc_opt.control.c_export.schedule_table import flight_table

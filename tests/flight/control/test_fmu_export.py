@@ -1,7 +1,6 @@
 """What a functional mock-up unit says of itself, read without a tool of others."""
 
 import zipfile
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -56,40 +55,6 @@ def test_a_unit_names_its_inputs_outputs_and_alarms(controller, tmp_path):
         ({"name": "invalid", "valueReference": "0", **output}, "Boolean", {"start": "false"}),
     ]
     assert [u.get("index") for u in root.iterfind("ModelStructure/Outputs/Unknown")] == ["3", "4"]
-
-
-def test_an_alarm_called_like_a_state_is_told_from_it(controller):
-    taken = ElementTree.Element("ModelVariables")
-    states = replace(
-        controller.states,
-        variables=tuple(replace(v, name="invalid") for v in controller.states.variables[:1]),
-    )
-    other = type("Law", (), {"states": states, "commands": controller.commands, "alarms": ("invalid",)})
-    fmu._add_variables(other, taken)
-    assert [v.get("name") for v in taken] == ["invalid", "a", "alarm invalid"]
-
-
-def test_an_experiment_is_as_long_as_the_law_knows():
-    def asked(*span):
-        return dict(fmu._experiment(type("Law", (), {"span": span or None})))
-
-    assert asked() == {} and asked(1.0, 2.5) == {"startTime": "1.0", "stopTime": "2.5"}
-    assert asked(1.0, float("inf")) == {"startTime": "1.0"}
-
-
-def test_a_law_tells_its_sizes_to_the_interface(controller):
-    place = controller.memory.slice("invalid").start
-    code = type("Code", (), {"name": "law", "dt": DT})
-    lines = fmu._law_header(controller, code, "abc").splitlines()
-    assert lines == [
-        '#include "law.h"', "#define LAW_START law_start", "#define LAW_STEP law_step", "#define LAW_DT 0.1",
-        "#define LAW_N_STATES 2", "#define LAW_N_COMMANDS 1", f"#define LAW_N_MEMORY {controller.memory.size}",
-        "#define LAW_N_ALARMS 1", f"#define LAW_ALARMS {{{place}}}", '#define LAW_GUID "abc"',
-    ]  # fmt: skip
-    silent = type("Law", (), {"states": controller.states, "commands": controller.commands, "alarms": (),
-                              "memory": type("None", (), {"size": 0})})  # fmt: skip
-    lines = fmu._law_header(silent, code, "abc").splitlines()
-    assert lines[6:9] == ["#define LAW_N_MEMORY 1", "#define LAW_N_ALARMS 0", "#define LAW_ALARMS {0}"]
 
 
 @pytest.mark.parametrize(("limit", "bits"), [(2**63 - 1, "64"), (2**31 - 1, "32"), (2**32, "32")])

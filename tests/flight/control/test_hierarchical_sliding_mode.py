@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.controller_steps import step_through
+from testing.internals import hierarchical_errors
 
 from gnc_opt.control import (
     ConstantRate,
@@ -15,7 +16,6 @@ from gnc_opt.control import (
     design_hierarchical_sliding_mode,
     zero_dynamics,
 )
-from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
 

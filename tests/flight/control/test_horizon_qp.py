@@ -5,8 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-
-from gnc_opt.control.horizon_qp import Programme
+from testing.internals import Programme
 
 INF = np.inf
 

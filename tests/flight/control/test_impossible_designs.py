@@ -25,12 +25,7 @@ from gnc_opt.control import (
     with_dropout_handling,
 )
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.estimation import (
-    Measurement,
-    design_ekf,
-    design_ukf,
-    output_feedback,
-)
+from gnc_opt.estimation import Measurement, design_ekf, design_ukf, output_feedback
 from gnc_opt.guidance import design_neighbouring_extremal, design_neighbouring_optimal
 from gnc_opt.simulation import SensorOutage
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Pair, error_expressions
 
 from gnc_opt.control import (
     Reference,
@@ -14,7 +15,6 @@ from gnc_opt.control import (
     relative_degrees,
     zero_dynamics,
 )
-from gnc_opt.control.input_output_linearization import Pair, error_expressions
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model
 from gnc_opt.spacecraft import quaternion_difference, quaternion_rate

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize_scalar
-from testing.internals import zero_order_hold
-
-from gnc_opt.control.loop_margins import margins
-from gnc_opt.control.sampled_data import spectral_radius
+from testing.internals import margins, spectral_radius, zero_order_hold
 
 NAN, INF = np.nan, np.inf
 

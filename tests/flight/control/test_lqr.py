@@ -6,17 +6,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
-from testing.internals import sample, zero_order_hold
+from testing.internals import margins, sample, sample_along, steady, unreached, zero_order_hold
 
 import gnc_opt as go
-from gnc_opt.control import (
-    Reference,
-    bryson,
-    design_lqr,
-)
-from gnc_opt.control.loop_margins import margins
-from gnc_opt.control.riccati import steady, unreached
-from gnc_opt.control.sampled_data import sample_along
+from gnc_opt.control import Reference, bryson, design_lqr
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 
 ORBIT_RATE = np.sqrt(398600.0 / 7171.0**3)

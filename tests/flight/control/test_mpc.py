@@ -9,12 +9,7 @@ from testing.internals import sample, zero_order_hold
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
-from gnc_opt.control import (
-    Reference,
-    design_lqr,
-    design_mpc,
-    design_tvlqr,
-)
+from gnc_opt.control import Reference, design_lqr, design_mpc, design_tvlqr
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 

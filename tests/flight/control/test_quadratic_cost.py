@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.internals import read_cost, read_weight
 
-from gnc_opt.control.quadratic_cost import read_cost, read_weight
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Layout, Model, Variable
 

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from testing.internals import check_gains, read_bounds
 
 import gnc_opt as go
 from gnc_opt.control import (
@@ -18,8 +19,6 @@ from gnc_opt.control import (
     SuperTwistingObserver,
     TanhLayer,
 )
-from gnc_opt.control.reaching_laws import read_bounds
-from gnc_opt.control.super_twisting import check_gains
 from gnc_opt.errors import ArgumentError, DesignError
 
 LAWS = [

@@ -6,10 +6,7 @@ import pytest
 from scipy.integrate import quad
 
 import gnc_opt as go
-from gnc_opt.control import (
-    Reference,
-    trim,
-)
+from gnc_opt.control import Reference, trim
 from gnc_opt.errors import ArgumentError
 
 

@@ -7,17 +7,16 @@ import warnings
 import numpy as np
 import pytest
 from scipy.linalg import matrix_balance
-from testing.internals import QuadraticCost, zero_order_hold
-
-from gnc_opt.control import (
-    riccati,
-)
-from gnc_opt.control.riccati import (
+from testing.internals import (
+    QuadraticCost,
     require_stabilizable,
     residual,
     steady,
     unreached,
+    zero_order_hold,
 )
+
+from gnc_opt.control import riccati
 from gnc_opt.errors import DesignError
 
 A, B = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.5], [1.0]])

@@ -2,8 +2,8 @@
 
 import casadi as ca
 import pytest
+from testing.internals import is_first, next_phase, started_steps, whole_steps
 
-from gnc_opt.control.sampled_data import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.errors import ArgumentError
 
 

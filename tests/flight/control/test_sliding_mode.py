@@ -21,11 +21,7 @@ from gnc_opt.control import (
     TanhLayer,
     design_sliding_mode,
 )
-from gnc_opt.control.sliding_mode import (
-    SlidingOptions,
-    Switching,
-    _coefficients,
-)
+from gnc_opt.control.sliding_mode import SlidingOptions, Switching, _coefficients
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 

@@ -17,11 +17,11 @@ from testing.c_compiler import (
     run,
     scalar_operations,
 )
+from testing.internals import FLOAT
 from testing.mpc_designs import DT, A, B, tracker
 
 import gnc_opt as go
 from gnc_opt.control import CCodeOptions
-from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.errors import ArgumentError
 
 SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import check_gains, convergence_time
 
 from gnc_opt.control import SuperTwistingObserver
-from gnc_opt.control.super_twisting import check_gains, convergence_time
 from gnc_opt.errors import DesignError
 
 

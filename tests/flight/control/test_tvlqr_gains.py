@@ -6,17 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import QuadraticCost
+from testing.internals import LinearizationTable, QuadraticCost, riccati_gains
 
 import gnc_opt as go
-from gnc_opt.control import (
-    ErrorDynamics,
-    Reference,
-)
-from gnc_opt.control.tvlqr_gains import (
-    LinearizationTable,
-    riccati_gains,
-)
+from gnc_opt.control import ErrorDynamics, Reference
 from gnc_opt.model import Model
 
 

@@ -6,11 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import Regression, cholesky, flat, solved_left, solved_right
 
 import gnc_opt as go
 from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, design_ukf
-from gnc_opt.estimation.error_space import flat
-from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.spacecraft import (
     mrp_difference,
     mrp_from_axis_angle,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import scipy
 from testing.c_compiler import compiled, needs_compiler, python, run
+from testing.internals import SmoothPlan, conjugate_time, feedback
 
 import gnc_opt as go
 from gnc_opt.control import export_c
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_extremal
-from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.simulation import ClosedLoop
 
 DT = 0.01

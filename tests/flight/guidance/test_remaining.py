@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.internals import check_remaining, remaining
 
 import gnc_opt as go
 from gnc_opt.control import Reference, feedforward
 from gnc_opt.guidance import Replanner
-from gnc_opt.guidance.replanning import check_remaining, remaining
 from gnc_opt.simulation import ClosedLoop
 
 DT = 0.01
