@@ -97,14 +97,6 @@ def _arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> An
     return problem.once(("table arguments", leg.name), build)
 
 
-def end_symbols(phases: Iterable[Phase], free_parameters: Any) -> list[Any]:
-    """Return all symbols that a cost or boundary constraint may use: phase by phase, then the free parameters."""
-    symbols: list[Any] = []
-    for leg in phases:
-        symbols += [*end_points(leg), leg.model.symbols("parameter")]
-    return [*symbols, free_parameters]
-
-
 def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     """Return the model parameters of each phase as arguments of one function; repeated ones are placeholders."""
     taken: set[int] = set()
@@ -120,7 +112,8 @@ def parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 def refuse_foreign_ends(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol other than values at phase ends."""
     phases = list(phases)
-    foreign = foreign_symbols(expression, end_symbols(phases, free_parameters))
+    own = [s for leg in phases for s in (*end_points(leg), leg.model.symbols("parameter"))]
+    foreign = foreign_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
     name = foreign[0]

@@ -124,6 +124,10 @@ class Interval:
         high = np.where(upper, self.upper, low)
         return np.asarray(0.5 * (low + high))
 
+    def row(self, i: int) -> Interval:
+        """Return the bounds of one component, shape (1,)."""
+        return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
+
     def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
         """Return which values (n, ...) are at, or beyond, the lower and the upper limit up to a margin, () or (n,)."""
         shape = (-1, *(1,) * (values.ndim - 1))

@@ -291,7 +291,7 @@ class Problem(Statement):
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        self._refuse_foreign_ends(constraint.expression, what)
+        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
         note_told_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
         self.changed()
@@ -543,9 +543,6 @@ class Problem(Statement):
             leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
         )
 
-    def _refuse_foreign_ends(self, expression: Any, what: str) -> None:
-        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
-
     def clone(self) -> Problem:
         """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
         twin = copy.copy(self)
@@ -562,8 +559,9 @@ class Problem(Statement):
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
-        self._refuse_foreign_ends(expression, f"the cost of problem '{self.name}'")
-        expect(unit, str, f"the unit of the cost of problem '{self.name}'", 'write unit="kg"')
+        what = f"the cost of problem '{self.name}'"
+        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
+        expect(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
         self.changed()
 

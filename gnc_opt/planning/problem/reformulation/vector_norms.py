@@ -103,7 +103,7 @@ def _squared(leg: Phase) -> Iterator[Places]:
         if len(places) < 2:
             continue
         of_size = NormNodes.of(expression, controls[list(places)]).replaced(expression, size, {})
-        limits = Interval(box.lower[row : row + 1], box.upper[row : row + 1])
+        limits = box.row(row)
         own = limits_of(of_size, size, limits)
         hole = own is not None and 0 < own[0] < own[1] and not any(names[i] in guessed for i in places)
         if hole or (own is None and limiting_control(leg, of_size, size, limits) is not None):
@@ -178,10 +178,7 @@ def without_roots(leg: Phase) -> dict[str, Constraint]:
     """Return those constraints of a phase that have rows ``root <= c``, as they are without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [
-            _without_root(row, Interval(c.interval.lower[i : i + 1], c.interval.upper[i : i + 1]))
-            for i, row in enumerate(ca.vertsplit(c.expression))
-        ]
+        rows = [_without_root(row, c.interval.row(i)) for i, row in enumerate(ca.vertsplit(c.expression))]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)
             both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]
@@ -466,7 +463,7 @@ def _rows(leg: Phase) -> Iterable[Row]:
     for name, c in leg.paths.items():
         if name not in lengths:
             for i, label in enumerate(c.labels):
-                box = Interval(c.interval.lower[i : i + 1], c.interval.upper[i : i + 1])
+                box = c.interval.row(i)
                 yield Row(label, c.expression[i], box)
 
 
