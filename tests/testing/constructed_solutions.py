@@ -11,7 +11,6 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning import PhaseSolution, Solution, Status
-from gnc_opt.planning.solution.phase_solution import piecewise
 from testing.internals import (
     Interval,
     PhaseFunctions,
@@ -22,6 +21,7 @@ from testing.internals import (
     collocation_rule,
     free,
     phase_functions,
+    piecewise,
 )
 
 Signal = Callable[[Array, int], Any]

@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.planning.optimality.reach import Ellipsoid
-from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
-from gnc_opt.planning.solution.samples import PhaseSamples
+from testing.internals import Ellipsoid, PhaseSamples, PhaseScales, Scales
 
 
 def given_scales(

@@ -31,8 +31,11 @@ from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory, solve_mesh
 from gnc_opt.planning.nlp import NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, settle_edges
 from gnc_opt.planning.optimality.multiplier_estimate import estimate
+from gnc_opt.planning.optimality.reach import Ellipsoid
+from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
@@ -63,6 +66,7 @@ from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits
 from gnc_opt.planning.refinement.mesh.refinement import refine_mesh
 from gnc_opt.planning.solution.history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.phase_solution import piecewise
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import Worst
@@ -85,6 +89,9 @@ from gnc_opt.planning.transcription.scaling import NEARBY, scale_rows, scale_var
 from gnc_opt.planning.transcription.scheme import SCHEMES, Scheme, family_of
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
+from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
+from gnc_opt.planning.verification.recomputed import ends_of, from_problem
+from gnc_opt.planning.verification.verify_trajectory import _solution
 from gnc_opt.plot.style import new_figure
 from gnc_opt.simulation.confidence_intervals import pass_rate
 from gnc_opt.simulation.dispersions import Dispersion

@@ -6,12 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.cost_scale import Magnitudes
-from gnc_opt.planning.optimality.costate_jumps import settle_edges
-from gnc_opt.planning.optimality.trajectory_fit import Samples
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
-from gnc_opt.planning.verification.recomputed import ends_of, from_problem
-from gnc_opt.planning.verification.verify_trajectory import _solution
+from testing.internals import (
+    CONDITION_TOLERANCE,
+    Magnitudes,
+    Samples,
+    _solution,
+    ends_of,
+    from_problem,
+    second_order_parts,
+    settle_edges,
+)
 
 Array = NDArray[np.float64]
 

@@ -1,12 +1,25 @@
-"""Evaluating CasADi functions many times: the same numbers as one by one, whatever the blocks."""
+"""Evaluation of model functions: columns, repeated operations, and the Dormand-Prince step."""
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 
-from gnc_opt.model.evaluation import BLOCK, evaluate_chain, evaluate_columns
+from gnc_opt.model.evaluation import (
+    BLOCK,
+    NUMPY_MAX_OPERATIONS,
+    Operations,
+    evaluate,
+    evaluate_chain,
+    evaluate_columns,
+    fast_call,
+)
+from gnc_opt.model.integration import STAGES, Budget, Tolerance, carried, step_function
+
+# Evaluating CasADi functions many times: the same numbers as one by one, whatever the blocks.
+
 
 x, p, none = ca.SX.sym("x", 3), ca.SX.sym("p", 2), ca.SX.sym("none", 0)
 DENSE = ca.Function("dense", [x, none, p], [ca.vertcat(x[0] * p[0], ca.sin(x[1]) + p[1], x[2] ** 2, 7)])
@@ -39,3 +52,138 @@ def test_a_chain_goes_on_from_what_it_gave() -> None:
     assert found[0].tolist() == [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
     assert evaluate_chain(step, start, np.array([[0.0, 3.0]]))[1].tolist() == [1, 1, 5]
     assert start.tolist() == [0.0, 1.0]
+
+
+# CasADi functions by NumPy are the same functions.
+
+
+COLUMNS = 200
+
+
+def function(*expressions: ca.SX, of: tuple[ca.SX, ...]) -> ca.Function:
+    return ca.Function("f", list(of), [ca.densify(ca.vertcat(*expressions))])
+
+
+def arguments(rng: np.random.Generator) -> list[np.ndarray]:
+    return [rng.uniform(-2, 2, (1, COLUMNS)), rng.uniform(-2, 2, (2, COLUMNS)), rng.uniform(-2, 2, 2)]
+
+
+T, X, P = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+A, B = X[0], X[1]
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        A + B * T - P[0] / B,
+        ca.vertcat(-A, 2 * B, 1 / T, A**2, ca.fabs(B)),
+        ca.vertcat(ca.exp(A), ca.log(B), ca.sqrt(T), A**1.7, A**B, ca.constpow(B, 3)),
+        ca.vertcat(ca.sin(A), ca.cos(B), ca.tan(T), ca.asin(A), ca.acos(B), ca.atan(T), ca.atan2(A, B)),
+        ca.vertcat(ca.sinh(A), ca.cosh(B), ca.tanh(T), ca.fmin(A, B), ca.fmax(A, P[1]), ca.hypot(A, B)),
+        ca.vertcat(0, 3.5, P[1], T),
+    ],
+    ids=str,
+)
+def test_operations_are_casadis_numbers_that_are_none_included(expression: ca.SX) -> None:
+    f = function(expression, of=(T, X, P))
+    given = arguments(np.random.default_rng(1))
+    programme = Operations.of(f)
+    assert programme is not None
+    np.testing.assert_allclose(programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-14)
+
+
+def test_registers_that_serve_twice_and_derivatives() -> None:
+    """A Hessian of some length, whose intermediate results CasADi keeps in a few places."""
+    long = ca.sin(A * B) ** 2 * ca.exp(-T * A) / (1 + B**2) + ca.sqrt(1 + A**4) * ca.cos(P[0] * B)
+    f = function(ca.vec(ca.hessian(long, X)[0]), ca.gradient(long, X), of=(T, X, P))
+    given = arguments(np.random.default_rng(2))
+    programme = Operations.of(f)
+    assert programme is not None and programme.registers < len(programme.steps) / 2
+    np.testing.assert_allclose(
+        programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
+    )
+
+
+def test_what_is_not_read_is_left_to_casadi() -> None:
+    kinked = function(ca.if_else(A > 0, A, B), of=(T, X, P))
+    endless = A
+    for _ in range(NUMPY_MAX_OPERATIONS):
+        endless = ca.sin(endless)
+    assert Operations.of(kinked) is None and Operations.of(function(endless, of=(T, X, P))) is None
+    t, x, p = arguments(np.random.default_rng(3))
+    found = evaluate(kinked, t[0], x, p, programme=lambda: Operations.of(kinked))
+    np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))
+
+
+# Runge-Kutta steps in one call: their order, SciPy's own steps, and stiffness.
+
+
+PLACES = scipy.integrate.DOP853.C[1:STAGES]
+
+
+def rates(expression: ca.SX, t: ca.SX, x: ca.SX, u: ca.SX) -> ca.Function:
+    return ca.Function("rates", [t, x, u], [ca.densify(expression)])
+
+
+def pendulum() -> ca.Function:
+    """theta'' = -sin(theta) + u cos(t)."""
+    t, x, u = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u")
+    return rates(ca.vertcat(x[1], -ca.sin(x[0]) + u * ca.cos(t)), t, x, u)
+
+
+def control(times: np.ndarray) -> np.ndarray:
+    return (0.3 + times - 0.2 * times**2)[None, :]
+
+
+def test_a_step_is_scipys_and_of_order_eight() -> None:
+    f = pendulum()
+    rate = fast_call(f)
+    step = fast_call(step_function(f))
+
+    def right(t: float, x: np.ndarray) -> np.ndarray:
+        return rate(t, x, control(np.array([t]))[:, 0])
+
+    def stepped(t: float, h: float, x: np.ndarray) -> np.ndarray:
+        return step(t, h, x, right(t, x), control(t + h * PLACES).ravel("F")).reshape(4, -1)
+
+    start = np.array([0.4, -0.1])
+    theirs = scipy.integrate.DOP853(right, 0.2, start, 5.0, rtol=1e-6, first_step=0.5)
+    theirs.step()
+    new, slope, *_ = stepped(0.2, theirs.t - 0.2, start)
+    np.testing.assert_allclose(new, theirs.y, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(slope, right(theirs.t, theirs.y), rtol=0, atol=1e-14)
+
+    exact = scipy.integrate.solve_ivp(right, (0.0, 4.0), start, method="DOP853", rtol=1e-13, atol=1e-15).y[
+        :, -1
+    ]
+    misses = []
+    for count in (4, 8):
+        x = start
+        for k in range(count):
+            x = stepped(4.0 * k / count, 4.0 / count, x)[0]
+        misses.append(np.max(np.abs(x - exact)))
+    assert 7.0 < np.log2(misses[0] / misses[1]) < 10.0
+
+
+def test_steps_keep_their_tolerance_and_are_as_many_as_scipys() -> None:
+    """x' = -300 (x - cos t) - sin t: stiff enough for stability to set the step; x = cos t."""
+    t, x, u = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("u")
+    f = rates(-300 * (x - ca.cos(t)) - ca.sin(t), t, x, u)
+    rate, budget = fast_call(f), Budget(["x"])
+
+    def right(t: float, x: np.ndarray) -> np.ndarray:
+        return rate(t, x, 0.0)
+
+    end = carried(
+        fast_call(step_function(f)),
+        right,
+        lambda times: np.zeros((1, times.size)),
+        np.array([1.0]),
+        (0.0, 2.0),
+        Tolerance(1e-10, np.ones(1)),
+        budget,
+    )
+    assert end is not None
+    np.testing.assert_allclose(end, np.cos(2.0), rtol=0, atol=1e-9)
+    theirs = scipy.integrate.solve_ivp(right, (0.0, 2.0), [1.0], method="DOP853", rtol=1e-10, atol=1e-10)
+    assert 0.8 * theirs.nfev < budget.count < 1.2 * theirs.nfev

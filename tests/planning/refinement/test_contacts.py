@@ -1,21 +1,31 @@
-"""Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms."""
+"""Contacts with state limits: found, held, and their junctions."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from testing.constructed_solutions import functions, interval, phase
+from testing.internals import PhaseSamples, PhaseStructure
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
+from gnc_opt.planning.optimality import state_constraints as sc
 from gnc_opt.planning.optimality.active_set import with_touches
 from gnc_opt.planning.optimality.program_point import ProgramPoint
 from gnc_opt.planning.problem.arcs import Junction
 from gnc_opt.planning.problem.state_constraints import constraint_order
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs import contact_detection as p
+from gnc_opt.planning.refinement.arcs import contacts as c
+
+# Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms.
+
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
@@ -418,3 +428,163 @@ def test_an_arc_from_a_free_start(price: float, form: str) -> None:
         found.u(np.linspace(0.0, 3.0, 31))[0], price * (left * t / 3 - t**2 / 2), atol=1e-6
     )
     np.testing.assert_allclose(found.lam(0.3 * arc.end), 0.0, atol=1e-6)
+
+
+# Contacts with state constraints, part by part: runs of pushes, junctions, touches that pull, excesses.
+
+
+MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))
+
+
+def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:
+    """One control and one state from 0 to 10 s."""
+    times = tuple(float(t) for t in np.linspace(0.0, 10.0, pieces + 1))
+    return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), (0,)))
+
+
+def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.Push:
+    return p.Push(1, kind, np.array(times, float), np.array(worth, float))
+
+
+# --- runs of pushes -----------------------------------------------------------------------------------------
+
+
+def test_a_constraint_of_second_order_touches_or_stays() -> None:
+    """Pushes at `FEW` nodes or fewer are a touch at their centre; at more, or beside a touch, an arc over all."""
+    nodes = np.linspace(2.0, 8.0, 7)
+    few = run(nodes, [0, 1, 0, 3, 0, 0, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    assert few.times == (0.0, 3.0, 5.0, 10.0) and few.touches == ((), ((1, UP),), ((1, UP),), ())
+    one = run(nodes, [0, 1, 3, 0, 0, 0, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    assert one.touching(1, UP) == pytest.approx([3.75]) and one.kinds == ((FREE, FREE),) * 2
+    five = run(nodes, [0, 1, 0, 0, 0, 1, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    assert five.touching(1, UP) == [3.0, 7.0]
+    six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).added(free(2), MESH)  # type: ignore[arg-type]
+    assert six.times == (0.0, 2.0, 7.5, 10.0) and [k[1] for k in six.kinds] == [FREE, UP, FREE]
+    known = free(2).with_touch(1, 2.5, UP)
+    beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).added(known, MESH)  # type: ignore[arg-type]
+    assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.touching(1, UP)
+    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).added(free(2).with_touch(1, 7.5, UP), MESH)  # type: ignore[arg-type]
+    assert later.times == (0.0, 4.5, 7.5, 10.0)
+    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).added(free(2).with_touch(1, 9.0, UP), MESH)  # type: ignore[arg-type]
+    assert far.touching(1, UP) == [3.0, 9.0]
+
+
+def test_a_constraint_of_third_order_touches_only() -> None:
+    added = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1]).added(free(3), MESH)  # type: ignore[arg-type]
+    assert added.touching(1, UP) == pytest.approx([5.0]) and added.kinds == ((FREE, FREE),) * 2
+    for end in (0.0, 10.0):
+        at_end = run([end, 5.0] if end == 0 else [5.0, end], [1, 0] if end == 0 else [0, 1])
+        assert at_end.added(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
+
+
+# --- of a phase ---------------------------------------------------------------------------------------------
+
+
+def climb() -> go.Problem:
+    """h' = v, v' = a, and a path on h + v^2 / 2; h and that are of second and first order."""
+    model = go.Model("climb")
+    h, v, a = model.state("h"), model.state("v"), model.control("a")
+    model.ode({h: v, v: a})
+    problem = go.Problem("climb")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    leg.path("energy", h + v**2 / 2, upper=5.0)
+    problem.minimize(0.5 * leg.integral(a**2))
+    return problem
+
+
+CLIMB = climb()
+
+
+def constraints(x: Any, u: Any, lam: Any, **changes: Any) -> sc.StateConstraints:
+    leg = phase(CLIMB, x, u, lam, breaks=(0.0, 1.0, 2.0, 4.0), **changes)
+    return sc.StateConstraints(CLIMB, PhaseSamples.of(leg, functions(CLIMB)))
+
+
+def falling(t: Array, k: int) -> Any:
+    """h = 4 t - t^2, v = 4 - 2 t: at its highest, 4 m, at 2 s."""
+    return [4 * t - t**2, 4 - 2 * t]
+
+
+def steady(t: Array, k: int) -> Any:
+    return [-2 + 0 * t]
+
+
+def jumping(t: Array, k: int) -> Any:
+    """lam_h is 3 before 2 s, and 1 afterwards."""
+    return [1.0 + 2 * (k < 2) + 0 * t, 0 * t]
+
+
+def test_values_derivatives_and_gradients_of_rows() -> None:
+    here = constraints(falling, steady, jumping, state_bounds=interval([-1, -9], [4, 9]))
+    assert here.size == 3 and here.bounds.upper.tolist() == [5, 4, 9]
+    assert here.bounds.lower.tolist() == [-np.inf, -1, -9]
+    t = np.array([0.5, 3.0])
+    x, u = falling(t, 0), steady(t, 0)
+    x, u = np.array(x), np.array(u)
+    assert here.values(t, x, u) == pytest.approx(np.array([x[0] + x[1] ** 2 / 2, x[0], x[1]]))
+    assert here.derivative(0, 1, t, x, u) == pytest.approx(x[1] + x[1] * u[0])
+    assert here.derivative(1, 1, t, x, u) == pytest.approx(x[1])
+    assert here.derivative(1, 2, t, x, u) == pytest.approx(u[0]) == here.derivative(2, 1, t, x, u)
+    assert here.gradient(0, 0.5, x[:, 0], u[:, 0]) == pytest.approx([1.0, 3.0])
+    assert here.gradient(2, 0.5, x[:, 0], u[:, 0]).tolist() == [0.0, 1.0]
+    assert here.scales == pytest.approx([*here.samples.path_scale, *here.samples.state_scale])
+
+
+def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
+    """At 2 s the costate of h falls by 2: an upper limit pushes, a lower one would pull."""
+    here = constraints(falling, steady, jumping, state_bounds=interval([4, -9], [4.5, 9]))
+    base = PhaseStructure((0.0, 4.0), ((FREE, FREE, FREE, FREE),), (), 1, 1, (0, 0, 2, 0))
+    assert c.wrong_touch(here, base.with_touch(2, 2.0, UP)) is None
+    assert c.wrong_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
+    assert c.wrong_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
+    both = base.with_touch(2, 1.0, LOW).with_touch(2, 2.0, LOW)
+    assert c.wrong_touch(here, both) == (2, 2) and c.wrong_touch(here, base) is None
+    path = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 2, 0, 0))
+    assert c.wrong_touch(here, path.with_touch(1, 2.0, UP)) is None
+    assert c.wrong_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
+
+
+def test_where_a_constraint_is_left() -> None:
+    """h exceeds 3 m between 1 and 3 s, by a quarter of its 4 m at most."""
+    here = constraints(falling, steady, jumping, state_bounds=interval([-1, -np.inf], [3, np.inf]))
+    structure = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 1, 2, 0), (), ((), (0,), (0,), ()))
+    found = [r for r in c._excesses(here, structure) if r.row == 2]
+    assert {r.kind for r in found} == {UP} and found[0].times[0] == pytest.approx(1.0, abs=0.05)
+    times, worth = (np.concatenate([getattr(r, name) for r in found]) for name in ("times", "worth"))
+    assert worth == pytest.approx((falling(times, 0)[0] - 3) / here.scales[1])
+    assert times[-1] == pytest.approx(3.0, abs=0.3) and np.max(worth) == pytest.approx(0.25)
+    known = structure.with_arc(2, 0.5, 3.5, UP)
+    assert not [r for r in c._excesses(here, known) if r.row == 2]
+    assert not c._excesses(here, PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 0, 0, 0)))
+    # v^2 / 2 + h = 8 at the start is the worst of all, 3 beyond its limit of 5.
+    added, what = c.crossed_contact(here, structure)
+    assert added is not None and what == "contact of energy added at 0 s"
+    only, what = c.crossed_contact(here, PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 0, 2, 0)))
+    assert only is not None and what.startswith("contact of h added at 2 s")
+    assert c.crossed_contact(here, known.with_arc(1, 0.0, 4.0, UP)) == (None, "")
+
+
+@dataclass(frozen=True)
+class Push:
+    """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
+
+    row: int
+    times: Any
+    worth: Any
+    can: bool
+    seen: bool
+    slides: bool = False
+    touched: bool = False
+
+    def beside_touch(self, structure: Any, samples: Any) -> bool:
+        return self.touched
+
+    def beside_slide(self, structure: Any, samples: Any) -> bool:
+        return self.slides
+
+    def possible(self, structure: Any) -> bool:
+        return self.can
+
+    def known(self, structure: Any, samples: Any) -> bool:
+        return self.seen

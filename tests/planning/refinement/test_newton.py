@@ -1,20 +1,51 @@
-"""Newton's method on switch times against closed forms."""
+"""Newton's method on switch times: steps, costates, collocated flights, and warm starts."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, get_args
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from testing.internals import PhaseStructure, Plan, Switches, detect
+from testing.constructed_solutions import (
+    cart as constructed_cart,
+)
+from testing.constructed_solutions import (
+    costates,
+    interval,
+    phase,
+    solution,
+)
+from testing.internals import Interval, PhaseStructure, PiecewisePolynomial, Plan, Scheme, Switches, detect
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import loop as switching
+from gnc_opt.planning.refinement.switching import collocated_flight as c
+from gnc_opt.planning.refinement.switching import newton as n
+from gnc_opt.planning.refinement.switching import step as switch_step
+from gnc_opt.planning.refinement.switching import warm_start as v
+from gnc_opt.planning.refinement.switching.collocated_flight import collocated
+from gnc_opt.planning.refinement.switching.costates import _backwards, settle_costates
+from gnc_opt.planning.refinement.switching.flight import (
+    _interpolated,
+)
 from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
-from gnc_opt.planning.refinement.switching.step import chord_step, independent, newton_step
+from gnc_opt.planning.refinement.switching.step import (
+    SwitchStep,
+    chord_step,
+    independent,
+    model_minimum,
+    newton_step,
+)
 from problems.rendezvous import SWITCHES, build
+
+# Newton's method on switch times against closed forms.
+
 
 LOWER, UPPER, INTERIOR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
 
@@ -310,3 +341,538 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     twice = chord_step(problem, stated, moved, again) or pytest.fail("no step")
     newer = newton_step(problem, stated, moved) or pytest.fail("no step")
     assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))
+
+
+# Newton's method on switch times, part by part: steps, arcs that stand in the way, arcs that are missing.
+
+
+RNG = np.random.default_rng(4)
+
+
+def switches(
+    times: list[float], channels: list[int], first: Any = (-1.0, 4.0), ends: Any = (1.0, 11.0)
+) -> Switches:
+    """Of two controls, one from -1 to 1, one from 2 to 4."""
+    return Switches(
+        np.array(times, float), np.array(channels, int), np.array(first, float), np.array(ends, float),
+        np.array([0.0, 6.0]), (),
+    )  # fmt: skip
+
+
+def step(*change: float) -> Any:
+    return SimpleNamespace(change=np.array(change))
+
+
+# --- the quadratic model ----------------------------------------------------------------------------------
+
+
+def test_a_step_is_that_of_the_optimality_system() -> None:
+    rough = RNG.standard_normal((5, 5))
+    hessian, gradient = rough @ rough.T + np.eye(5), RNG.standard_normal(5)
+    rows, misses = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
+    system = np.block([[hessian, rows.T], [rows, np.zeros((2, 2))]])
+    wanted = np.linalg.solve(system, -np.concatenate([gradient, misses]))[:5]
+    assert model_minimum(hessian, gradient, rows, misses) == pytest.approx(wanted)
+
+
+def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:
+    rows = RNG.standard_normal((3, 3))
+    wanted = np.array([1.0, -2.0, 3.0])
+    assert model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
+
+
+def test_negative_curvatures_are_reversed() -> None:
+    """x is held; along y and z, curvatures of -2 and 5 and slopes of 4 and -10: down both, by 2 and by 2."""
+    hessian, gradient = np.diag([7.0, -2.0, 5.0]), np.array([1.0, 4.0, -10.0])
+    found = model_minimum(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
+    assert found == pytest.approx([-1.5, -2.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "independent"),
+    [
+        ([[1.0, 0.0], [1.0, 1.0]], True), ([[1.0, 0.0], [1e-8, 1e-8]], True), ([[1.0, 2.0], [-2.0, -4.0]], False),
+        ([[1.0, 0.0], [0.0, 0.0]], False), ([[1.0, 2.0]], True), ([[1.0, 1.0], [1.0, 1.0 + 1e-10]], False),
+        ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], False),
+    ],
+)  # fmt: skip
+def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
+    assert switch_step.independent(np.array(rows)) is independent
+
+
+# --- arcs -------------------------------------------------------------------------------------------------
+
+
+def test_arcs_of_every_control_from_end_to_end() -> None:
+    """The second control switches first, then the first one, twice: unknowns 1 to 3 between 0 and 4."""
+    assert n._arcs(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [(0, 1), (1, 3), (3, 4), (0, 2), (2, 4)]
+    assert n._arcs(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
+
+
+# --- arcs that are missing --------------------------------------------------------------------------------
+
+
+def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
+    before = switches([3.0], [1])
+    inner = n._with_arc(before, 0, 4.0, 6.0)
+    assert (inner.times.tolist(), inner.channels.tolist()) == ([3.0, 4.0, 6.0], [1, 0, 0])
+    assert inner.first.tolist() == [-1.0, 4.0]
+    early = n._with_arc(before, 1, 1.0, 2.0)
+    assert (early.times.tolist(), early.channels.tolist()) == ([3.0, 2.0], [1, 1])
+    assert early.first.tolist() == [-1.0, 2.0] and before.first.tolist() == [-1.0, 4.0]
+    late = n._with_arc(before, 0, 9.0, 11.0)
+    assert (late.times.tolist(), late.channels.tolist(), late.first.tolist()) == (
+        [3.0, 9.0],
+        [1, 0],
+        [-1.0, 4.0],
+    )
+    whole = n._with_arc(before, 0, 1.0, 11.0)
+    assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("rests", "last"),
+    [
+        ([(6.0, False)], 6.0),
+        ([(6.0, True), (5.0, False)], 5.0),
+        ([(6.0, True), (5.0, True), (5.0 + 1e-5, True)], 5.0),  # where it was before: that arc vanishes
+        ([(6.0, True), (5.0, True), None], 5.0),
+        ([None], None),
+    ],
+)
+def test_arcs_are_added_as_long_as_they_lead_anywhere(
+    monkeypatch: pytest.MonkeyPatch, rests: Any, last: Any
+) -> None:
+    """Flights at rest with a switch at such times, and whether they lack an arc."""
+    left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
+    monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
+    monkeypatch.setattr(n, "_with_arc", lambda there, *_: there)
+    monkeypatch.setattr(n, "_at_rest", lambda *_: left.pop(0))
+    found = n._optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
+    assert (found and found.switches.times.tolist()) == (last and [last]) and not left
+
+
+# --- as a guess -------------------------------------------------------------------------------------------
+
+
+def test_polynomials_through_values_and_rates() -> None:
+    """t^7 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
+
+    def values(t: Any) -> Any:
+        return np.array([t**7 - 2 * t, 4 - t**2])
+
+    def rates(t: Any) -> Any:
+        return np.array([7 * t**6 - 2, -2 * t])
+
+    breaks = np.array([1.0, 1.5, 4.0])
+    given = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.array([0, 1, 2, 3]) / 3).ravel()
+    found = _interpolated(breaks, values(given), rates(given))
+    t = np.linspace(1.0, 4.0, 13)
+    assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
+
+
+# --- what the method fits ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A flight that is off by so many accuracies, at these switches."""
+
+    error: float
+    missing_arc: Any = None
+    switches: Any = None
+    step: Any = None
+
+
+@pytest.mark.parametrize(
+    ("errors", "arc", "grids"),
+    [
+        ([0.5], None, [1]), ([2.0, 0.5], None, [1, 2]), ([9.0, 3.0, 2.0, 0.5], None, [1, 2, 4, 8]),
+        ([9.0, 9.0, 9.0, 9.0], None, None), ([0.5], (0, 1.0, 2.0), None), ([2.0, None], None, None),
+        ([None], None, None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("known", [None, SwitchStep(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
+def test_when_a_flow_is_accurate(
+    monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
+) -> None:
+    """Flights off by so many accuracies; signs that do not agree send what is known to the longer way, once."""
+    accuracy, seen = 1e-4, []
+    left = [e if e is None else Planned(e * accuracy, arc) for e in errors]
+
+    def optimum(*rest: Any) -> Any:
+        seen.append(rest[-1] // n.FLOW_INITIAL_STEPS)
+        return left.pop(0)
+
+    def near(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
+        if isinstance(step, SwitchStep):
+            return Planned(0.0, (0, 1.0, 2.0))
+        seen.append(steps // n.FLOW_INITIAL_STEPS)
+        return left.pop(0)
+
+    for name, answer in (
+        ("_fits", lambda *_: True), ("_switches", lambda *_: None), ("_optimum", optimum), ("_near", near),
+        ("_structure", lambda *_: "structure"),
+    ):  # fmt: skip
+        monkeypatch.setattr(n, name, answer)
+    problem = constructed_cart()
+    found = n.settle_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
+    assert (found is not None) is (grids is not None)
+    if grids:
+        assert found is not None and found[0] == "structure" and seen == grids
+        assert found[1].error == errors[-1] * accuracy
+
+
+# Flights as solutions on a mesh, against closed forms: what refining a bang-bang solution returns without
+# a solve.
+
+
+def pulled() -> go.Problem:
+    """From 5 at rest to the origin in least time, x'' + x = u, |u| <= 1, and what half of u^2 adds up to."""
+    model = go.Model("oscillator")
+    q, v, u = model.state("q"), model.state("v"), model.control("u")
+    model.ode({q: v, v: u - q})
+    problem = go.Problem("oscillator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 20.0))
+    leg.initial(q=5.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    leg.integral(0.5 * u**2, name="effort")
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def circles(t: np.ndarray, switches: np.ndarray, first: float) -> np.ndarray:
+    """States under u = first, -first, ... : turns about (u, 0) in the phase plane."""
+    found, begun, start, u = np.empty((2, t.size)), 0.0, np.array([5.0, 0.0]), first
+    for end in [*switches, np.inf]:
+        here = (t >= begun) & (t <= end)
+        for k in [*np.flatnonzero(here), None]:
+            turn = (end if k is None else t[k]) - begun
+            if not np.isfinite(turn):
+                break
+            q, v = start[0] - u, start[1]
+            there = np.array([u + q * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - q * np.sin(turn)])
+            if k is not None:
+                found[:, k] = there
+        begun, start, u = end, there, -u
+    return found
+
+
+@pytest.fixture(scope="module", params=get_args(Scheme))
+def refined(request: pytest.FixtureRequest) -> go.Solution:
+    return go.solve(pulled(), mesh="10x3", scheme=request.param)
+
+
+def test_nothing_is_left_to_solve_and_the_mesh_is_as_fine_as_was_asked_for(refined: go.Solution) -> None:
+    assert refined.history is not None and refined.history.converged
+    assert [p.iterations for p in refined.history.passes] == [0] and refined.history.final.error < 1e-9
+    assert refined.status is go.Status.OPTIMAL and str(refined.phase().mesh) in refined.provenance["mesh"]
+    assert go.verify(refined).minimum
+
+
+def test_states_costates_and_cost_are_those_of_the_closed_form(refined: go.Solution) -> None:
+    """Arcs of pi between the switches; lam_v is a sine that vanishes there, H = 0 its size."""
+    leg = refined.phase()
+    switches = np.array([arc.end for arc in refined.structure[:-1]])
+    assert np.diff(switches) == pytest.approx(np.pi, abs=1e-8)
+    t = np.linspace(0.0, leg.final_time, 300)
+    assert leg.x(t) == pytest.approx(circles(t, switches, -1.0), abs=1e-8)
+    assert leg.x(leg.final_time, "left") == pytest.approx([0.0, 0.0], abs=1e-10)
+    # 1 + lam_q v + lam_v (u - q) = 0 at the start, where v = 0 and u - q = -6: lam_v = 1/6 there.
+    size = 1 / 6 / np.sin(switches[0])
+    lam = np.stack([size * np.cos(switches[0] - t), size * np.sin(switches[0] - t)])
+    assert leg.lam(t) == pytest.approx(lam, abs=1e-7)
+    assert leg.point_costates == pytest.approx(leg.lam(leg.point_times), abs=1e-7)
+    assert refined.objective == leg.final_time and leg.integral("effort") == pytest.approx(leg.final_time / 2)
+    # A held start and end are worth the costates there; a bound on a control what moving it would gain.
+    assert leg.state_impulses[:, 0] == pytest.approx(-lam[:, 0], abs=1e-7)
+    assert leg.state_impulses[:, -1] + np.array([0.0, 1.0]) == pytest.approx(
+        lam[:, -1] + [0.0, 1.0], abs=1e-7
+    )
+    assert leg.control_multipliers == pytest.approx(-leg.lam(leg.point_times)[1:], abs=1e-7)
+
+
+@pytest.mark.parametrize(("slowest", "kept"), [(-5.0, True), (-4.05, True), (-4.03, False)])
+def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept: bool) -> None:
+    """The speed reaches -4.04 m/s."""
+    solution = go.solve(pulled(), mesh="10x3", tol=None)
+    (s,) = solution.samples().values()
+    structure, flight = settle(solution, detect(s)) or pytest.fail("does not settle")
+    least = float(np.min(flight.x[1]))
+    assert least == pytest.approx(-4.04, abs=1e-3)
+    box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
+    limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
+    assert (collocated(solution, limited, Plan.of(structure, 60.0)) is not None) is kept
+
+
+# Variations of a known flight, part by part: where they begin, what limits they keep, what they are told
+# to be.
+
+
+KNOWN = solution(constructed_cart(), phase(constructed_cart(), integrals=np.array([12.0])))
+
+
+def begun_at(first: Any, last: float = 1.0) -> go.Problem:
+    problem = constructed_cart()
+    problem.get_phase().time(first, last)
+    return problem
+
+
+@dataclass(frozen=True)
+class Step:
+    steps: int
+
+
+@pytest.mark.parametrize(
+    ("answers", "steps"),
+    [((1, 1), v.FLOW_INITIAL_STEPS // 2), ((1, 0), v.FLOW_INITIAL_STEPS), ((0, 0), None)],
+)
+def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare(
+    monkeypatch: pytest.MonkeyPatch, answers: Any, steps: int | None
+) -> None:
+    asked: list[Any] = []
+
+    def settle(start: Any, structure: Any, accuracy: float, step: Any = None) -> Any:
+        assert structure == ("known" if step is None else "structure 1")  # what a step is of
+        asked.append((accuracy, step))
+        flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
+        return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
+
+    monkeypatch.setattr(v, "settle_flow", settle)
+    found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
+    tries = [(v.ACCURACY, None), (v.FLOW_GRID_ACCURACY_SHARE * v.ACCURACY, Step(v.FLOW_INITIAL_STEPS // 2))]
+    assert asked == tries[: 1 + answers[0]] and v.FLOW_GRID_ACCURACY_SHARE < 1
+    assert (found and found.step) == (steps and Step(steps))
+    if found:
+        assert found.structure == f"structure {sum(answers)}"
+
+
+def test_what_begins_on_the_way_is_the_rest_of_it() -> None:
+    left = v.on_the_way(KNOWN, begun_at(0.3))
+    t = np.linspace(0.3, 1.0, 5)
+    assert (left.phase().initial_time, left.phase().final_time) == (0.3, 1.0)
+    assert left.phase().x(t) == pytest.approx(KNOWN.phase().x(t))
+    two = replace(KNOWN, phases={"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")})
+    assert v.on_the_way(two, begun_at(0.3)) is two
+
+
+def test_it_starts_where_its_problem_says() -> None:
+    """The whole trajectory moves there, but in what is not given."""
+    t = np.linspace(0.0, 1.0, 5)
+    box = interval([0.25, -np.inf], [0.25, np.inf])
+    moved = v._begun(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
+    assert moved is not None
+    assert moved.phase().x(t) == pytest.approx(KNOWN.phase().x(t) + np.array([[0.25], [0.0]]))
+    for end in ("initial_time", "final_time"):
+        other = interval(getattr(KNOWN.phase(), end) + 0.1, getattr(KNOWN.phase(), end) + 0.1)
+        leg = replace(KNOWN.phase(), **{f"{end}_bounds": other})
+        assert v._begun(replace(KNOWN, phases={"leg": leg})) is None
+        free = replace(KNOWN.phase(), **{f"{end}_bounds": interval(-9.0, 9.0)})
+        assert v._begun(replace(KNOWN, phases={"leg": free})) is not None
+
+
+@pytest.mark.parametrize(
+    ("what", "lower", "upper", "kept"),
+    [
+        ("control_bounds", [-6.0], [6.0], True), ("control_bounds", [-6.0], [5.0], False),
+        ("control_bounds", [-5.0], [6.0], False), ("state_bounds", [-1, -1], [1, 2], True),
+        ("state_bounds", [-1, -1], [1, 1.4], False), ("path_bounds", [-99, -1], [99, 2], True),
+        ("path_bounds", [-99, 0.1], [99, 2], False), ("path_bounds", [-99, -1], [5.9, 2], False),
+    ],
+)  # fmt: skip
+def test_a_limit_along_the_way_may_not_be_exceeded(what: str, lower: Any, upper: Any, kept: bool) -> None:
+    """v is 3/2 at most, a falls from 6 to -6, v + a from 6."""
+    leg = replace(KNOWN.phase(), **{what: interval(lower, upper)})
+    assert c.keeps_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
+
+
+@pytest.mark.parametrize("pull", [0.0, 2.0])
+@pytest.mark.parametrize("free", [False, True])
+def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free: bool) -> None:
+    """J = 7 t_0 + 2 t_f + 5 v_0 + 3 q_f + half the integral of a^2.
+
+    With H = lam_q v + lam_v a + a^2 / 2 the multipliers of given ends are H - 7 and -(H + 2), -lam - (0, 5) and
+    lam - (3, 0), and that of the control is -(a + lam_v).
+    """
+    model = go.Model("cart")
+    q, speed, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: speed, speed: a})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.5, 9.0) if free else 1.0)
+    ends = 7 * leg.initial_time + 2 * leg.final_time + 5 * leg.initial_state("v") + 3 * leg.final_state("q")
+    problem.minimize(ends + 0.5 * leg.integral(a**2))
+    lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
+    times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
+    flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
+    found = c.completed(solution(problem, flown, objective=99.0))
+    told = found.phase()
+    first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
+    assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])
+    assert told.state_impulses[:, 0] == pytest.approx([12, 6 - pull - 5])
+    assert told.state_impulses[:, -1] == pytest.approx([-12 - 3, 6 + pull])
+    assert not np.any(told.state_impulses[:, 1:-1])
+    assert told.control_multipliers == pytest.approx(np.full((1, 8), -pull), abs=1e-9)
+    assert found.objective == pytest.approx(2 + 3 + 6) and found.history is None
+
+
+# Costates where several controls switch at once: those of the continuous problem, whatever a program
+# returns.
+
+
+WORTH = np.array([1.0, 2.0, 3.0])
+
+
+def carts_of_simultaneous(braking: float) -> go.Problem:
+    """Three carts from rest to rest, as far as they get in at most 2 s, |a| <= 1; metres are worth 1, 2 and 3.
+
+    The first one is told to stop by the integral of its acceleration, the second one by its final speed, the third one
+    by a boundary constraint, which lets it go on by so many m/s for every second less, in a wind as strong that turns
+    after 1 s.
+    """
+    model = go.Model("carts_of_simultaneous")
+    q, v, a = model.state("q", 3), model.state("v", 3), model.control("a", 3)
+    model.ode({q: v, v: a + ca.vertcat(0.0, 0.0, braking * (model.time - 1.0))})
+    problem = go.Problem("together")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.5, 2.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.bounds(a=([-1.0] * 3, [1.0] * 3))
+    leg.final(v=([-9.0, 0.0, -9.0], [9.0, 0.0, 9.0]))
+    problem.constrain("area", leg.integral(a[0]), equals=0.0)
+    problem.constrain("rest", leg.final_state("v")[2] + braking * (leg.final_time - 2.0), equals=0.0)
+    end = leg.final_state("q")
+    problem.minimize(-sum(WORTH[i] * end[i] for i in range(3)))
+    return problem
+
+
+CARTS, BRAKED = carts_of_simultaneous(0.0), carts_of_simultaneous(0.5)
+
+
+def together(push: float = 1.0, braking: float = 0.0) -> go.Solution:
+    """The optimum: each switches at T/2, lam_q = -w and lam_v = w (t - T/2), but -w where the integral has the rest.
+
+    One second more is worth w T/2 of each, less what the third one has to brake more, by itself and against the wind. A
+    push of less than 1 is between the limits.
+    """
+    problem = BRAKED if braking else CARTS
+
+    def x(t: Array, k: int) -> Any:
+        q, v = (t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t) if k else (t**2 / 2, t)
+        return [q, q, q + braking * (t**3 / 6 - t**2 / 2), v, v, v + braking * (t**2 / 2 - t)]
+
+    def lam(t: Array, k: int) -> Any:
+        return [*(-w + 0 * t for w in WORTH), t - 2, 2 * (t - 1), 3 * (t - 1)]
+
+    box = problem.get_phase().numbers
+    given: dict[str, Any] = {"initial_bounds": box.initial, "final_bounds": box.final}
+    bare = phase(
+        problem, x, lambda t, k: [push * (1 - 2 * k) + 0 * t] * 3, lam, breaks=(0.0, 1.0, 2.0), degree=3
+    )
+    impulses = np.zeros((6, 3))
+    impulses[:, 0], impulses[4, 2] = -bare.lam_start[:, 0], 2.0
+    leg = replace(
+        bare, **given, mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)), control_bounds=box.controls,
+        final_time_bounds=interval(0.5, 2.0), control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
+        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0 - 6.0 * braking]), integral_weights=np.ones(1),
+    )  # fmt: skip
+    return solution(
+        problem, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
+        constraint_multipliers=np.array([1.0, 3.0]),
+    )  # fmt: skip
+
+
+def check(found: go.Solution, braking: float = 0.0) -> None:
+    leg = found.phase()
+    t = np.linspace(0.0, 2.0, 9)
+    slopes = WORTH[:, None] * (t - 1.0)
+    slopes[0] -= 1.0  # what the integral's weight does for the first one: lam_v = 0 at the end
+    expected = np.vstack([np.repeat(-WORTH[:, None], 9, axis=1), slopes])
+    np.testing.assert_allclose(leg.lam(t), expected, atol=2e-6)
+    np.testing.assert_allclose(leg.lam_start, leg.lam(leg.breaks[:-1]), atol=2e-6)
+    np.testing.assert_allclose(leg.lam_end, leg.lam(leg.breaks[1:], "left"), atol=2e-6)
+    np.testing.assert_allclose(leg.point_costates, leg.lam(leg.point_times), atol=2e-6)
+    assert found.constraint_multipliers == pytest.approx([1.0, 3.0], abs=2e-6)
+    assert leg.integral_weights == pytest.approx([1.0], abs=2e-6)
+    switching = WORTH[:, None] * (leg.point_times - 1.0)
+    np.testing.assert_allclose(leg.control_multipliers, -switching, atol=1e-5)
+    assert leg.time_multipliers[1] == pytest.approx(6.0 - 6.0 * braking, abs=1e-5)
+    # Multipliers of given end values are what the costates are there.
+    np.testing.assert_allclose(leg.state_impulses[:, 0], -leg.lam_start[:, 0], atol=1e-5)
+    assert leg.state_impulses[4, -1] == pytest.approx(2.0, abs=1e-5)
+    np.testing.assert_allclose(leg.state_impulses[[0, 1, 2, 3, 5], -1], 0.0, atol=1e-5)
+
+
+def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.Solution:
+    """What a program may return as well: changes of the three switching functions that add up to zero."""
+    leg = found.phase()
+    rows = np.array([0.0, 0.0, 0.0, 0.0, change[1], change[2]])[:, None]
+    impulses = leg.state_impulses.copy()
+    impulses[:, 0] -= rows[:, 0]
+    impulses[4, -1] += change[1]
+    other = replace(
+        leg,
+        lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
+        lam_start=leg.lam_start + rows,
+        lam_end=leg.lam_end + rows,
+        point_costates=leg.point_costates + rows,
+        control_multipliers=leg.control_multipliers - change[:, None],
+        integral_weights=leg.integral_weights + change[0],
+        state_impulses=impulses,
+        time_multipliers=leg.time_multipliers - np.array([0.0, 2.0 * braking * change[2]]),
+    )
+    nu = found.constraint_multipliers + change[[0, 2]]
+    return replace(found, phases={"leg": other}, constraint_multipliers=nu)
+
+
+def test_costates_that_are_right_stay_so() -> None:
+    check(together())
+    check(settle_costates(together()))
+
+
+@pytest.mark.parametrize("change", [(0.5, -0.5, 0.0), (0.5, 0.0, -0.5), (-0.25, 1.0, -0.75)])
+@pytest.mark.parametrize("braking", [0.0, 0.5])
+def test_whatever_the_program_returned(change: tuple[float, ...], braking: float) -> None:
+    wrong = drifted(together(braking=braking), np.array(change), braking)
+    with pytest.raises(AssertionError):
+        check(wrong, braking)
+    check(settle_costates(wrong), braking)
+
+
+def test_what_has_no_simultaneous_switches_is_left_as_it_is() -> None:
+    between = together(push=0.5)  # not bang-bang
+    assert settle_costates(between) is between
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("alone")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(-leg.final_state("q"))
+    one = phase(
+        problem, lambda t, k: [t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t] if k else [t**2 / 2, t],
+        lambda t, k: 1 - 2 * k + 0 * t, lambda t, k: [-1 + 0 * t, t - 1], breaks=(0.0, 1.0, 2.0), degree=3,
+        control_bounds=interval(-1.0, 1.0), initial_bounds=interval([0, 0], [0, 0]),
+        final_bounds=interval([-np.inf, 0], [np.inf, 0]),
+    )  # fmt: skip
+    alone = solution(problem, one, objective=-1.0)
+    assert settle_costates(alone) is alone
+
+
+def test_the_adjoint_equation_backwards() -> None:
+    """lam_v' = -lam_q, lam_q' = 0, whatever the segments: from (2, 3) at 2 s, lam_v = 3 + 2 (2 - t)."""
+    leg = together().phase()
+    (s,) = together().samples().values()
+    final = np.array([2.0, 0.0, 1.0, 3.0, -1.0, 0.0])
+    seen = []
+    for k, run in _backwards(leg, replace(s.functions, weights=np.zeros(1)), final):
+        seen.append(k)
+        t = np.linspace(leg.breaks[k], leg.breaks[k + 1], 5)
+        expected = [2 + 0 * t, 0 * t, 1 + 0 * t, 3 + 2 * (2 - t), -1 + 0 * t, 2 - t]
+        np.testing.assert_allclose(run(t), expected, atol=1e-9)
+    assert seen == list(reversed(range(leg.mesh.segments)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import time
 from collections.abc import Callable
@@ -260,15 +259,6 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
     assert begin < ends[0] - 100.0 < begin + 1.0
 
 
-def test_seconds_add_up(cart: go.Solution) -> None:
-    """Those of all passes and of what lies between them, and no more than have gone by."""
-    begin = time.perf_counter()
-    history = told(go.refine(cart, structure="none", tol=1e-6))
-    gone = time.perf_counter() - begin
-    assert sum(p.seconds for p in history.passes) <= history.seconds <= gone
-    assert history.seconds > 0.5 * gone
-
-
 def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """A structure that does not convince leaves its passes in the record, beside those of the meshes."""
     import importlib
@@ -350,22 +340,6 @@ def test_an_arc_that_chatters_is_told() -> None:
 
 def condition(value: float, *, sufficient: bool = False) -> Condition:
     return Condition("c", go.ConditionResult.FAIL, value, 1e-5, "", "", sufficient=sufficient)
-
-
-@pytest.mark.parametrize(
-    ("values", "second_order", "nearly"),
-    [
-        ((), (), False),
-        ((), (1.0,), False),
-        ((9e-4,), (1.0,), True),
-        ((2e-5, 9e-4), (), True),
-        ((2e-5, 1.1e-3), (), False),
-    ],
-)
-def test_a_finer_mesh_may_meet_what_is_nearly_met(values: Any, second_order: Any, nearly: bool) -> None:
-    opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
-    candidate: Any = SimpleNamespace(checked=SimpleNamespace(open=tuple(opened)))
-    assert Candidate.is_nearly_optimal.fget(candidate) is nearly  # type: ignore[attr-defined]
 
 
 def candidate(
@@ -459,15 +433,3 @@ def test_a_better_coarse_solve_is_known_by_its_estimates(sign: float) -> None:
         assert sign * solution.objective == pytest.approx((e**2 - 1) ** 2 + 0.3 * e + 0.01 * e**2, rel=1e-8)
         found[side] = Candidate.of_solve(solution, 1e-6, time.perf_counter(), "first")
     assert found[-1.0].is_lower(found[1.0]) and not found[1.0].is_lower(found[-1.0])
-
-
-def test_meshes_without_anything_to_spare_are_told_by_their_errors() -> None:
-    module = importlib.import_module("gnc_opt.planning.refinement.mesh.refinement")
-
-    def phase(worst: list[float]) -> Any:
-        mesh = go.Mesh.at_times(range(len(worst) + 1), range(2, 2 + len(worst)))
-        return SimpleNamespace(worst=np.array(worst), samples=SimpleNamespace(leg=SimpleNamespace(mesh=mesh)))
-
-    state = module._State(None, {"a": phase([1e-12, 1e-9, 1e-10]), "b": phase([0.0])}, None)
-    assert state.points_beyond(1e-10) == 2 + 2 and state.points_beyond(1.1e-10) == 2 + 4 + 2
-    assert state.points_beyond(1.0) == 2 + 3 + 4 + 2 and state.points_beyond(0.0) == 0

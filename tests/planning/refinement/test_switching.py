@@ -1,87 +1,27 @@
-"""Structure detection and switch-time optimisation against closed forms and the rendezvous' references."""
+"""Switch times optimised with their arcs, and the meshes on which they are."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
-from testing.internals import PhaseSamples, PhaseStructure, Plan
+from numpy.polynomial import legendre
+from testing.constructed_solutions import cart, phase, samples, solution
+from testing.internals import ARC_MAX_DEGREE
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs.loop import _best
-from gnc_opt.planning.refinement.arcs.update import collapsed
+from gnc_opt.planning.refinement.arcs import resolution as r
 from problems import rendezvous
+
+# Structure detection and switch-time optimisation against closed forms and the rendezvous' references.
+
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 
 
-@pytest.mark.parametrize(
-    ("errors", "status", "kept"),
-    [
-        (
-            (3.0e-10, 3.001e-10, 3.002e-10),
-            go.RefinementStatus.BUDGET_LIMIT,
-            2,
-        ),  # the last mended more than errors show
-        ((3.0e-10, 3.2e-10, 9e-9), go.RefinementStatus.BUDGET_LIMIT, 0),
-        ((9e-9, 3e-10, None), go.RefinementStatus.ITERATION_LIMIT, 1),
-        ((3e-10, 9e-9), go.RefinementStatus.CONVERGED, 1),
-        ((float("nan"), None), go.RefinementStatus.STALLED, 0),
-        ((None,), go.RefinementStatus.FAILED, None),
-    ],
-)
-def test_the_last_of_equally_accurate_passes_is_kept(
-    errors: tuple[float | None, ...], status: go.RefinementStatus, kept: int | None
-) -> None:
-    tries: list[Any] = [
-        SimpleNamespace(
-            record=SimpleNamespace(solved=e is not None),
-            solution=SimpleNamespace(objective_error=SimpleNamespace(value=e)),
-        )
-        for e in errors
-    ]
-    assert _best(tries, status) == kept
-
-
 # --- operations on structures -----------------------------------------------------------------------------
-
-
-def test_dropping_a_piece_cancels_the_switches_of_one_control() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.1, 3.0), ((UP, UP), (LOW, UP), (UP, UP)))
-    assert structure.without(1) == PhaseStructure((0.0, 3.0), ((UP, UP),))
-
-
-def test_dropping_a_piece_joins_the_switches_of_two_controls() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((UP, UP), (LOW, UP), (LOW, LOW)))
-    joined = structure.without(1)
-    assert joined.kinds == ((UP, UP), (LOW, LOW))
-    assert joined.times == pytest.approx((0.0, 1.1, 3.0))
-
-
-def test_dropping_the_first_and_last_piece_keeps_the_ends() -> None:
-    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((UP,), (LOW,), (UP,)))
-    assert structure.without(0).times == (0.0, 2.0, 3.0)
-    assert structure.without(2).times == (0.0, 1.0, 3.0)
-
-
-def test_swapping_exchanges_the_switches_of_two_controls() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((UP, UP), (LOW, UP), (LOW, LOW)))
-    swapped = structure.swapped(1)
-    assert swapped is not None and swapped.kinds == ((UP, UP), (UP, LOW), (LOW, LOW))
-    assert swapped.swapped(1) == structure
-    assert PhaseStructure((0.0, 1.0, 1.1, 3.0), ((UP,), (LOW,), (UP,))).swapped(1) is None
-    assert structure.swapped(0) is None
-
-
-def test_adding_an_arc_splits_pieces() -> None:
-    structure = PhaseStructure((0.0, 2.0, 4.0), ((UP, LOW), (UP, UP)))
-    added = structure.with_arc(0, 1.5, 2.5, LOW)
-    assert added.times == (0.0, 1.5, 2.0, 2.5, 4.0)
-    assert added.kinds == ((UP, LOW), (LOW, LOW), (LOW, UP), (UP, UP))
-    assert added.with_arc(0, 1.5, 2.5, UP) == structure
 
 
 # --- closed forms ---------------------------------------------------------------------------------------------
@@ -219,30 +159,6 @@ def test_refine_refuses_what_it_cannot_do() -> None:
         go.refine(replace(solution, problem=None))
 
 
-def test_a_second_pair_of_switches_may_change_places_after_a_first() -> None:
-    """Only an order that has been left is not tried again; a pair for which both orders were tried is joined."""
-    rows = [[LOW, UP, UP, UP, UP], [LOW, LOW, UP, UP, UP], [LOW, LOW, LOW, UP, UP], [LOW, LOW, LOW, LOW, UP]]
-    kinds = tuple(zip(*rows, strict=True))
-    leg, left = SimpleNamespace(leg=SimpleNamespace(name="leg")), set()
-
-    def collapse(structure: PhaseStructure, times: tuple[float, ...]) -> tuple[PhaseStructure, str]:
-        found, action = collapsed(cast(PhaseSamples, leg), Plan.of(structure.at(times)), left)
-        assert found is not None
-        return found, action
-
-    first = (0.0, 1.0, 1.0, 3.0, 4.0, 5.0)
-    second = (0.0, 1.0, 2.0, 3.0, 3.0, 5.0)
-    structure, action = collapse(PhaseStructure(first, kinds), first)
-    assert action == "switches 1 and 2 swapped"
-    structure, action = collapse(structure, second)
-    assert action == "switches 3 and 4 swapped" and structure.pieces == 5
-    # The same pair again: its other order has been left with the second pair as it was, not as it is now.
-    structure, action = collapse(structure, first)
-    assert action == "switches 1 and 2 swapped"
-    structure, action = collapse(structure, second)
-    assert action == "piece 4 dropped" and structure.pieces == 4
-
-
 def test_arcs_held_by_hand_are_a_start() -> None:
     """They belong to the mesh of the first solution; the refined one is of the problem without them."""
     problem, leg = double_integrator(-1.0, 1.0)
@@ -276,3 +192,57 @@ def test_what_is_best_with_arcs_held_by_hand_need_not_be_without(structure: Any)
     refined = go.refine(held, structure=structure)
     assert refined.objective == pytest.approx(-7 / 3, abs=1e-9) and refined.converged
     assert go.verify(refined).minimum, go.verify(refined).explain()
+
+
+# How finely pieces are collocated along a known flight: from Legendre series by hand.
+
+
+LOW, UP, FREE = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
+MOST = 1e-9
+
+
+def row(rest: float, at: int = ARC_MAX_DEGREE) -> Any:
+    """What n points leave: a tenth for each point up to some number, then as much again."""
+    return np.array([rest * 10.0 ** (at - min(n, at)) for n in range(r.TERMS)])
+
+
+@pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
+def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
+    worst = [1.0]
+
+    def left(breaks: Any) -> Any:
+        worst.append(worst[-1] * (share * r.HALVING_GAIN_RATIO if len(worst) == 1 else 1.0))
+        return np.tile(row(worst[-1]), (breaks.size - 1, 1))
+
+    assert r._resolution(left, row(1.0), 0.0, 1.0, MOST).segments == segments
+
+
+# --- series of a flight -----------------------------------------------------------------------------------
+
+
+def bent(t: Any, k: int) -> Any:
+    """v = 3 t^5, so that q' has a term of degree 5 along a segment; the control follows."""
+    return np.array([0.5 * t**6, 3 * t**5])
+
+
+FLIGHT = cart()
+LEG = phase(FLIGHT, bent, lambda t, k: [15 * t**4], lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0), degree=7)
+SAMPLES = samples(
+    FLIGHT, bent, lambda t, k: [15 * t**4], lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0), degree=7, weights=(0.0,)
+)  # fmt: skip
+
+
+def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
+    """Of q' = 3 t^5 and v' = 15 t^4 in shares of the states, times the length: sums of |terms| from the n-th on."""
+    left = r._left_out(SAMPLES, solution(FLIGHT, LEG))
+    breaks = np.array([0.2, 0.6, 1.0])
+    found = left(breaks)
+    assert found.shape == (2, r.TERMS)
+    for k, (start, end) in enumerate(((0.2, 0.6), (0.6, 1.0))):
+        t = np.polynomial.Polynomial([0.5 * (start + end), 0.5 * (end - start)])
+        expected = np.zeros(r.TERMS)
+        for slope, scale in ((3 * t**5, SAMPLES.state_scale[0]), (15 * t**4, SAMPLES.state_scale[1])):
+            terms = np.abs(legendre.poly2leg(slope.coef)) / scale
+            expected = np.maximum(expected, np.pad(terms, (0, r.TERMS - terms.size)))
+        expected = np.cumsum((end - start) * expected[::-1])[::-1]
+        assert found[k] == pytest.approx(expected, abs=1e-12)

@@ -1,15 +1,33 @@
-"""Propagation ends, whatever the dynamics are like, and says where and why."""
+"""Propagation of the applied control, saturated at its bounds, and diagnosis of failed solves."""
 
+from __future__ import annotations
+
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import phase_functions
+from scipy.integrate import quad
+from testing.internals import (
+    SCHEMES,
+    Interval,
+    PiecewisePolynomial,
+    RefinementIteration,
+    Scheme,
+    Statistics,
+    collocation_rule,
+    phase_functions,
+)
 
 import gnc_opt as go
 from gnc_opt.model import integration
+from gnc_opt.planning import History, RefinementStatus
+from gnc_opt.planning.solution.diagnosis import _running_off
 from gnc_opt.planning.solution.propagation import Propagation, propagate
+from gnc_opt.planning.solution.saturated_control import SaturatedControl
+
+# Propagation ends, whatever the dynamics are like, and says where and why.
 
 
 def fall(rate_of_v: Any = lambda x, v, u: u) -> go.Problem:
@@ -71,3 +89,214 @@ def test_divergence_is_placed_in_time(solution: go.Solution) -> None:
     """v' = u - 1e3 v^2 explodes soon after the start."""
     run = flown_with(solution, lambda x, v, u: u - 1e3 * v**2)
     assert "t = 0." in run.ended and np.all(np.isinf(run.error))
+
+
+# The control as it can be flown: within its bounds everywhere, with the impulse of the collocation
+# polynomial.
+
+
+BREAKS = np.array([0.0, 1.0, 3.0])
+
+
+def flown(values: list[list[float]], lower: float, upper: float) -> SaturatedControl:
+    """One channel on two segments of three Gauss points."""
+    rules = (collocation_rule("LG", 3),) * 2
+    nodal = tuple(np.array([v]) for v in values)
+    polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
+    return SaturatedControl(polynomial, Interval(np.array([lower]), np.array([upper])), rules)
+
+
+def impulse(signal: SaturatedControl, k: int) -> float:
+    left, right = BREAKS[k], BREAKS[k + 1]
+    inside = [t for t in signal.jumps if left < t < right]
+    return float(quad(lambda t: signal(t)[0], left, right, points=inside or None, epsabs=1e-13)[0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("other", [3.0, np.inf])
+def test_overshoot_and_undershoot_are_held_alike(sign: float, other: float) -> None:
+    """Nodes 0, 0, 1 of a control that must not be negative, and their mirror image: a dip between the nodes."""
+    values = [[0.0, 0.0, sign], [0.5 * sign, 0.6 * sign, 0.7 * sign]]
+    signal = flown(values, *sorted([0.0, sign * other]))
+    times = np.linspace(0.0, 3.0, 601)
+    assert np.min(sign * signal.polynomial(times)) < -0.05  # or the test tests nothing
+    assert signal.held.tolist() == [[True, False]]
+    assert np.min(sign * signal(times)) == 0.0
+    for k, mean in enumerate((sign * 5 / 18, sign * 0.6)):  # Gauss weights 5, 8, 5 of 18
+        assert impulse(signal, k) == pytest.approx(mean * (BREAKS[k + 1] - BREAKS[k]), abs=1e-12)
+
+
+def test_cells_are_as_long_as_the_weights_and_the_side_decides_on_their_edges() -> None:
+    signal = flown([[0.0, 1.0, 0.0], [0.5, 0.5, 0.5]], 0.0, 1.0)
+    edges = np.array([0.0, 5 / 18, 13 / 18, 1.0])
+    assert signal.jumps == pytest.approx([*edges, 3.0], abs=1e-14)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    assert signal(middles)[0] == pytest.approx([0.0, 1.0, 0.0], abs=0)
+    inner = signal.jumps[1:4]
+    assert signal(inner, "left")[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-14)
+    assert signal(inner, "right")[0] == pytest.approx([1.0, 0.0, 0.5], abs=1e-14)
+    assert signal(3.0)[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_jump_at_a_boundary_counts_for_the_segment_on_its_side(first: bool) -> None:
+    """Nodes 0, 0, 1 end above 1 and 1, 0, 0 begin there; the other segment, at 1/2, is flown as it is."""
+    over = [0.0, 0.0, 1.0] if first else [1.0, 0.0, 0.0]
+    pieces = [over, [0.5] * 3] if first else [[0.5] * 3, over]
+    signal = flown(pieces, -1.0, 1.0)
+    assert signal.polynomial(1.0, "left" if first else "right")[0] > 1.2
+    assert signal.held.tolist() == [[first, not first]]
+
+
+def test_rounding_beyond_a_bound_is_clipped_and_not_held() -> None:
+    signal = flown([[1.0 + 1e-9, 1.0, 1.0], [-1e-9, 0.0, 0.0]], 0.0, 1.0)
+    assert not signal.held.any()
+    assert np.max(signal(np.linspace(0.0, 1.0, 50))) == 1.0
+    assert np.min(signal(np.linspace(1.0, 3.0, 50), "left")) == 0.0
+
+
+@pytest.mark.parametrize("value", [0.0, 0.7, -3e5])
+def test_rounding_of_a_fixed_control_is_no_overshoot(value: float) -> None:
+    """A control with equal bounds has no range that its rounding could be a share of."""
+    off = 1e-15 * max(abs(value), 1.0)
+    signal = flown([[value, value + off, value], [value - off, value, value]], value, value)
+    assert not signal.held.any()
+    assert signal(np.linspace(0.0, 3.0, 31)) == pytest.approx(value, abs=0)
+    missed = flown([[value, value + 1e-3 * max(abs(value), 1.0), value], [value] * 3], value, value)
+    assert missed.held.tolist() == [[True, False]]
+
+
+def test_each_channel_is_held_by_itself() -> None:
+    """The first one overshoots at 1 in the first segment, the second one at -2 in the last, the third one nowhere."""
+    rules = (collocation_rule("LG", 3),) * 2
+    nodal = (
+        np.array([[0.0, 0.0, 1.0], [0.5, 0.4, 0.3], [0.1, 0.2, 0.3]]),
+        np.array([[0.5, 0.6, 0.7], [-2.0, 0.0, 0.0], [0.3, 0.2, 0.1]]),
+    )
+    polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
+    bounds = Interval(np.array([0.0, -2.0, -np.inf]), np.array([1.0, 2.0, np.inf]))
+    signal = SaturatedControl(polynomial, bounds, rules)
+    assert signal.held.tolist() == [[True, False], [False, True], [False, False]]
+    cells = np.array([0.0, 5 / 18, 13 / 18, 1.0])
+    assert signal.jumps == pytest.approx([*cells, *(1 + 2 * cells[1:])], abs=1e-14)
+    middles = np.array([*(0.5 * (cells[1:] + cells[:-1])), *(1 + cells[1:] + cells[:-1])])
+    found, free = signal(middles), polynomial(middles)
+    assert found[0] == pytest.approx([0.0, 0.0, 1.0, *free[0, 3:]])
+    assert found[1] == pytest.approx([*free[1, :3], -2.0, 0.0, 0.0])
+    assert found[2] == pytest.approx(free[2])
+    shuffled = np.array([4, 0, 5, 3, 1, 2])
+    assert signal(middles[shuffled]) == pytest.approx(found[:, shuffled])
+
+
+def test_at_a_jump_the_right_hand_value_is_meant() -> None:
+    signal = flown([[0.25] * 3, [0.75] * 3], 0.0, 0.5)
+    assert signal(1.0).tolist() == [0.5] == signal.clipped(1.0).tolist()
+    before = pytest.approx([0.25], rel=1e-15)
+    assert signal(1.0, "left") == before == signal.clipped(1.0, "left")
+
+
+# Small parts of a solution: what tries cost together, named integrals.
+
+
+def test_costs_of_tries_add_up() -> None:
+    first = Statistics(iterations=3, build_s=0.5, solve_s=2.0, function_s=0.25, linear_solver_s=1.0)
+    second = Statistics(
+        iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, compiled_before=True
+    )
+    assert second.after(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
+    assert not first.compiled_before and not first.after(second).compiled_before
+
+
+def test_integrals_by_name() -> None:
+    """x' = u = 1 / 2 from 0 to 1 in 2 s: the integral of u^2 is 1 / 2, that of x is 1."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two integrals")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.integral(x, name="area")
+    problem.minimize(leg.integral(u**2, name="effort"))
+    phase = go.solve(problem, mesh="2x4", tol=None).phase()
+    assert (phase.integral("area"), phase.integral("effort")) == pytest.approx((1.0, 0.5), rel=1e-8)
+    with pytest.raises(go.UnknownNameError, match="did you mean 'effort'"):
+        phase.integral("efort")
+    with pytest.raises(go.UnknownNameError, match="no integral"):
+        phase.integral(1)  # type: ignore[arg-type]
+
+
+def test_numbers_are_numbers_and_vectors_are_vectors() -> None:
+    """Two parameters of one component and of two, and constraints likewise: (p - 1)^2 + |q - (2, 3)|^2, q held at 1."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("parameters")
+    p, q = problem.parameter("p"), problem.parameter("q", 2)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.constrain("both", q, equals=[1.0, 1.0])
+    problem.constrain("one", p, upper=5.0)
+    problem.minimize(leg.integral(u**2) + (p - 1) ** 2 + (q[0] - 2) ** 2 + (q[1] - 3) ** 2)
+    solution = go.solve(problem, mesh="1x4", tol=None)
+    assert isinstance(solution.parameter("p"), float) and isinstance(solution.multiplier("one"), float)
+    assert solution.parameter("p") == pytest.approx(1.0, abs=1e-7)
+    assert solution.parameter("q") == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert solution.multiplier("both") == pytest.approx([2.0, 4.0], rel=1e-6)
+    assert solution.multiplier("one") == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(go.UnknownNameError, match="did you mean 'both'"):
+        solution.multiplier("bth")
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_costs_at_both_ends(scheme: Scheme) -> None:
+    """(x_0 - 1)^2 + 3 (x_f - 2)^2 + int u^2 over 1 s with x' = u is least, 3/7, from 10/7 to 13/7.
+
+    A constraint that does not bind says what it is: x_0 x_f - 2 t_f.
+    """
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("both ends")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    first, last = leg.initial_state("x"), leg.final_state("x")
+    problem.constrain("product", first * last - 2 * leg.final_time, upper=5.0)
+    problem.minimize((first - 1) ** 2 + 3 * (last - 2) ** 2 + leg.integral(u**2))
+    solution = go.solve(problem, mesh="3x2", scheme=scheme, tol=None)
+    assert solution.objective == pytest.approx(3 / 7, rel=1e-7)
+    assert solution.phase().x([0.0, 1.0])[0] == pytest.approx([10 / 7, 13 / 7], rel=1e-6)
+    assert solution.constraint_values == pytest.approx([130 / 49 - 2.0], rel=1e-5)
+    assert solution.phase().lam(0.0) == pytest.approx(
+        [-6 / 7], rel=1e-5
+    )  # dJ*/dx_0 of what follows: -2 (x_0 - 1)
+
+
+def test_a_record_after_an_earlier_one_has_the_passes_and_seconds_of_both() -> None:
+    def record(status: RefinementStatus, n: int, chosen: int, seconds: float) -> History:
+        passes = tuple(
+            RefinementIteration({}, {}, 0.5**i, status.value, 0.0, True, i, 0.0, "") for i in range(n)
+        )
+        return History(status, 1e-6, passes, chosen, status.value, seconds)
+
+    earlier, later = (
+        record(RefinementStatus.STALLED, 3, 2, 1.5),
+        record(RefinementStatus.CONVERGED, 2, 0, 4.0),
+    )
+    both = later.after(earlier)
+    assert both.passes == (*earlier.passes, *later.passes) and both.seconds == 5.5
+    assert both.final is later.passes[0] and both.chosen == 3
+    assert both.converged and both.message == "converged" and not earlier.converged
+
+
+def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
+    names = [f"{name}, t = {i}" for i in range(40) for name in ("x", "y", "z")]
+    scaled = np.full(120, -2e6)
+    scaled[3 * 7 + 1], scaled[2::3] = 3e6, 9e5
+    found = _running_off(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
+    assert [(v.name, v.amount) for v in found] == [
+        ("y, t = 7 runs off to infinity", 3e6),
+        ("x, t = 0 runs off to infinity", 2e6),
+    ]

@@ -1,20 +1,27 @@
-"""How far states and controls move on a flight, and what controls could move: closed forms."""
+"""Reference magnitudes of states and controls, and controls without effect."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
-from testing.internals import Interval, control_spans, free
+from testing.internals import Interval, control_spans, free, phase_functions
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
-from gnc_opt.model import Layout, Variable
-from gnc_opt.planning.solution import scales as spans
-from gnc_opt.planning.solution.scales import RESOLUTION, STEERED, end_spans, shared, state_spans
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.planning.solution.scales import (
+    RESOLUTION,
+    end_spans,
+    state_spans,
+    without_effect,
+)
+
+# How far states and controls move on a flight, and what controls could move: closed forms.
+
 
 CART = cart()
 BREAKS = (1.0, 2.0, 3.0, 5.0)  # middles at 1.5, 2.5 and 4
@@ -90,20 +97,6 @@ def test_the_shorter_and_the_longer_way_of_a_control() -> None:
     assert spans_ == pytest.approx([4.0, 4 * 2 * 0.002, 24.0, 2.0])
 
 
-def test_one_violent_instant_does_not_count() -> None:
-    """x' = m^3 u: 3.375, 15.625 and 64 at the middles of the segments, of which the second counts."""
-    problem = built({"m": 1, "x": 1, "y": 1}, 1, lambda m, x, y, u: [1 + 0 * m, m**3 * u, m**3 * x])
-    spans_ = found(problem, lambda t, k: [t, 0 * t, 0 * t], [0.5], breaks=BREAKS)
-    assert spans_ == pytest.approx([4.0, 4 * 15.625 * 0.5, 4 * 15.625 * 31.25])
-
-
-def test_hardly_moving_is_still() -> None:
-    """By 2e-4 or by 5e-5 of the 2 that a control could move it."""
-    problem = built({"m": 1, "x": 1}, 1, lambda m, x, u: [1 + 0 * m, u])
-    for moved, span in ((4e-4, 4e-4), (1e-4, 2.0)):
-        assert found(problem, lambda t, k, d=moved: [t, d * t], [2.0])[1] == pytest.approx(span)
-
-
 @pytest.mark.parametrize(
     ("boxes", "span"),
     [
@@ -126,15 +119,6 @@ def test_what_nothing_moves_has_the_width_of_its_limits(boxes: dict[str, Any], s
 def ends(moved: Sequence[float], used: float, *, breaks: Any = (0.0, 0.25, 1.0)) -> Array:
     leg = phase(CART, breaks=breaks)
     return end_spans(leg, functions(CART), np.asarray(moved), np.array([used]))
-
-
-def test_an_end_is_measured_by_what_controls_move_it() -> None:
-    """u T^2 / 2 and u T, exact by midpoints; at most the span, at least `STEERED` of it."""
-    assert ends([2.0, 3.0], 0.8) == pytest.approx([0.4, 0.8])
-    assert ends([2.0, 3.0], 0.8, breaks=(-1.0, 0.0, 0.5, 2.0)) == pytest.approx([2.0, 2.4])
-    assert ends([2.0, 3.0], 8.0) == pytest.approx([2.0, 3.0])
-    assert ends([2.0, 3.0], 8e-3) == pytest.approx([2 * STEERED, 3 * STEERED])
-    assert ends([2e3, 3e3], 8e-3) == pytest.approx([2e3, 3e3])  # as good as out of reach
 
 
 def test_what_a_push_does_later_is_what_the_dynamics_make_of_it() -> None:
@@ -220,16 +204,6 @@ def test_how_far_a_control_moves(
     assert controls(*given, interval(*bounds)) == pytest.approx([span], rel=1e-6)
 
 
-@pytest.mark.parametrize(("level", "span"), [(0.0, 0.5), (3.0, 0.5), (3e6, 0.3), (1e9, 100.0)])
-def test_where_all_controls_are_idle_what_the_costates_add_to_h_counts(level: float, span: float) -> None:
-    """A heading along a straight line: H'' = 8 makes 2 of half a radian, whatever it is counted from."""
-    for flown in ([level] * 3, [level * (1 + 1e-9), level, level]):
-        assert controls(flown, np.zeros(3), 8 * np.ones(3), terms=2.0) == pytest.approx([span], rel=1e-6)
-    assert controls([level, level + 20.0, level], np.zeros(3), 8 * np.ones(3), terms=2.0) == pytest.approx(
-        [max(20.0, RESOLUTION * level)]
-    )
-
-
 @pytest.mark.parametrize(
     ("size", "bounds", "pull", "span"),
     [
@@ -248,25 +222,87 @@ def test_a_control_that_nothing_moves_is_measured_by_what_the_flight_does_or_by_
     assert found_ == pytest.approx([span], rel=1e-6)
 
 
-def test_what_a_control_would_have_to_be_to_do_what_the_flight_does() -> None:
-    """A cart that rolls 6 m in 2 s while its speed falls by 4: a push of 2; the throttle pushes three times as much."""
-    problem = built({"q": 1, "v": 1}, 2, lambda q, v, a, throttle: [v, a + 3.0 * throttle])
-    leg = phase(problem, lambda t, k: [3 * t, -2 * t], still(0.0, 0.0), still(0.0, 0.0), breaks=(0.0, 2.0))
-    assert spans.steering(leg, functions(problem, (1.0,))) == pytest.approx([2.0, 2.0 / 3.0])
+# Controls that do nothing, by hand: where a factor of what they do is on a bound that makes it zero.
 
 
-def test_components_of_a_control_share_their_span() -> None:
-    zero = np.zeros((2, 2))
-    assert controls([[0.0, 3.0], [1.0, 2.0]], zero, zero, rows=2) == pytest.approx([3.0, 3.0])
+N = 8
+T, OFF = np.linspace(0.0, 1.0, N), np.arange(N) < 3
 
 
-def test_components_share_the_largest_that_is_a_number() -> None:
-    layout = Layout("state", (Variable("a", 2), Variable("b"), Variable("c", 2)))
-    given = np.array([1.0, 5.0, np.inf, np.nan, 2.0])
-    assert shared(given, layout).tolist() == [5.0, 5.0, 0.0, 2.0, 2.0]
-    assert np.isnan(given[3])
+def idle(
+    rate: Callable[..., Any], u: Array, scale: list[float], *, path: bool = False, lower: float = 0.0
+) -> Mask:
+    """Of a throttle within [lower, 1], angles within [-9, 9], and what these do to a state or a path constraint."""
+    model = go.Model("told")
+    controls = [model.control(f"u{i}") for i in range(len(u))]
+    x = model.state("x")
+    effect = rate(*controls)
+    model.ode({x: 0.0 if path else effect})
+    problem = go.Problem("told")
+    leg = problem.phase("leg", model)
+    leg.bounds(u0=(lower, 1.0), **{f"u{i}": (-9.0, 9.0) for i in range(1, len(u))})
+    if path:
+        leg.path("effect", effect, upper=1.0)
+    functions = phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
+    return without_effect(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
 
 
-def test_the_first_positive_of_several() -> None:
-    taken = spans._otherwise(np.array([0.0, 2.0, 0.0]), np.array([0.0, 9.0, 4.0]), np.array([7.0, 9.0, 9.0]))
-    assert taken.tolist() == [7.0, 2.0, 4.0]
+def flown(*others: float, off: float = 0.0) -> Array:
+    return np.array([np.where(OFF, off, 0.8), *(np.full(N, value) for value in others)])
+
+
+@pytest.mark.parametrize("path", [False, True])
+def test_an_angle_is_idle_while_the_engine_is_off(path: bool) -> None:
+    found = idle(lambda a, b: a * ca.sin(b), flown(0.3), [1.0, 1.0], path=path)
+    np.testing.assert_array_equal(found, [np.zeros(N, dtype=bool), OFF])
+
+
+@pytest.mark.parametrize(("left", "is_idle"), [(1e-8, True), (1e-4, False)])
+def test_what_is_left_of_an_engine_that_is_off_may_be_rounding_of_the_solver(
+    left: float, is_idle: bool
+) -> None:
+    """Relative to what the angle does where the engine burns."""
+    found = idle(lambda a, b: 1e5 * a * ca.sin(b), flown(0.3, off=left), [1.0, 1.0], lower=left)
+    np.testing.assert_array_equal(found[1], OFF & is_idle)
+
+
+def test_an_upper_bound_can_switch_off_as_well() -> None:
+    found = idle(lambda a, b: (1.0 - a) * ca.sin(b), np.where(flown(0.3) == 0.0, 1.0, flown(0.3)), [1.0, 1.0])
+    np.testing.assert_array_equal(found[1], OFF)
+
+
+def test_an_angle_on_its_bound_is_on_it() -> None:
+    u = flown(0.3)
+    u[1, 0] = 9.0
+    np.testing.assert_array_equal(
+        idle(lambda a, b: a * ca.sin(b), u, [1.0, 1.0])[1], OFF & (np.arange(N) > 0)
+    )
+
+
+def test_a_full_turn_or_a_place_of_no_slope_is_not_idle() -> None:
+    """One of both steps is a turn; the slope is zero at 90 degrees; the engine is at its least, and on."""
+    for turn in (0.37, 0.61):
+        found = idle(
+            lambda a, b, turn=turn: (1 + a) * ca.sin(2 * np.pi * b / turn), flown(0.25 * turn), [1.0, 1.0]
+        )
+        assert not np.any(found)
+
+
+def test_a_factor_that_is_zero_by_chance_is_not_one_on_a_bound() -> None:
+    """A product of both angles, one of which is zero between its bounds while the throttle is off."""
+    assert not np.any(idle(lambda a, b, c: (1 + a) * b * c, flown(0.0, 0.4), [1.0, 1.0, 1.0]))
+
+
+def test_a_factor_that_is_zero_beside_a_bound_is_not_one_on_it() -> None:
+    assert not np.any(idle(lambda a, b: (a - 1e-4) * ca.sin(b), flown(0.3, off=1e-4), [1.0, 1.0]))
+
+
+def test_what_others_between_their_bounds_do_is_not_counted_as_done_by_one() -> None:
+    """A second angle that acts by itself, and would, if it were moved with the first one."""
+    found = idle(lambda a, b, c: a * ca.sin(b) + ca.sin(c) * (2 + a), flown(0.3, 0.4), [1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(found, [np.zeros(N, dtype=bool), OFF, np.zeros(N, dtype=bool)])
+
+
+def test_controls_that_act_by_themselves_are_not_idle() -> None:
+    """A sum of both: nothing that one does depends on the other."""
+    assert not np.any(idle(lambda a, b: a + b**2 * 1e-9, flown(0.0), [1.0, 1.0]))

@@ -171,24 +171,6 @@ def one_pass(segments: int, seconds: float) -> RefinementIteration:
     return RefinementIteration(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))
 
 
-def test_a_history_of_passes() -> None:
-    passes = (one_pass(3, 0.5), one_pass(4, 1.5))
-    history = History(RefinementStatus.CONVERGED, 1e-6, passes, 1, "done")
-    assert history.converged and history.final is passes[1]
-    assert (passes[0].points, passes[0].segments) == (19, 5)
-    assert not replace(history, status=RefinementStatus.STALLED).converged
-    lines = str(history).splitlines()
-    assert [line[3] for line in lines[1:3]] == [" ", "*"] and lines[-1].startswith("done")
-    assert all(status.remedy.endswith(".") for status in RefinementStatus)
-    assert len({status.remedy for status in RefinementStatus}) == len(RefinementStatus)
-
-
-def test_actions_add_up() -> None:
-    total = Actions(1, 2, 3, 4) + Actions(10, 20, 30, 40)
-    assert total == Actions(11, 22, 33, 44) and Actions() == Actions(0, 0, 0, 0)
-    assert str(Actions(split=2, lowered=1)) == "2 split, 1 lowered" and str(Actions()) == "-"
-
-
 @pytest.mark.parametrize("history", [None, "stalled", "converged"])
 def test_a_solution_has_converged_if_its_refinement_has(moved: Solution, history: str | None) -> None:
     passed = None if history is None else History(RefinementStatus(history), 1e-6, (one_pass(3, 1.0),), 0, "")
@@ -317,17 +299,6 @@ def test_a_failure_in_words(moved: Solution) -> None:
 def test_only_plain_endings_are_without_another_try() -> None:
     assert Status.INTERRUPTED not in tries.TRAJECTORY_ONLY and Status.OPTIMAL not in tries.TRAJECTORY_ONLY
     assert set(tries.TRAJECTORY_ONLY) == set(Status) - {Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED}
-
-
-def knowing(**guess: Any) -> bool:
-    problem = cart()
-    problem.get_phase().guess(**guess)
-    return tries.knows_trajectory(problem)
-
-
-def test_a_trajectory_is_more_than_end_values() -> None:
-    assert not knowing() and not knowing(q=(0.0, 1.0)) and not knowing(time=(0.0, 1.0), q=(0.0, 1.0))
-    assert knowing(time=(0.0, 0.5, 1.0), q=[0.0, 0.1, 1.0]) and knowing(q=lambda t: t)
 
 
 def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random() -> None:

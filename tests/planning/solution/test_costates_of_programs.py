@@ -1,21 +1,18 @@
-"""Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held segments."""
+"""Costates from multipliers of the program, warm starts, and arcs on state limits."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from testing.constructed_solutions import cart, phase, solution
+from testing.constructed_solutions import cart, functions, phase, solution
 from testing.internals import (
     SCHEMES,
     Attempt,
+    Held,
     PhaseCollocation,
     Scheme,
-    control_spans,
     start_from_guess,
     transcribe,
 )
@@ -27,21 +24,16 @@ from gnc_opt.planning.solution.costates import (
     Iterate,
     _boundary_costates,
     _CostatePieces,
-    _held_segments,
-    _lengths,
-    _still_segments,
     point_costates,
     point_multipliers,
     settle_doubled_paths,
+    settle_held_paths,
 )
-from gnc_opt.planning.solution.extract import (
-    _mesh_in_time,
-    _point_times,
-    _time_multipliers,
-    extract_phases,
-    model_parameters,
-)
-from gnc_opt.planning.solution.warm_start import _put_end_rows, start_from_solution, with_integrals
+from gnc_opt.planning.solution.warm_start import start_from_solution
+
+# Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held
+# segments.
+
 
 UNEVEN = Mesh((0.0, 0.3, 1.0), (3, 4))
 
@@ -100,30 +92,6 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
 # --- which segments are held ------------------------------------------------------------------------------
 
 
-def test_segments_are_held_by_pushes_within_or_if_there_are_none_at_all_points() -> None:
-    part = collocation("LGL", Mesh((0.0, 0.5, 1.0), (2, 3)), n=1)
-    shared = np.array([[True, True, True, False, True]])
-    for pushed, held in (
-        ([0, 0, 0, 1, 0], [False, True]), ([1, 1, 1, 0, 1], [True, False]), ([1, 0, 0, 0, 0], [False, False]),
-    ):  # fmt: skip
-        assert _held_segments(part, np.array([pushed], dtype=bool), shared).tolist() == [held]
-
-
-def test_a_state_is_still_relative_to_its_size() -> None:
-    part = collocation("LG", Mesh((0.0, 0.5, 1.0), (2, 2)), n=2)
-    x = np.zeros(part.n_variables)
-    x[part.segment_nodes(0)[0]], x[part.segment_nodes(1)[0]] = 5.0, 5.0
-    x[part.segment_nodes(1)[0, 1]] += 1e-6
-    assert _still_segments(part, x).tolist() == [[True, False], [True, True]]
-    x[part.segment_nodes(1)[0, 1]] = 5.0 + 1e-8
-    assert _still_segments(part, -x).tolist() == [[True, True], [True, True]]
-
-
-def test_lengths_of_segments() -> None:
-    part = collocation("LGR")
-    assert _lengths(part, 10 * part.quadrature) == pytest.approx([3.0, 7.0])
-
-
 # --- ambiguities that are settled -------------------------------------------------------------------------
 
 TWO = Mesh((0.0, 0.5, 1.0), (3, 3))
@@ -148,107 +116,6 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
         "bounded": np.ones((1, size), dtype=bool),
     }
     return _CostatePieces(**(values | changes))
-
-
-def test_held_segments_end_with_the_costates_of_their_points() -> None:
-    """Lobatto weights 1/6 s at the boundary: what start and end lack there becomes a density, out of the impulse."""
-    found = pieces("LGL")
-    found.split_boundary_multipliers()
-    assert (found.start.tolist(), found.end.tolist()) == ([[10, 4]], [[3, 40]])
-    assert found.densities == pytest.approx(np.array([[0, 0, 6 * 27, -6 * 16, 0, 0]]))
-    assert found.impulses.tolist() == [[0, -27 + 16, 0]]
-
-
-def test_at_the_ends_of_a_phase_only_a_still_state_is_held() -> None:
-    found = pieces("LGL", still=np.array([[True, True]]))
-    found.split_boundary_multipliers()
-    assert (found.start.tolist(), found.end.tolist()) == ([[1, 4]], [[3, 6]])
-    assert found.densities[0, [0, 5]] == pytest.approx([-6 * 9, 6 * 34]) and found.impulses.tolist() == [
-        [9, -11, -34]
-    ]
-    free = pieces("LGL", still=np.array([[True, True]]), bounded=np.zeros((1, 6), dtype=bool))
-    free.split_boundary_multipliers()
-    assert (free.start.tolist(), free.end.tolist()) == ([[10, 4]], [[3, 40]])
-    assert not free.densities.any() and not free.impulses.any()
-
-
-@pytest.mark.parametrize(
-    "changes", [{"held": np.zeros((1, 2), dtype=bool)}, {"pushed": np.zeros((1, 6), dtype=bool)}]
-)
-def test_where_nothing_holds_nothing_is_split(changes: dict[str, Any]) -> None:
-    found = pieces("LGL", **changes)
-    found.split_boundary_multipliers()
-    assert (found.start.tolist(), found.end.tolist()) == ([[10, 20]], [[30, 40]])
-    assert not found.densities.any() and not found.impulses.any()
-
-
-def test_radau_segments_are_split_at_their_start_alone() -> None:
-    found = pieces("LGR")
-    found.split_boundary_multipliers()
-    assert (found.start.tolist(), found.end.tolist()) == ([[10, 4]], [[30, 40]])
-    assert found.densities[0, 3] == pytest.approx((4 - 20) / found.weights[3])
-    assert found.impulses.tolist() == [[0, 16, 0]]
-
-
-def redundant(push: float, change: float, **changes: Any) -> tuple[_CostatePieces, Array]:
-    """A still Gauss segment: costates 2 + tau, so 3 at its end; bound multipliers so much more than the oscillation."""
-    part = collocation("LG", Mesh((0.0, 1.0), (3,)), n=1)
-    e, weights = part.rules[0].end_values, 2 * part.quadrature
-    values = {
-        "lam": 2 + part.rules[0].points[None, :],
-        "start": np.array([[5.0]]),
-        "end": np.array([[3.0 - change]]),
-        "densities": (push + change * e[1:] / weights)[None, :],
-        "still": np.array([[True]]),
-    } | changes
-    return pieces("LG", Mesh((0.0, 1.0), (3,)), **values), e
-
-
-def test_a_redundant_row_gives_its_multiplier_to_the_bounds() -> None:
-    found, e = redundant(7.0, 2.0)
-    found.settle_redundant_rows()
-    assert found.end == pytest.approx(np.array([[3.0]])) and found.start == pytest.approx(
-        np.array([[5 + 2 * e[0]]])
-    )
-    assert found.densities == pytest.approx(np.array([[7.0, 7.0, 7.0]]))
-    assert found.impulses == pytest.approx(np.array([[-2 * e[0], 2.0]]))
-    below, _ = redundant(-7.0, -2.0)
-    below.settle_redundant_rows()
-    assert below.densities == pytest.approx(np.array([[-7.0] * 3])) and below.end[0, 0] == pytest.approx(3.0)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"still": np.array([[False]])},
-        {"bounded": np.zeros((1, 3), dtype=bool)},
-        {"densities": np.zeros((1, 3))},
-    ],
-    ids=["moving", "free", "turned"],
-)
-def test_a_row_that_is_not_redundant_keeps_its_multiplier(changes: dict[str, Any]) -> None:
-    """The last one would need pushes of both signs."""
-    found, _ = redundant(7.0, 2.0, **changes)
-    before = found.densities.copy()
-    found.settle_redundant_rows()
-    assert found.end.tolist() == [[1.0]] and found.start.tolist() == [[5.0]] and not found.impulses.any()
-    assert np.array_equal(found.densities, before)
-
-
-@pytest.mark.parametrize(("contrary", "end"), [(-0.003, 3.0), (-0.005, 1.0)])
-def test_a_trifle_of_a_push_to_the_other_side_speaks_not_against_it(contrary: float, end: float) -> None:
-    """Beyond a thousandth of the change of 2 it does: the last weight is 5/9 s, hence 0.0036 per second."""
-    found, _ = redundant(7.0, 2.0)
-    found.densities[0, 2] += contrary - 7.0
-    assert found.weights[2] == pytest.approx(5 / 9)
-    found.settle_redundant_rows()
-    assert found.end[0, 0] == pytest.approx(end)
-
-
-def test_one_bounded_point_is_enough() -> None:
-    found, _ = redundant(7.0, 2.0, bounded=np.array([[False, True, False]]))
-    found.settle_redundant_rows()
-    assert found.end[0, 0] == pytest.approx(3.0)
 
 
 def test_between_the_points_costates_follow_their_differential_equation() -> None:
@@ -285,42 +152,6 @@ def test_a_path_constraint_that_is_stated_twice_belongs_to_the_side_where_it_is_
     assert doubled([0, 2, 3], [5, 0, 0], scheme="LGR").tolist() == [[0, 2, 3, 5, 0, 0]]
 
 
-def test_shares_go_by_the_weights_of_unlike_segments() -> None:
-    """Segments of 1 s and 3 s: weights 1/6 s and 1/2 s, so that 3 and 5 there are a density of (1/2 + 5/2) / (2/3)."""
-    part = collocation("LGL", Mesh((0.0, 0.25, 1.0), (3, 3)), n=1, paths=1)
-    found = settle_doubled_paths(
-        part, np.array([[0.0, 2, 3, 5, 2, 0]]), 4 * part.quadrature, np.array([False])
-    )
-    assert found == pytest.approx(np.array([[0, 2, 4.5, 4.5, 2, 0]]))
-    one_sided = settle_doubled_paths(
-        part, np.array([[0.0, 2, 3, 5, 0, 0]]), 4 * part.quadrature, np.array([False])
-    )
-    assert one_sided == pytest.approx(np.array([[0, 2, 18.0, 0, 0, 0]]))
-
-
-def test_a_path_is_mixed_if_any_control_moves_it_anywhere() -> None:
-    """One of two controls, with a factor that vanishes at the start: its doubled multipliers stay what they are."""
-    model = go.Model("two")
-    x, y = model.state("x"), model.state("y")
-    a, b = model.control("a"), model.control("b")
-    model.ode({x: a, y: b})
-    problem = go.Problem("two")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    leg.path("mixed", y + a * model.time, upper=9.0)
-    leg.path("pure", x, upper=9.0)
-    problem.minimize(leg.final_state("x"))
-    transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
-    collocation = transcription.parts["leg"].collocation
-    lam = np.zeros(transcription.n_constraints)
-    lam[collocation.path_rows] = [np.arange(1.0, 9.0), np.arange(1.0, 9.0)]
-    iterate = Iterate(np.zeros(transcription.n_variables), np.zeros(transcription.n_variables), lam)
-    phases, _ = extract_phases(transcription, problem, iterate)
-    densities = np.arange(1.0, 9.0) / (2 * collocation.quadrature)
-    np.testing.assert_allclose(phases["leg"].path_multipliers[0], densities)
-    assert np.max(np.abs(phases["leg"].path_multipliers[1] - densities)[3:5]) > 0.1
-
-
 @pytest.mark.parametrize(("unit", "second"), [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-3), (1.0, 1e3)])
 def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, second: float) -> None:
     """Beside costates of all sizes, in a program of arbitrary numbers."""
@@ -348,44 +179,6 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     np.testing.assert_array_equal(other.pushed, usual.pushed)
     np.testing.assert_array_equal(other.bounded, usual.bounded)
     np.testing.assert_array_equal(other.held, usual.held)
-
-
-@pytest.mark.parametrize(("pull", "curvature", "worth"), [(3.0, 0.0, 6.0), (0.1, 5.0, 20.0)])
-def test_an_idle_control_spans_what_is_worth_as_much_as_the_others(
-    pull: float, curvature: float, worth: float
-) -> None:
-    """Of a, over 2, the slope or the curvature counts; b, with the curvature 4, moves as far as is worth that."""
-    model = go.Model("two")
-    x, y = model.state("x"), model.state("y")
-    a, b = model.control("a"), model.control("b")
-    model.ode({x: a, y: b})
-    problem = go.Problem("two")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    problem.minimize(leg.final_state("x"))
-    one = phase(problem, *(lambda t, k: np.array([t, 0 * t]),) * 3)
-    flown, ones = np.array([np.linspace(0, 2, 5), np.zeros(5)]), np.ones(5)
-    found = control_spans(
-        one, flown, np.array([pull * ones, 0 * ones]), np.array([curvature * ones, 4 * ones]), 1e3
-    )
-    np.testing.assert_allclose(found, [2.0, np.sqrt(worth / 4)])
-
-
-def test_end_rows_of_a_start_are_known_or_nothing() -> None:
-    """Boundary constraints, durations and integrals by their labels; a row that the guess does not have gets 0."""
-    leg = SimpleNamespace(
-        duration_multiplier=0.5, integral_labels=("cost",), integral_weights=np.array([3.0])
-    )
-    guess: Any = SimpleNamespace(
-        constraint_labels=("near", "far"), constraint_multipliers=np.array([7.0, 8.0]), phases={"leg": leg}
-    )
-    labels = (
-        "constraint far", "duration of phase leg", "integral cost, phase leg", "constraint new", "constraint near",
-    )  # fmt: skip
-    transcription: Any = SimpleNamespace(end_rows=dict(zip(labels, (4, 1, 3, 0, 2), strict=True)))
-    lam = np.full(6, 9.0)
-    _put_end_rows(transcription, guess, lam)
-    assert lam.tolist() == [0.0, 0.5, 7.0, -3.0, 8.0, 9.0]
 
 
 # --- from the program and back ----------------------------------------------------------------------------
@@ -508,42 +301,6 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
     assert _boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
 
 
-def test_points_take_what_is_on_their_side_of_a_jump() -> None:
-    """Controls and costates jump at 2 s; a warm start has them as they were.
-
-    It has the costates of the points where mesh and scheme are the same, elsewhere those between the points.
-    """
-    problem = guessed()
-
-    def flown(scheme: Scheme) -> Any:
-        found = phase(
-            problem, lambda t, k: [t, 2 * t], lambda t, k: 0.1 * t - 0.5 * k,
-            lambda t, k: [t - 10 * k, 2 - k + 0 * t], breaks=(1.0, 2.0, 5.0), degree=3, scheme=scheme,
-        )  # fmt: skip
-        return replace(found, point_costates=found.point_costates + 0.25)
-
-    def started(leg: Any, scheme: Scheme, mesh: Mesh) -> tuple[Any, Array, Array]:
-        transcription = transcribe(problem, {"leg": mesh}, scheme)
-        start = start_from_solution(
-            transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
-        )
-        part = transcription.parts["leg"].collocation
-        assert start.lam_g is not None
-        return part, start.x, point_costates(part, start.lam_g)
-
-    for scheme in SCHEMES:
-        leg = flown(scheme)
-        part, x, lam = started(leg, scheme, leg.mesh)
-        assert x[part.point_controls] == pytest.approx(np.hstack(leg.u.values))
-        if scheme != "LGL":
-            assert lam == pytest.approx(leg.point_costates)
-    leg = flown("LGR")
-    for scheme, mesh in (("LG", leg.mesh), ("LGR", Mesh(leg.mesh.breaks, (3, 4)))):
-        part, _, lam = started(leg, scheme, mesh)  # type: ignore[arg-type]
-        times = 1 + 4 * part.fractions
-        assert lam == pytest.approx(np.where(times >= 2, [times - 10, 1 + 0 * times], [times, 2 + 0 * times]))
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
@@ -611,14 +368,6 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         assert shared_out[i] == pytest.approx(one[0])
 
 
-def test_each_state_is_held_by_its_own_pushes() -> None:
-    """Of the trapezoidal rule, which has no points within: the first state is pushed at both, the second at one."""
-    part = collocation("LGL", Mesh((0.0, 0.3, 1.0), (2, 2)))
-    pushed = np.array([[True, True, False, True], [True, False, True, True]])
-    held = _held_segments(part, pushed, np.ones((2, 4), dtype=bool))
-    assert held.tolist() == [[True, False], [False, True]]
-
-
 def arc_ends(part: Any) -> Array:
     """Shares of the phase at which its arcs begin and end."""
     return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.anchors)]
@@ -656,55 +405,6 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
 # --- times ------------------------------------------------------------------------------------------------
 
 
-def test_times_of_points_by_their_arcs() -> None:
-    part = collocation("LG", Mesh((0.0, 0.5, 1.0), (1, 1), (1,)))
-    times, spans = _point_times(part, np.array([2.0, 5.0, 6.0]))
-    assert times == pytest.approx([3.5, 5.5]) and spans.tolist() == [3.0, 1.0]
-
-
-def test_a_mesh_ends_where_its_boundaries_went() -> None:
-    mesh = Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 5), (2,))
-    moved, breaks = _mesh_in_time(mesh, np.array([2.0, 5.0, 6.0]))
-    assert (
-        breaks == pytest.approx([2.0, 3.5, 5.0, 6.0]) and moved.degrees == (3, 4, 5) and moved.movable == (2,)
-    )
-    assert moved.breaks == pytest.approx((0.0, 0.375, 0.75, 1.0))
-    fixed = Mesh((0.0, 0.25, 1.0), (3, 4))
-    same, breaks = _mesh_in_time(fixed, np.array([2.0, 6.0]))
-    assert same is fixed and breaks == pytest.approx([2.0, 3.0, 6.0])
-
-
-@pytest.mark.parametrize("start", [0.0, 1e6, -1e6])
-def test_segments_of_an_arc_that_has_vanished_still_increase(start: float) -> None:
-    mesh = Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 5), (2,))
-    _, breaks = _mesh_in_time(mesh, np.array([start, start, start + 1.0]))
-    assert np.all(np.diff(breaks) > 0) and breaks[2] - start < 1e-4
-    _, late = _mesh_in_time(mesh, np.array([0.0, start + 2e6, start + 2e6]))
-    assert np.all(np.diff(late) > 0)  # the last arc ends far from the first time
-
-
-def test_only_times_that_are_variables_have_multipliers() -> None:
-    class Part:
-        times = np.array([7, 3, 1])
-
-    assert _time_multipliers(Part, np.arange(7.0)).tolist() == [0.0, 1.0]  # type: ignore[arg-type]
-    Part.times = np.array([0, 3, 6])
-    assert _time_multipliers(Part, 5 + np.arange(7.0)).tolist() == [5.0, 11.0]  # type: ignore[arg-type]
-
-
-def test_optimised_parameters_replace_those_of_the_model() -> None:
-    model = go.Model("m")
-    x, u = model.state("x"), model.control("u")
-    k, c = model.parameter("k", 2.0), model.parameter("c", [3.0, 4.0])
-    model.ode({x: k * u + c[0] * c[1]})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    problem.parameter("other")
-    problem.parameter("c", 2)
-    assert model_parameters(problem, leg, np.array([7.0, 8.0, 9.0])).tolist() == [2, 8, 9]
-    assert leg.model.parameter_values.tolist() == [2, 3, 4]
-
-
 # --- starts from guesses ----------------------------------------------------------------------------------
 
 
@@ -733,31 +433,6 @@ def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> 
     assert x[part.collocation.point_controls[0]] == pytest.approx(np.clip(3 - 2.5 * (points - 1) / 4, -1, 1))
     assert x[part.times[-1]] == 5.0 and part.times[0] >= transcription.n_variables
     assert x[part.collocation.boundary_states[:, 0]].tolist() == [0.0, 0.0]  # initial values are bounds
-
-
-def test_movable_boundaries_start_at_their_fractions() -> None:
-    problem = guessed()
-    attempt = Attempt.prepare(
-        problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3), (1,))}, "LG", None, SolverOptions()
-    )
-    part = attempt.transcription.parts["leg"]
-    assert start_from_guess(attempt.transcription, problem)[part.times[1:]].tolist() == [2.0, 5.0]
-
-
-def test_integrals_that_are_variables_start_at_their_values() -> None:
-    problem = go.Problem("product")
-    model = go.Model("m")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    leg.guess(x=(1.0, 1.0), u=(3.0, 3.0))
-    problem.minimize(leg.integral(u**2) * leg.integral(x))
-    attempt = Attempt.prepare(problem, {"leg": Mesh.uniform(2, 3)}, "LG", None, SolverOptions())
-    places = attempt.transcription.integral_places
-    assert places.size == 2 and np.sort(attempt.start.x[places]) == pytest.approx([2.0, 18.0])
-    again = with_integrals(attempt.transcription, problem, attempt.start.x)
-    assert again == pytest.approx(attempt.start.x) and again is not attempt.start.x
 
 
 def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
@@ -790,61 +465,82 @@ def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
 # --- attempts ---------------------------------------------------------------------------------------------
 
 
-def test_an_attempt_is_scaled_and_its_solver_kept() -> None:
-    problem = guessed()
-    meshes = {"leg": Mesh.uniform(2, 3)}
-    begin = time.perf_counter()
-    first = Attempt.prepare(problem, meshes, "LG", None, SolverOptions())
-    assert 0 < first.build_s <= time.perf_counter() - begin
-    second = Attempt.prepare(problem, meshes, "LG", None, SolverOptions())
-    third = Attempt.prepare(problem, meshes, "LG", None, SolverOptions(tolerance=1e-6))
-    assert (first.reused, second.reused, third.reused) == (False, True, False)
-    assert first.solver is second.solver and first.solver is not third.solver
-    assert not first.progress
-    point, scaling = first.point(first.start), first.scaling
-    box = first.transcription.variable_interval(problem)
-    assert point.x0 * scaling.variables == pytest.approx(first.start.x)
-    assert point.lam_x0 is None and point.lam_g0 is None
-    finite = np.isfinite(box.lower)
-    assert (point.lbx * scaling.variables)[finite] == pytest.approx(box.lower[finite])
-    assert (point.ubx * scaling.variables)[finite] == pytest.approx(box.upper[finite])
-    rows = first.transcription.row_interval(problem)
-    finite = np.isfinite(rows.lower)
-    assert point.lbg[finite] == pytest.approx((rows.lower * scaling.rows)[finite])
-    held = np.array([3, 4])
-    there = first.point(first.start, held=held, with_cost=False)
-    assert there.lbx[held] == pytest.approx(point.x0[held]) and there.ubx[held] == pytest.approx(
-        point.x0[held]
-    )
-    assert there.p[-1] == 0.0 and point.p[-1] == scaling.objective
+# Costates along arcs of state constraints: the points' polynomials are kept, what rows lay elsewhere is
+# not.
 
 
-def test_multipliers_are_scaled_as_the_program_is(solved: Any) -> None:
-    attempt, result, solution = solved
-    warm = Attempt.prepare(attempt.problem, {n: leg.mesh for n, leg in solution.phases.items()}, solution.scheme,
-                           solution, SolverOptions())  # fmt: skip
-    point = warm.point(warm.start)
-    lam_x, lam_g = warm.start.lam_x, warm.start.lam_g
-    assert point.lam_x0 == pytest.approx(lam_x * warm.scaling.variables * warm.scaling.objective)
-    assert point.lam_g0 == pytest.approx(lam_g / warm.scaling.rows * warm.scaling.objective)
-    assert warm.solver.solve(point).iterations < result.iterations
+LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
 
 
-@pytest.mark.parametrize(
-    ("movable", "asked", "careful"), [((), None, None), ((1,), None, True), ((1,), False, False)]
-)
-def test_short_arcs_are_pivoted_with_care(movable: Any, asked: Any, careful: Any) -> None:
-    mesh = Mesh((0.0, 0.5, 1.0), (3, 3), movable)
-    attempt = Attempt.prepare(guessed(), {"leg": mesh}, "LG", None, SolverOptions(careful_pivoting=asked))
-    assert attempt.solver.options.careful_pivoting is careful and attempt.options.careful_pivoting is asked
+def plane() -> go.Problem:
+    """q' = v, v' = a; paths on v + a, on q v, whose gradient turns along the flight, and on q."""
+    model = go.Model("plane")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("plane")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    for label, value in (("mixed", v + a), ("product", q * v), ("height", q)):
+        leg.path(label, value, upper=9.0)
+    problem.minimize(leg.integral(a**2))
+    return problem
 
 
-def test_a_fixed_variable_sits_exactly_at_its_value() -> None:
-    problem = guessed().with_fixed_arcs(arcs=[[ArcKind.UPPER, ArcKind.INTERIOR]])
-    attempt = Attempt.prepare(problem, {"leg": Mesh.uniform(2, 3)}, "LG", None, SolverOptions())
-    point = attempt.point(attempt.start)
-    result = attempt.solver.solve(point)
-    off = np.full(result.x.size, 1e-9)
-    solution = attempt.solution(replace(result, x=result.x + off))
-    assert solution.phase().u.values[0].tolist() == [[1.0, 1.0, 1.0]]
-    assert solution.phase().x(1.0).tolist() == [0.0, 0.0]
+PLANE = plane()
+FUNCTIONS = functions(PLANE, (1.0,))
+
+
+def states(t: Array, k: int) -> Any:
+    return [1 + t + 10 * k, 2 - t + 0 * k]
+
+
+def costates(t: Array, k: int) -> Any:
+    return [t**2 + k, t**3 - k]
+
+
+def leg(**changes: Any) -> go.PhaseSolution:
+    """Three segments, their costates' ends off by 5 and 7."""
+    here = phase(
+        PLANE, states, lambda t, k: 0 * t, costates, breaks=(0.0, 0.25, 0.5, 1.0),
+        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
+    )  # fmt: skip
+    off = np.array([[5.0], [7.0]])
+    values: dict[str, Any] = {"lam_start": here.lam_start + off, "lam_end": here.lam_end - off}
+    return phase(
+        PLANE, states, lambda t, k: 0 * t, costates, breaks=(0.0, 0.25, 0.5, 1.0),
+        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t], **(values | changes),
+    )  # fmt: skip
+
+
+def held(*rows: tuple[ArcKind, ...]) -> Held:
+    return Held(((FREE,) * 3,), paths=rows)
+
+
+def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:
+    """q v is held along the second segment: its gradient is (v, q), from within the segment."""
+    before = leg()
+    after = settle_held_paths(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
+    for ends, old, at, off in (
+        ("lam_start", before.lam_start, 0.25, 1),
+        ("lam_end", before.lam_end, 0.5, -1),
+    ):
+        q, v = states(np.array(at), 1)
+        gradient, missing = np.array([v, q]), -off * np.array([5.0, 7.0])
+        expected = old.copy()
+        expected[:, 1] += gradient * (gradient @ missing) / (gradient @ gradient)
+        assert getattr(after, ends) == pytest.approx(expected)
+    last = after.lam.values[1][:, -1]
+    assert last == pytest.approx(after.lam_end[:, 1]) and not np.allclose(last, before.lam.values[1][:, -1])
+    for k in (0, 2):
+        assert np.array_equal(after.lam.values[k], before.lam.values[k])
+    assert np.array_equal(after.lam.values[1][:, :-1], before.lam.values[1][:, :-1])
+
+
+def test_the_density_is_what_the_adjoint_equation_leaves() -> None:
+    """lam_q' = -(mu_q + v mu_qv): with lam_q = t^2 and mu_qv = 4 then mu_q = -2 t - 4 (2 - t), where q is held."""
+    before = leg(lam_end=leg().lam_end + np.array([[5.0], [7.0]]))  # ends that are right
+    after = settle_held_paths(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
+    t = before.point_times
+    expected = np.where((t > 0.25) & (t < 0.5), 5.0, -2 * t - 4 * (2 - t))
+    assert after.path_multipliers[2] == pytest.approx(expected, abs=1e-9)
+    assert np.array_equal(after.path_multipliers[:2], before.path_multipliers[:2])

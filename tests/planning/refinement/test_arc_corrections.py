@@ -1,0 +1,569 @@
+"""Corrections of arcs: overlaps, short arcs beside limits, shared switches, arcs on bounds, mixed constraints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from testing.constructed_solutions import interval
+from testing.internals import (
+    Junction,
+    PhaseCollocation,
+    PhaseStructure,
+    Plan,
+    Resolution,
+    Smooth,
+    optimise_switches,
+)
+
+import gnc_opt as go
+from gnc_opt.planning import ArcKind, Mesh
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
+from gnc_opt.planning.refinement.arcs.loop import structures_of
+from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
+from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
+from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
+from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
+from gnc_opt.planning.transcription.arc_constraints import controls_beside
+
+# What a mesh shows and no control can do, on structures put together by hand.
+
+
+LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
+
+
+def structure(times: tuple[float, ...], *kinds: tuple[ArcKind, ...], lean: int = 1) -> PhaseStructure:
+    """One control, and two states of order 1 and 2 that it holds."""
+    return PhaseStructure(
+        times, kinds, n_controls=1, orders=(0, 1, 2), holders=((), (0,), (0,)), leans=((), (lean,), (lean,))
+    )
+
+
+def test_one_limit_takes_over_from_another_in_the_middle_of_what_they_share() -> None:
+    both = structure((0.0, 3.0, 5.0, 9.0), (SING, UP, FREE), (SING, UP, UP), (SING, FREE, UP))
+    left = without_overlaps(both)
+    assert left.times == (0.0, 4.0, 9.0)
+    assert left.kinds == ((SING, UP, FREE), (SING, FREE, UP))
+
+
+def test_a_limit_held_on_both_sides_of_another_is_left_where_it_is_shorter() -> None:
+    both = structure(
+        (0.0, 3.0, 5.0, 6.0, 9.0), (SING, FREE, LOW), (SING, UP, LOW), (SING, FREE, LOW), (LOW, FREE, FREE)
+    )
+    left = without_overlaps(both)
+    assert left.times == (0.0, 3.0, 5.0, 6.0, 9.0)
+    assert left.kinds[1:] == ((SING, UP, FREE), (SING, FREE, FREE), (LOW, FREE, FREE))
+
+
+def test_a_control_comes_to_its_own_bound_in_the_middle_of_what_that_shares_with_the_limit_it_holds() -> None:
+    both = structure((0.0, 3.0, 5.0, 9.0), (FREE, UP, FREE), (UP, UP, FREE), (UP, FREE, FREE))
+    left = without_overlaps(both)
+    assert left.times == (0.0, 4.0, 9.0)
+    assert left.kinds == ((FREE, UP, FREE), (UP, FREE, FREE))
+
+
+def test_limits_of_two_controls_may_be_held_together() -> None:
+    both = PhaseStructure(
+        (0.0, 3.0, 5.0, 9.0), ((SING, SING, UP, FREE), (SING, SING, UP, UP), (SING, SING, FREE, UP)),
+        n_controls=2, orders=(0, 0, 1, 2), holders=((), (), (0,), (0, 1)),
+    )  # fmt: skip
+    assert without_overlaps(both) == both
+
+
+@pytest.mark.parametrize(("lean", "inward", "outward"), [(1, LOW, UP), (-1, UP, LOW)])
+def test_an_arc_is_met_with_a_bang_that_leads_away_from_its_limit(
+    lean: int, inward: ArcKind, outward: ArcKind
+) -> None:
+    """S'' < 0 before S = S' = 0 at an upper limit: S comes from below."""
+    arc, right, wrong = (SING, FREE, UP), (inward, FREE, FREE), (outward, FREE, FREE)
+    fine = structure((0.0, 3.0, 6.0, 9.0), right, arc, right, lean=lean)
+    assert with_possible_ends(fine, 2.0) == fine
+    swings = structure((0.0, 3.0, 4.0, 6.0, 9.0), right, wrong, arc, right, lean=lean)
+    assert with_possible_ends(swings, 2.0) == fine
+    unseen = with_possible_ends(structure((0.0, 3.0, 6.0, 9.0), wrong, arc, right, lean=lean), 2.0)
+    assert unseen.times == (0.0, 2.75, 3.25, 6.0, 9.0)
+    assert unseen.kinds == (wrong, right, arc, right)
+
+
+# Short arcs beside limits that no trajectory has, on structures put together by hand: v' = a, |a| <= 1,
+# |v| <= 1.
+
+
+def speeding(rate: Callable[[Any, Any], Any] = lambda a, t: a, mesh: Any = "10x3") -> StateConstraints:
+    """Of a speed with this rate, over 4 s."""
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: rate(a, model.time)})
+    problem = go.Problem("fast")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    leg.initial(v=0.0)
+    leg.bounds(a=(-1.0, 1.0), v=(-1.0, 1.0))
+    problem.minimize(leg.integral(a**2 - v, "cost"))
+    solution = go.solve(problem, mesh=mesh, tol=None, throw=False)
+    return StateConstraints(problem, solution.samples()["leg"])
+
+
+@pytest.fixture(scope="module")
+def cart() -> StateConstraints:
+    """With segments of 0.4 s."""
+    return speeding()
+
+
+def of(times: tuple[float, ...], *kinds: tuple[ArcKind, ArcKind]) -> PhaseStructure:
+    """The control, and the speed that it holds."""
+    return PhaseStructure(times, kinds, n_controls=1, orders=(0, 1), holders=((), (0,)), leans=((), (1,)))
+
+
+# Several controls that change at one time, with arcs on limits of states: closed forms, and their
+# multipliers.
+
+
+LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKind.SINGULAR
+
+
+def gantry(distance: float, speed: float) -> go.Problem:
+    """Least time from rest to rest along two axes at once, |a| <= 1 and |v| <= speed in both."""
+    model = go.Model("gantry")
+    x, v = model.state("x", 2), model.state("v", 2)
+    a = model.control("a", 2)
+    model.ode({x: v, v: a})
+    problem = go.Problem("gantry")
+    leg = problem.phase("move", model)
+    leg.time(initial=0.0, final=(0.5, 20.0))
+    leg.initial(x=[0.0, 0.0], v=[0.0, 0.0])
+    leg.final(x=[distance, distance], v=[0.0, 0.0])
+    leg.bounds(v=([-speed] * 2, [speed] * 2), a=([-1.0] * 2, [1.0] * 2))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def moved() -> go.Solution:
+    return go.solve(gantry(1.0, 0.5))
+
+
+def test_two_axes_reach_and_leave_their_speed_together(moved: go.Solution) -> None:
+    """t_f = d / V + V; neither axis could be faster, so each has a share of the costates."""
+    assert moved.converged and go.verify(moved).ok
+    assert moved.objective == pytest.approx(2.5, rel=1e-10)
+    costates = moved.phases["move"].lam(np.array([0.1, 1.25, 2.4]))
+    np.testing.assert_allclose(np.sum(costates[:2], axis=0), -1 / 0.5, rtol=1e-5)
+    # lam_v = -lam_x (t - V) before the limit and 0 on it, for each axis: it vanishes at the shared time
+    np.testing.assert_allclose(costates[2:, 0], -costates[:2, 0] * (0.1 - 0.5), atol=1e-5)
+    np.testing.assert_allclose(costates[2:, 1], 0.0, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
+    """About (1, 1, 1) by 90 deg: 0.5 N m s at 0.1 N m fill and empty every wheel in 5 s.
+
+    Multiple shooting by RK4 with 100, 200, 400 constant torques (CasADi alone) takes 28.28039, 28.27781, 28.27708 s:
+    what is above the limit falls to less than a third each time.
+    """
+    craft = go.Model("satellite")
+    q, w, h = craft.state("q", 4), craft.state("w", 3), craft.state("h", 3)
+    torque = craft.control("torque", 3)
+    inertia = np.diag([12.0, 14.0, 9.0])
+    vector, scalar = q[:3], q[3]
+    attitude = 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w))
+    rate = np.linalg.inv(inertia) @ (-torque - ca.cross(w, inertia @ w + h))
+    craft.ode({q: attitude, w: rate, h: torque})
+    problem = go.Problem("slew from standstill")
+    leg = problem.phase("slew", craft)
+    leg.time(initial=0.0, final=(5.0, 300.0))
+    leg.initial(q=[0, 0, 0, 1.0], w=[0, 0, 0], h=[0, 0, 0])
+    leg.final(q=[*(np.sin(np.pi / 4) / np.sqrt(3) * np.ones(3)), np.cos(np.pi / 4)], w=[0, 0, 0])
+    leg.bounds(torque=([-0.1] * 3, [0.1] * 3), h=([-0.5] * 3, [0.5] * 3))
+    problem.minimize(leg.final_time)
+    slew = go.solve(problem)
+    assert slew.converged and go.verify(slew).ok
+    assert slew.objective == pytest.approx(28.27688, abs=1e-4)
+    left = [max(a.end for a in slew.structure if a.channel == f"h[{i}]") for i in range(3)]
+    np.testing.assert_allclose(
+        left[:2], slew.objective - 5.0, atol=1e-6
+    )  # the third one has the least inertia
+
+
+# --- boundaries, and instants beside them -------------------------------------------------------------------------
+
+
+def test_a_slew_about_one_axis_reverses_two_torques_at_half_time() -> None:
+    """60 deg about x, inertias 120, 100, 80 kg m^2, 1 N m about each axis: the others help by precession.
+
+    Backwards in time it is the same slew, so that torques which are odd or even about half time solve it: T_x and T_y
+    both reverse there. In either order of the two switches the piece between them wants to vanish, ever more weakly.
+    """
+    craft = go.Model("spacecraft")
+    q, w, T = craft.state("q", 4), craft.state("w", 3, unit="rad/s"), craft.control("T", 3, unit="N m")
+    inertia = ca.DM([120.0, 100.0, 80.0])
+    turn = 0.5 * ca.vertcat(q[3] * w + ca.cross(q[:3], w), -ca.dot(q[:3], w))
+    craft.ode({q: turn, w: (T - ca.cross(w, inertia * w)) / inertia})
+    problem = go.Problem("slew")
+    leg = problem.phase("slew", craft)
+    leg.time(0.0, final=(5.0, 300.0))
+    leg.initial(q=[0.0, 0.0, 0.0, 1.0], w=[0.0, 0.0, 0.0])
+    leg.final(q=[0.5, 0.0, 0.0, np.sqrt(0.75)], w=[0.0, 0.0, 0.0])
+    leg.bounds(T=(-1.0, 1.0), q=(-1.1, 1.1))
+    problem.minimize(leg.final_time)
+    rough = {"x": [10.0], "y": [2.0, 10.0, 18.0], "z": [5.0, 15.0]}  # there are other minima, 0.1 s slower
+    signs = [(-1.0) ** np.searchsorted(t, np.linspace(0.0, 20.0, 81)) for t in rough.values()]
+    leg.guess(np.linspace(0.0, 20.0, 81), T=np.array([[1.0], [-1.0], [-1.0]]) * signs)
+    found = go.solve(problem)
+    assert found.converged and go.verify(found).ok
+    assert found.objective < 2 * np.sqrt(120.0 * np.pi / 3)  # about its own axis alone
+    half = 0.5 * found.objective
+    for torque in ("T[0]", "T[1]"):
+        ends = [arc.end for arc in found.structure if arc.channel == torque]
+        assert min(abs(t - half) for t in ends) < 1e-9 * half
+
+
+def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
+    """Rows: two controls, a state of each that it can hold."""
+    kinds = (
+        (UP, UP, FREE, FREE),
+        (SINGULAR, SINGULAR, UP, UP),
+        (LOW, SINGULAR, FREE, UP),
+        (UP, LOW, FREE, FREE),
+        (LOW, UP, FREE, FREE),
+    )
+    near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
+    assert shared(near) == (1,)
+    assert shared(near.at((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+
+
+def test_instants_are_free_for_what_changes() -> None:
+    """Three segments, the second boundary shared."""
+    cuts = _Cuts(3, (2,))
+    first, second = cuts.kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
+    assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
+    mesh = cuts.mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
+    np.testing.assert_allclose(mesh.breaks, [0.0, 0.25, 0.5 - INSTANT, 0.5, 0.5 + INSTANT, 1.0], atol=1e-15)
+    assert mesh.degrees == (4, 5, POINTS, POINTS, 6) and mesh.movable == (1,)
+    assert [cuts.boundary(k) for k in range(4)] == [0, 1, 3, 5]
+    inner, junction = Smooth(0, 1, 2, 4), Junction(0, 2, UP, 1)
+    assert (cuts.first(inner.first), cuts.last(inner.last)) == (1, 2)
+    assert (cuts.first(2), cuts.last(3), cuts.boundary(junction.boundary)) == (4, 5, 3)
+
+
+# From a state limit of second order to a bound of the control: along an interior arc that may be short.
+#
+# A cart rests on the limit q >= 0 and takes off as late as it can, from t_e on with a = (t - t_e) / tau up to a = 1.
+# Least effort, with a price on the speed at the end that makes this the optimum: the arc lasts tau, the cart comes to
+# q = 1/2 + tau^2 / 24 at 2 s, hence t_e = 1 - tau / 2, and by H = a^2 / 2 + ... the costs are
+# J = (1 - tau / 6) / 2 - (1 + tau / 2) / tau.
+
+
+TAU = 0.1
+FREE, LOW, HIGH = ArcKind.INTERIOR, ArcKind.LOWER, ArcKind.UPPER
+HELD, SHORT, BOUND = (FREE, LOW, FREE), (FREE, FREE, FREE), (HIGH, FREE, FREE)
+
+
+@pytest.fixture(scope="module")
+def coarse() -> go.Solution:
+    cart = go.Model("cart")
+    q, v, a = cart.state("q", unit="m"), cart.state("v", unit="m/s"), cart.control("a", unit="m/s^2")
+    cart.ode({q: v, v: a})
+    ocp = go.Problem("take-off")
+    leg = ocp.phase("leg", cart)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=0.5 + TAU**2 / 24)
+    leg.bounds(a=(-1.0, 1.0), q=(0.0, 10.0))
+    ocp.minimize(leg.integral(0.5 * a**2) - (1 + TAU / 2) / TAU * leg.final_state("v"))
+    return go.solve(ocp, mesh="20x4", tol=None)
+
+
+def structure_of_arcs_between_limits(
+    coarse: go.Solution, times: tuple[float, ...], *kinds: tuple[ArcKind, ...]
+) -> PhaseStructure:
+    return replace(structures_of(coarse)["leg"], times=times, kinds=kinds, touches=((),) * len(times))
+
+
+def test_an_interior_arc_that_is_missing_between_them_is_added(coarse: go.Solution) -> None:
+    begun = structure_of_arcs_between_limits(coarse, (0.0, 0.97, 2.0), HELD, BOUND)
+    found, history = optimise_switches(coarse, structures={"leg": begun})
+    assert history.converged and go.verify(found).ok
+    assert found.objective == pytest.approx((1 - TAU / 6) / 2 - (1 + TAU / 2) / TAU, abs=1e-9)
+    (short,) = (arc for arc in found.structure if arc.channel == "a" and arc.kind is FREE)
+    assert (short.start, short.end) == pytest.approx((1 - TAU / 2, 1 + TAU / 2), abs=1e-6)
+
+
+def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Solution) -> None:
+    with_short = structure_of_arcs_between_limits(coarse, (0.0, 0.95, 1.05, 2.0), HELD, SHORT, BOUND)
+    assert with_short.swapped(1) is None
+    without_holder = replace(with_short, holders=((), (), ()))
+    assert without_holder.swapped(1) is not None
+    assert structure_of_arcs_between_limits(coarse, (0.0, 0.95, 2.0), HELD, BOUND).jumped_to(1) == [0]
+    assert with_short.jumped_to(1) == with_short.jumped_to(2) == []
+
+
+def test_an_interior_arc_whose_control_stays_on_its_bound_is_none(coarse: go.Solution) -> None:
+    times = (0.0, 0.9, 1.1, 2.0)
+    (samples,) = coarse.samples().values()
+    resolutions = tuple(Resolution(segments, 4) for segments in (9, 2, 9))
+    found, action = unpinned(
+        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, SHORT), resolutions), set()
+    )
+    assert found is not None and action == "a on its bound from 1.1 s"
+    assert found.kinds == (HELD, SHORT, BOUND)
+    assert unpinned(
+        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, BOUND), resolutions), set()
+    ) == (
+        None,
+        "",
+    )
+    np.testing.assert_array_equal(found.times, times)
+    left = {("leg", found.at(()))}
+    assert unpinned(
+        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, SHORT), resolutions), left
+    ) == (
+        None,
+        "",
+    )
+
+
+# Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what
+# is held.
+
+
+X = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+INF = np.inf
+LOWER, UPPER = [-INF, -9.0, -9.0, -3.0, 1.0, -1.0], [4.0, 9.0, 9.0, 6.0, 1.0, 1.8]
+ROWS = ["2 u + x", "u + w", "u^2", "-3 w", "u = 1", "x u"]
+
+
+def paths(t: Any, x: Any, u: Any) -> Any:
+    a, w = u
+    return np.array([2 * a + x[0], a + w, a**2, -3 * w, a, x[0] * a])
+
+
+def slopes(t: Any, x: Any, u: Any) -> Any:
+    one, none = np.ones(x.shape[1]), np.zeros(x.shape[1])
+    by_a = [2 * one, one, 2 * u[0], none, one, x[0]]
+    by_w = [none, one, none, -3 * one, none, none]
+    return np.stack([by_a, by_w], axis=1)
+
+
+def flight(bounds: Any = ((-1.0, -1.0), (1.5, 1.5)), values: Any = 0.25) -> Any:
+    leg = SimpleNamespace(
+        path_labels=tuple(ROWS), path_bounds=interval(LOWER, UPPER), control_bounds=interval(*bounds),
+        controls=SimpleNamespace(size=2),
+    )  # fmt: skip
+    return SimpleNamespace(
+        leg=leg, times=np.arange(5.0), x=X[None, :], u=np.full((2, 5), values), control_scale=np.array([2.5, 2.5]),
+        functions=SimpleNamespace(paths=paths, path_control_jacobian=slopes),
+    )  # fmt: skip
+
+
+LIMITS = LinearLimits.of(flight(), np.array([True, True]))
+
+
+def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
+    assert LIMITS.rows == {0: (0, 5), 1: (3,)}
+    assert LIMITS.paths.tolist() == [True, False, False, True, False, True]
+    assert LIMITS.slopes.tolist() == [[2.0] * 5, [0.0] * 5, [0.0] * 5, [-3.0] * 5, [0.0] * 5, X.tolist()]
+    assert LIMITS.signs == (1, 0, 0, -1, 0, 0)
+    assert LinearLimits.of(flight(), np.array([False, True])).rows == {1: (3,)}
+    none = LinearLimits.of(flight(), np.array([False, False]))
+    assert none.rows == {} and none.slopes.shape == (6, 5) and not none.paths.any()
+
+
+@pytest.mark.parametrize("u", [0.25, -0.7, 3.0])
+def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> None:
+    """2 u + x <= 4; x u between -1 and 1.8, whatever the sign of x; -3 w between -3 and 6."""
+    limits = LinearLimits.of(flight(values=u), np.array([True, True]))
+    above, below = limits._reaches(0)
+    assert above[0] == pytest.approx((4 - X) / 2) and np.all(below[0] == -INF)
+    assert above[5] == pytest.approx([0.5, 1.0, INF, 1.8, 0.9])
+    assert below[5] == pytest.approx([-0.9, -1.8, -INF, -1.0, -0.5])
+    above, below = limits._reaches(1)
+    assert above[3] == pytest.approx([1.0] * 5) and below[3] == pytest.approx([-2.0] * 5)
+
+
+@pytest.mark.parametrize(
+    ("control", "bounds", "ended"),
+    [
+        (0, (-1.0, 1.5), (True, True)), (0, (-INF, INF), (False, True)), (1, (-INF, INF), (True, True)),
+        (0, (-1.0, INF), (True, True)), (0, (-INF, 1.5), (False, True)),
+    ],
+)  # fmt: skip
+def test_a_control_ends_at_its_bounds_or_at_what_limits_it_all_along(
+    control: int, bounds: Any, ended: Any
+) -> None:
+    both = ((bounds[0],) * 2, (bounds[1],) * 2)
+    assert LinearLimits.of(flight(both), np.array([True, True])).ended(control) == ended
+
+
+def test_the_tightest_limit_holds_a_control_that_is_sent_up_or_down() -> None:
+    """Up to 1.5 at most, down to -1: -1 <= x u <= 1.8 is tighter where |x| is large, than 2 u + x <= 4 too."""
+    everywhere = np.ones(5, dtype=bool)
+    own, held = LIMITS.labels(0, everywhere)
+    assert own.tolist() == [SING, SING, UP, UP, SING]
+    assert held[0].tolist() == [FREE] * 5 and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
+    own, held = LIMITS.labels(0, ~everywhere)
+    assert own.tolist() == [SING, LOW, LOW, LOW, SING]
+    assert held[5].tolist() == [UP, FREE, FREE, FREE, LOW] and held[0].tolist() == [FREE] * 5
+    own, held = LIMITS.labels(1, np.array([True, False, True, False, True]))
+    assert own.tolist() == [SING, LOW, SING, LOW, SING]
+    assert set(held) == {3} and held[3].tolist() == [LOW, FREE, LOW, FREE, LOW]
+
+
+def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
+    wide = LinearLimits.of(flight(((-9.0, -9.0), (9.0, 9.0))), np.array([True, True]))
+    own, held = wide.labels(0, np.ones(5, dtype=bool))
+    assert own.tolist() == [SING] * 5
+    assert held[0].tolist() == [FREE, FREE, UP, UP, FREE] and held[5].tolist() == [LOW, LOW, FREE, FREE, UP]
+
+
+STRUCTURE = PhaseStructure(
+    (0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6, holders=((),) * 9,
+)  # fmt: skip
+
+
+def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:
+    """At the bound itself where that is the tightest; with the constraint at its limit where that is tighter."""
+    up = LIMITS.with_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
+    assert up.times == (0.0, 2.0, 2.5, 3.5, 4.0) and up.kinds[2] == (UP, *STRUCTURE.kinds[1][1:])
+    held = LIMITS.with_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
+    assert held.kinds[-1][0] is SING and held.kinds[-1][2 + 5] is UP and held.kinds[-1][2] is FREE
+    free = LIMITS.with_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
+    assert free.kinds[-1] == (LOW, FREE, *(FREE,) * 7)
+
+
+@pytest.mark.parametrize(("kind", "upward"), [(LOW, True), (UP, False)])
+def test_a_constraint_that_is_left_sends_its_control_to_the_other_side(kind: ArcKind, upward: bool) -> None:
+    """-3 w at its lower limit holds w up; left, w goes down, to its bound of -1; and the other way, to -3 w = -3."""
+    pieces = [list(piece) for piece in STRUCTURE.kinds]
+    for piece in pieces:
+        piece[1], piece[2 + 3] = SING, kind
+    structure = PhaseStructure(STRUCTURE.times, tuple(tuple(p) for p in pieces), (), 2, 6)
+    found = LIMITS.with_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
+    here = found.kinds[1]
+    assert found.times == (0.0, 0.5, 1.5, 2.0, 4.0)
+    assert (here[1], here[2 + 3]) == ((LOW, FREE) if upward else (SING, LOW))
+
+
+# Vector controls bounded in norm that hold state constraints: arcs along which the whole vector is
+# singular.
+
+
+def flight_of_vector_limits(start: list[float], target: list[float], fuel: bool = False) -> go.Problem:
+    """Least time to rest at a target with |acceleration| and |speed| at most 1; or least fuel in 7 s."""
+    size = len(start)
+    model = go.Model("craft")
+    r, v = model.state("r", size), model.state("v", size)
+    a, norm = model.vector_control("a", size)
+    model.ode({r: v, v: a})
+    problem = go.Problem("top speed")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=7.0 if fuel else (0.1, 20.0))
+    leg.initial(r=[0.0] * size, v=start)
+    leg.final(r=target, v=[0.0] * size)
+    leg.norm_bounds(a=(0.0, 1.0))
+    leg.path("speed", ca.sumsqr(v), upper=1.0)
+    problem.minimize(leg.integral(norm, "fuel") if fuel else leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def straight() -> go.Solution:
+    return go.solve(flight_of_vector_limits([0.0, 0.0], [5.0, 2.0]))
+
+
+def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
+    """Up to speed in 1 s, L / V + V / a in all; in between the vector is zero though its limit is not."""
+    assert straight.converged and go.verify(straight).ok
+    assert straight.objective == pytest.approx(math.sqrt(29.0) + 1.0, abs=1e-8)
+    held = [(arc.start, arc.end) for arc in straight.structure if arc.channel == "speed"]
+    np.testing.assert_allclose(held, [(1.0, math.sqrt(29.0))], atol=1e-6)
+    told = [arc.kind for arc in straight.structure if arc.channel == "a_magnitude"]
+    assert told == [UP, SINGULAR, UP]
+    times = np.array([0.5, 3.0, straight.objective - 0.5])
+    pushes = np.array([5.0, 2.0])[:, None] / math.sqrt(29.0) * np.array([1.0, 0.0, -1.0])
+    np.testing.assert_allclose(straight.phase().saturated_control("a")(times), pushes, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_plane_flight_in_space() -> None:
+    """It turns at top speed before it flies straight on; what is turned in space lasts as long.
+
+    With an acceleration that is constant on each of N steps, a restriction, it is 5.447761, 5.447362 and 5.447279 s for
+    N = 100, 200 and 400 (Opti of CasADi).
+    """
+    turn, _ = np.linalg.qr(np.array([[1.0, 2.0, -1.0], [0.5, 1.0, 3.0], [2.0, -1.0, 0.5]]))
+    start, target = np.array([0.0, -0.4]), np.array([4.0, 1.5])
+    plane = go.solve(flight_of_vector_limits(list(start), list(target)))
+    space = go.solve(flight_of_vector_limits(list(turn[:, :2] @ start), list(turn[:, :2] @ target)))
+    for solution in (plane, space):
+        assert solution.converged and go.verify(solution).ok
+    assert plane.objective == pytest.approx(5.4472458, abs=2e-7)
+    assert space.objective == pytest.approx(plane.objective, abs=1e-8)
+
+
+def test_only_the_product_of_a_vector_that_costs_nothing_matters(straight: go.Solution) -> None:
+    (timed,) = straight.samples().values()
+    (vector,) = product_vectors(timed)
+    assert (vector.magnitude, list(vector.direction), vector.most) == (0, [1, 2], 1.0)
+    (fuelled,) = (
+        go.solve(flight_of_vector_limits([0.0, 0.0], [1.0, 0.5], fuel=True), mesh="6x3", tol=None)
+        .samples()
+        .values()
+    )
+    assert list(product_vectors(fuelled)) == []
+    assert np.all(
+        fuelled.control_span < 10.0
+    )  # along a coast a direction moves nothing, which makes it no longer
+
+
+TURNING = PhaseStructure(
+    (0.0, 1.0, 2.0, 3.0, 4.0),
+    (
+        (UP, FREE, FREE, FREE, FREE),
+        (UP, FREE, FREE, FREE, UP),
+        (UP, SINGULAR, SINGULAR, FREE, UP),
+        (UP, FREE, FREE, FREE, FREE),
+    ),
+    n_controls=3,
+    n_paths=2,
+    orders=(0, 0, 0, 0, 1),
+    holders=((), (), (), (1, 2), (2, 1, 0)),
+)
+"""Magnitude, direction; length of the direction, speed."""
+
+
+def test_one_constraint_determines_one_of_several_singular_controls() -> None:
+    """That which holds it best; those at their limits, or on the sphere, are no others'."""
+    assert [TURNING.determined(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
+
+
+def test_a_vector_turns_into_an_arc_on_a_limit() -> None:
+    """The time is a variable; there the limit is met with a derivative of zero, and may be left one segment before."""
+    assert [TURNING.slides(k) for k in (1, 2, 3)] == [True, False, False]
+    plan = Plan.of(TURNING)
+    mesh, ends = plan.mesh(), plan.piece_ends
+    assert set(mesh.movable) == set(ends[1:-1])
+    lengths = np.diff(np.array(mesh.breaks)[: ends[1] + 1])
+    np.testing.assert_allclose(lengths[:-1] / lengths[1:], [2.0] * (lengths.size - 2) + [1.0])
+    assert plan._junctions() == (Junction(1, ends[1], UP, 1, -1),)
+    assert TURNING.on_sphere().tolist() == [[False, True, False, False], [False] * 4]
+    assert np.flatnonzero(plan._released()[4]).tolist() == [ends[1] - 1, ends[1]]
+
+
+def test_controls_at_the_end_of_a_segment() -> None:
+    """The weights are exact for polynomials of lower degree than there are points."""
+    collocation = PhaseCollocation("LG", Mesh((0.0, 0.4, 1.0), (3, 4), ()), 1, 2, 0, 0, 0)
+    for tangent, segment, end in ((-1, 0, 1.0), (1, 1, -1.0)):
+        beside = controls_beside(collocation, Junction(0, 1, UP, 1, tangent))
+        tau = collocation.rules[segment].points
+        assert (tau**2 - tau) @ beside.weights == pytest.approx(end**2 - end, abs=1e-13)
+        first = collocation.mesh.offsets[segment]
+        assert np.array_equal(beside.points, collocation.point_controls[:, first : first + tau.size])
+    assert controls_beside(collocation, Junction(0, 1, UP, 1)).points.shape == (2, 0)
