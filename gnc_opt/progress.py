@@ -5,40 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-
-class RefinementRecord(Protocol):
-    """Progress data of a refinement iteration."""
-
-    @property
-    def segments(self) -> int: ...
-    @property
-    def points(self) -> int: ...
-    @property
-    def error(self) -> float: ...
-    @property
-    def objective(self) -> float: ...
-    @property
-    def iterations(self) -> int: ...
-    @property
-    def seconds(self) -> float: ...
-    @property
-    def solved(self) -> bool: ...
-
-
 Show: TypeAlias = Callable[[int, float, float], None]
-ShowPass: TypeAlias = Callable[[RefinementRecord], None]
+ShowPass: TypeAlias = Callable[[Any], None]
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 ShowRuns: TypeAlias = Callable[[int, int], None]
-
-PERIOD = 0.1
-"""Least time between two updates, s."""
 
 
 @contextmanager
@@ -81,7 +58,7 @@ class _Meter:
         )
         if self._live and now >= self._due:
             self._live.update(self._line, refresh=True)
-            self._due = now + PERIOD
+            self._due = now + 0.1
 
     def close(self) -> None:
         if self._live:
@@ -98,7 +75,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
     count = 0
     with console.status("solving") as status:
 
-        def show(record: RefinementRecord) -> None:
+        def show(record: Any) -> None:
             nonlocal count
             line = (
                 f"  pass {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "

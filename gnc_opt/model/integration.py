@@ -25,8 +25,6 @@ ORDER = 8
 STEP_SAFETY_FACTOR, STEP_MIN_FACTOR, STEP_MAX_FACTOR = 0.9, 0.2, 10.0
 """A step is this share of what its error allows, and at least and at most so many times as long as the last one."""
 
-STEP_MIN_ROUNDINGS = 10
-"""The shortest step, in units of rounding of the time."""
 
 Controls = Callable[[Array], Array]
 """Controls (m, n_times) at times (n_times,)."""
@@ -78,7 +76,7 @@ def carried(
         slope = rate(t, x)
         h, grows = _first_step(rate, x, slope, span, tolerance), True
         while t < end:
-            shortest = STEP_MIN_ROUNDINGS * np.spacing(abs(t))
+            shortest = 10 * np.spacing(abs(t))
             width = min(max(h, shortest), end - t)
             found = step(t, width, x, slope, controls(t + width * places).ravel("F"))
             budget.spend(t, STAGES)

@@ -58,12 +58,8 @@ def span_phases(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
 
 
-PER_PIECE = 24
-"""Samples per segment: enough for polynomials of any degree that a figure can resolve."""
-
-
 def sample(
-    function: Callable[..., Any], breaks: Array, per_piece: int = PER_PIECE, gaps: bool = False
+    function: Callable[..., Any], breaks: Array, per_piece: int = 24, gaps: bool = False
 ) -> tuple[Array, Array]:
     """Evaluate ``function(t, side=...)`` densely between breaks, with its one-sided limits at them.
 

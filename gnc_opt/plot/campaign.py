@@ -30,10 +30,6 @@ from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
 
 SHOWN_RUN_SHARE = 0.95
 """Of the runs."""
-_ROUND = 25
-"""Points around the tube, the first one twice."""
-_FLAT = 1e-6
-"""Least half width, share of the extent of the mean path: motion in a plane has a tube as flat as this."""
 
 
 def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
@@ -44,8 +40,8 @@ def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
     ``positions`` (n_runs, 3, n_times) are finite.
     """
     mean = positions.mean(axis=0)
-    least = _FLAT * max(float(np.max(np.ptp(mean, axis=1))), np.finfo(float).tiny)
-    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND)
+    least = 1e-6 * max(float(np.max(np.ptp(mean, axis=1))), np.finfo(float).tiny)
+    angle = np.linspace(0.0, 2.0 * np.pi, 25)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     sections = []
     for k, across in enumerate(_across(mean)):

@@ -47,12 +47,6 @@ _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle":
 _ON_BOUND = 1e-3
 """Shares of a control's range: nearer to a bound it counts as on it."""
 
-TALL_ROWS = 3
-"""Up to so many controls the axes are taller."""
-
-_CONTROL_AXIS_HALF_HEIGHT = 1.25
-"""Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
-
 
 def plot_controls(
     solution: Solution,
@@ -109,7 +103,7 @@ def plot_controls(
     columns = 1 if solution.problem is None else 2
     with style():
         rows = len(parts) + len(composed)
-        figure = new_figure(0.9 + (1.75 if rows <= TALL_ROWS else 1.35) * rows)
+        figure = new_figure(0.9 + (1.75 if rows <= 3 else 1.35) * rows)
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, (name, i) in zip(grid, parts, strict=False):
             for leg in legs:
@@ -150,8 +144,8 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
         if np.isfinite(level):
             ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
-        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        ax.set_ylim(middle - _CONTROL_AXIS_HALF_HEIGHT * half, middle + _CONTROL_AXIS_HALF_HEIGHT * half)
+        room = 0.125 * (upper - lower)  # bounds in sight, overshoot cut off
+        ax.set_ylim(lower - room, upper + room)
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 

@@ -23,12 +23,6 @@ from gnc_opt.plot.style import COLORS, DPI, QUIET, legend_on_top, new_figure, st
 from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere, track
 from gnc_opt.simulation.run import Run
 
-FILM_WIDTH_INCHES = 6.5
-"""Width of the pictures."""
-
-_PATH_POINTS = 600
-"""Of a path that is drawn whole."""
-
 
 def save_film(
     moved: Moved,
@@ -81,7 +75,7 @@ def save_film(
     rate = read_positive(rate, "the number of pictures per second")
     writer = _writer(target, rate)
     shown = motion(moved, view, np.linspace(*span(moved, view), max(2, round(seconds * rate))))
-    paths = [track(each, view, _PATH_POINTS) for each in (moved, *others)]
+    paths = [track(each, view, 600) for each in (moved, *others)]
     with style():
         figure, draw = _pictures(shown, paths, view)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +108,7 @@ def _pictures(shown: Motion, paths: Sequence[Array], view: View) -> tuple[Figure
     r = paths[0]
     dense = np.linspace(shown.times[0], shown.times[-1], r.shape[1])
     size = float(np.max(np.ptp(r, axis=1))) or 1.0
-    figure = new_figure(5.0, FILM_WIDTH_INCHES)
+    figure = new_figure(5.0, 6.5)
     ax: Any = figure.add_subplot(projection="3d", computed_zorder=False, elev=20, azim=-58)
     for other in paths[1:]:
         ax.plot(*other, color=QUIET, linewidth=0.4, alpha=0.5)

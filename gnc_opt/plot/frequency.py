@@ -12,13 +12,19 @@ from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_response import LoopResponse
 from gnc_opt.errors import ArgumentError
-from gnc_opt.plot.style import QUIET, axis_label, legend_on_top, line_look, name_text, new_figure, style
+from gnc_opt.plot.style import (
+    COLORS,
+    QUIET,
+    axis_label,
+    legend_on_top,
+    line_look,
+    name_text,
+    new_figure,
+    style,
+)
 
 _NYQUIST_RADIUS = 2.5
 """How far from the origin a Nyquist plot shows at most: what matters happens about -1."""
-
-_LINES_MAX = 7
-"""Largest number of distinguishable lines."""
 
 
 def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:
@@ -164,9 +170,9 @@ def _command(response: LoopResponse, command: str | None) -> str:
 
 
 def _instants(response: LoopResponse) -> range:
-    if response.times.size > _LINES_MAX:
+    if response.times.size > len(COLORS):
         raise ArgumentError(
-            f"{response.times.size} instants make too many lines: give loop_response() at= up to {_LINES_MAX} "
+            f"{response.times.size} instants make too many lines: give loop_response() at= up to {len(COLORS)} "
             "times, or use plot_margins()."
         )
     return range(response.times.size)

@@ -77,9 +77,6 @@ def _violation(condition: Condition) -> float:
     return float(np.clip(share, _VERDICT_LEAST, _VERDICT_MOST))
 
 
-_DRAWN_ERROR_MIN, _DRAWN_ERROR_MAX = 1e-16, 1e6
-"""Errors beyond these are drawn there."""
-
 _COLORMAP = "viridis_r"
 
 _PATH: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 4, "linewidth": 1.0}
@@ -99,12 +96,6 @@ _NUMBER: dict[str, Any] = {
     "color": QUIET,
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
 }
-
-_TICK, _WIDE = 0.3, 0.12
-"""Height that a tick of the degrees takes, and how wide their colours are drawn, inches."""
-
-_NARROW = 3e-3
-"""End segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
 
 
 def plot_refinement(history: History) -> Figure:
@@ -134,12 +125,12 @@ def plot_refinement(history: History) -> Figure:
             _draw_meshes(ax, history, phase, norm)
             ax.set_ylabel("iteration" if len(phases) == 1 else phase)
         tall = sum(heights[1:])
-        ticks = MaxNLocator(max(1, int(tall / _TICK)), integer=True)
+        ticks = MaxNLocator(max(1, int(tall / 0.3)), integer=True)
         figure.colorbar(
             ScalarMappable(norm, _COLORMAP),
             ax=list(axes[1:]),
             label="degree",
-            aspect=tall / _WIDE,
+            aspect=tall / 0.12,
             pad=0.01,
             ticks=ticks,
         )
@@ -149,7 +140,7 @@ def plot_refinement(history: History) -> Figure:
 
 def _draw_errors(ax: Axes, history: History) -> None:
     points = [p.points for p in history.passes]
-    errors = [min(max(p.error, _DRAWN_ERROR_MIN), _DRAWN_ERROR_MAX) for p in history.passes]
+    errors = [min(max(p.error, 1e-16), 1e6) for p in history.passes]
     ax.plot(points, errors, zorder=2, **_PATH)
     ax.plot(points[history.chosen], errors[history.chosen], zorder=3, **_CHOSEN)
     unsolved = [i for i, p in enumerate(history.passes) if not p.solved]
@@ -166,7 +157,7 @@ def _draw_errors(ax: Axes, history: History) -> None:
 
 def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> None:
     narrowest = min(float(np.min(p.meshes[phase].widths[[0, -1]])) for p in history.passes)
-    stretched = narrowest < _NARROW
+    stretched = narrowest < 3e-3
     for i, record in enumerate(history.passes):
         mesh = record.meshes[phase]
         edges = np.array(mesh.breaks) if stretched else np.array(record.times[phase])

@@ -28,10 +28,6 @@ _SCENE_MAX_SAMPLES = 60_000
 """Instants of all motions together: what keeps a page of a thousand runs below five megabytes."""
 _DIGITS = 4
 """Of positions, relative to the extent of what is drawn; of axes and plumes to the length of a unit vector."""
-_SCENE_MARGIN_SHARE = 0.15
-"""Margin around the drawing for the vehicle, its axes and its plumes, as a share of its extent."""
-_FEWEST_OF_A_TUBE = 10
-"""Runs below which dispersion is better shown by their paths."""
 
 
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
@@ -79,7 +75,7 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
     low, high, size = _extent([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
-    many = len(usual) >= _FEWEST_OF_A_TUBE and view.position is not None
+    many = len(usual) >= 10 and view.position is not None
     around = tube(np.stack(usual)) if many else None
     return {
         "times": np.round(times, 6).tolist(),
@@ -119,4 +115,5 @@ def _extent(points: list[Array], view: View) -> tuple[Array, Array, float]:
     low, high = everything.min(axis=1), everything.max(axis=1)
     size = float(np.max(high - low)) if view.position is not None else 1.0
     size = size or 1.0
-    return low - _SCENE_MARGIN_SHARE * size, high + _SCENE_MARGIN_SHARE * size, size
+    margin = 0.15 * size
+    return low - margin, high + margin, size

@@ -12,8 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-FIGURE_WIDTH_INCHES = 9.0
-"""Width of a figure: its letters suit the full width of a report, and a page of 6.5 inches after reduction."""
+from gnc_opt.text import GREEK_NAMES
 
 DPI = 150
 
@@ -60,7 +59,7 @@ def style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = FIGURE_WIDTH_INCHES) -> Figure:
+def new_figure(height: float, width: float = 9.0) -> Figure:
     """Return an empty figure of the given size in inches; it belongs to no window."""
     return Figure(figsize=(width, height), layout="constrained")
 
@@ -108,34 +107,12 @@ def axis_label(quantity: str, unit: str) -> str:
     return f"{quantity} ({unit_text(unit)})" if unit else quantity
 
 
-_GREEK = frozenset(
-    (
-        *(
-            "alpha",
-            "beta",
-            "gamma",
-            "delta",
-            "epsilon",
-            "zeta",
-            "eta",
-            "theta",
-            "iota",
-            "kappa",
-            "lambda",
-            "mu",
-        ),
-        *("nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
-        *("Gamma", "Delta", "Theta", "Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
-    )
-)
-
-
 def name_text(name: str) -> str:
     """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words."""
     base, _, subscript = name.partition("[")[0].partition("_")
     index = name[name.index("[") :] if "[" in name else ""
-    symbol = f"\\{base}" if base in _GREEK else base
-    if base not in _GREEK and len(base) > 1:
+    symbol = f"\\{base}" if base in GREEK_NAMES else base
+    if base not in GREEK_NAMES and len(base) > 1:
         return name
     lowered = f"_{{\\mathrm{{{subscript.replace('_', ',')}}}}}" if subscript else ""
     return f"${symbol}{lowered}${index}"

@@ -22,7 +22,6 @@ from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 
-_KILO = 1e3
 _UNIT = 1e-6
 """How far the length of a quaternion may be from 1; it is made 1."""
 
@@ -117,7 +116,7 @@ def write_oem(
     """
     expect(metadata, MessageMetadata, "the metadata of a message", "write MessageMetadata(epoch, ...)")
     stamps = _stamps(times, metadata.epoch)
-    rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / _KILO
+    rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / 1e3
     about = metadata.object | {"CENTER_NAME": center, "REF_FRAME": frame}
     lines = _message("OEM", "2.0", metadata, about | _span(metadata, stamps))
     return _written(path, [*lines, "", *_data(stamps, rows)])

@@ -13,6 +13,8 @@ from typing import Any
 
 import casadi as ca
 
+from gnc_opt.text import GREEK_NAMES
+
 FORMULA_MAX_NODES = 400
 """Operations and symbols of all formulas of one phase; larger ones are described by their arguments."""
 
@@ -22,12 +24,7 @@ AUXILIARY_MIN_NODES = 6
 AUXILIARY_LONG_NODES = 26
 """Subexpressions from this size on get a formula of their own, which keeps lines short."""
 
-_GREEK_NAMES = (
-    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu"),
-    *("nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta"),
-    *("Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
-)
-_GREEK = dict(zip(_GREEK_NAMES, "αβγδεζηθικλμνξπρστφχψωΓΔΘΛΞΠΣΦΨΩ", strict=True))
+_GREEK = dict(zip(GREEK_NAMES, "αβγδεζηθικλμνξπρστφχψωΓΔΘΛΞΠΣΦΨΩ", strict=True))
 
 _SUM, _SIGNED, _PRODUCT, _ATOM = range(4)
 """How tightly a formula binds: an operand that binds less than its operation needs is put in parentheses."""

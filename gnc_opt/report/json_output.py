@@ -1,7 +1,4 @@
-"""The summary of a solution that a program reads; docs/reference/json_summary.md documents it.
-
-Result of a multistart search as JSON.
-"""
+"""Summaries of solutions and searches as JSON, see docs/reference/json_summary.md."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, left_tables
-from gnc_opt.planning.solution.verdict import Condition, Verdict
+from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
 
 
@@ -36,21 +33,13 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        "starts": found.starts,
-        "finished": found.finished,
-        "seed": found.seed,
-        "interrupted": found.interrupted,
+        **_members(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                "objective": minimum.objective,
-                "hits": minimum.hits,
+                **_members(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok", "standing"),
                 "starts": list(minimum.starts),
-                "trajectories": minimum.trajectories,
                 "coarse_objectives": list(minimum.coarse_objectives),
-                "refined": minimum.refined,
-                "verdict_ok": minimum.verdict_ok,
-                "standing": minimum.standing,
                 "solution": summary_dict(minimum.solution),
             }
             for minimum in found.minima
@@ -198,67 +187,43 @@ def _bound(solution: Solution) -> dict[str, Any] | None:
     if bound is None:
         return None
     return {
-        "value": bound.value,
+        **_members(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
-        "certified": bound.certified,
-        "theorem": bound.theorem,
     }
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "ok": verdict.ok,
-        "minimum": verdict.minimum,
-        "estimated": verdict.estimated,
-        "conditions": [_condition(c) for c in verdict.conditions],
-    }
-
-
-def _condition(condition: Condition) -> dict[str, Any]:
-    return {
-        "name": condition.name,
-        "result": condition.result.value,
-        "value": condition.value,
-        "tolerance": condition.tolerance,
-        "where": condition.where,
-        "meaning": condition.meaning,
-        "sufficient": condition.sufficient,
-        "loss": condition.loss,
-        "unit": condition.unit,
-    }
+    members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
+    conditions = [{**_members(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**_members(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
 def _arc(arc: Arc) -> dict[str, Any]:
-    return {
-        "phase": arc.phase,
-        "channel": arc.channel,
-        "kind": arc.kind.value,
-        "start": arc.start,
-        "end": arc.end,
-    }
+    return {**_members(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
 
 
 def _refinement(history: History) -> dict[str, Any]:
     return {
         "status": history.status.value,
-        "tolerance": history.tolerance,
         "passes": len(history.passes),
         "error": history.final.error,
-        "seconds": history.seconds,
+        **_members(history, "tolerance", "seconds"),
     }
 
 
 def _phase(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        "name": leg.name,
-        "initial_time": leg.initial_time,
-        "final_time": leg.final_time,
+        **_members(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
         "states": _layout(leg.states),
         "controls": _layout(leg.controls),
     }
+
+
+def _members(value: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
 def _layout(layout: Layout) -> list[dict[str, Any]]:

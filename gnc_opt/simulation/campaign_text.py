@@ -125,12 +125,7 @@ def _measure(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
 
 
 def _percentile(found: Percentile) -> dict[str, Any]:
-    return {
-        "level": found.level,
-        "value": _number(found.value),
-        "low": _number(found.low),
-        "high": _number(found.high),
-    }
+    return {name: _number(getattr(found, name)) for name in ("level", "value", "low", "high")}
 
 
 def _rate(found: PassRate) -> dict[str, Any]:

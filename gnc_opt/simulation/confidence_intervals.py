@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_numbers, read_probability
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
+from gnc_opt.tolerances import EQUAL
 
 CONFIDENCE = 0.95
 """Default confidence of all intervals."""
-
-_ROUNDING = 1e-9
-"""A number of values that exceeds a whole one by less is that one: 0.07 * 100 is 7.000000000000001."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     upper = int(scipy.stats.binom.ppf(1 - alpha / 2, n, p)) + 1
     return Percentile(
         level,
-        float(ordered[max(int(np.ceil(n * p - _ROUNDING)), 1) - 1]),
+        float(ordered[max(int(np.ceil(n * p - EQUAL)), 1) - 1]),
         float(ordered[lower - 1]) if lower >= 1 else -np.inf,
         float(ordered[upper - 1]) if upper <= n else np.inf,
         confidence,

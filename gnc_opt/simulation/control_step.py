@@ -14,7 +14,7 @@ from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
 from gnc_opt.simulation.event_location import Watch, notes_of, record_of
 from gnc_opt.simulation.intersample_input import Input, Wave, stacked
-from gnc_opt.simulation.quantities import DECAY_PANELS, Extremes
+from gnc_opt.simulation.quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, put, put_wave, take
 from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
@@ -265,7 +265,7 @@ class ControlStep:
         return self.log.join({**nothing, **told})
 
     def extremes(self, waves: Sequence[Wave]) -> Extremes:
-        panels = DECAY_PANELS if any(wave.tau is not None for wave in waves) else 1
+        panels = 2 if any(wave.tau is not None for wave in waves) else 1
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
     def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:

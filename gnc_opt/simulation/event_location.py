@@ -25,23 +25,12 @@ from gnc_opt.simulation.quantities import joined
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import SAME_TIME
 
-_PASSES = 2 * EVENTS_PER_STEP_MAX
-"""Legs of a minor step at most: some end where a row sinks to zero and does not cross it."""
-
 _INSTANT = 1e-13
 """Of a minor step: how close Newton's method comes to the instant."""
 
-_ROOT_ITERATIONS = 60
-"""Of Newton's method and bisection; bisection alone would need 44."""
-
-_NARROWED = 12
-"""How often the interval in which a row may have crossed is narrowed: a row that only touches zero stays in doubt."""
 
 RATE_SHARE_OF_STEP = 1e-4
 """Of a minor step: over which rates are taken as differences."""
-
-_POSSIBLE_CROSSING_SHARE = 0.05
-"""A row whose cubic sinks to this share of its values at the ends of the step may sink to zero."""
 
 
 class Watch:
@@ -81,7 +70,7 @@ class Watch:
         rise = y1 - y0
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
-        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _POSSIBLE_CROSSING_SHARE * ca.fmax(y0, y1)
+        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= 0.05 * ca.fmax(y0, y1)
         # a fast row is no cubic; if it is convex, it stays above both tangents
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
@@ -167,7 +156,7 @@ class _Passage:
         q, t, p, *context = self._symbols(("q", self.places.size))
         one = self._one()
         after = q
-        for _ in range(_PASSES):
+        for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
         v = self.places.split(after)
         lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX))
@@ -208,7 +197,7 @@ class _Passage:
         )
         v, narrow = self.places.split(q), self._narrow()
         r = ca.vertcat(first, last, 0)
-        for _ in range(_NARROWED):
+        for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
         x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
@@ -246,7 +235,7 @@ class _Passage:
         improve = self._improve()
         # where to look, its bracket, the last step and whether it is found
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
-        for _ in range(_ROOT_ITERATIONS):
+        for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
         x, armed, y, *_, inside, seen = self.leg(v["x"], v["armed"], v["s"], s, *context)

@@ -29,11 +29,6 @@ import casadi as ca
 Input: TypeAlias = Callable[[int, float], Any]
 """``u(k, node)``: the value in the k-th integration step of a piece, at ``node`` (0 to 1) of it; SX column."""
 
-_SERIES = 0.5
-"""Below this argument the Bessel functions are summed as series: their closed forms lose their digits there."""
-_TERMS = 6
-"""Of the series; the first one left out is below 1e-13 of the sum."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -200,7 +195,7 @@ class _Decay:
 
 def projection(xi: Any) -> list[Any]:
     """Return the coefficients of P_0 to P_2 for exp(-2 xi nu), nu from 0 to 1; SX column, xi >= 0."""
-    small, square = xi < _SERIES, xi**2
+    small, square = xi < 0.5, xi**2  # closed forms lose digits there; the series keeps 1e-13
     decayed = ca.exp(-xi)
     sinh, cosh = 0.5 * (1 - decayed**2), 0.5 * (1 + decayed**2)  # times exp(-xi)
     bessel = [sinh / xi, (xi * cosh - sinh) / square]
@@ -208,7 +203,7 @@ def projection(xi: Any) -> list[Any]:
     found, power, odd = [], ca.SX.ones(xi.shape[0]), 1.0
     for j, closed in enumerate(bessel):
         total = ca.SX.ones(xi.shape[0])
-        for k in range(_TERMS, 0, -1):
+        for k in range(6, 0, -1):
             total = 1 + square / (2 * k * (2 * j + 2 * k + 1)) * total
         series = decayed * power / odd * total
         found.append((2 * j + 1) * (-1) ** j * ca.if_else(small, series, closed))

@@ -32,12 +32,6 @@ KEPT = ("max", "min", "integral")
 BOOLE_WEIGHTS = tuple(w / 90 for w in (7, 32, 12, 32, 7))
 """Of five evenly spaced nodes, by the span between the first and the last."""
 
-DECAY_PANELS = 2
-"""Panels of five nodes in an integration step in which an input decays exponentially; otherwise one."""
-
-CURVATURE_MAX_CHANGE = 0.5
-"""Between neighbouring triples of nodes, as a share: beyond it a kink or a jump is between, and no parabola is used."""
-
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
@@ -157,7 +151,7 @@ def _peak(y: Sequence[Any]) -> Any:
         vertex = y[k + 1] + rise**2 / (8 * bend)
         smooth = ca.logic_and(bend > 0, ca.fabs(rise) <= 2 * bend)
         for other in bends[max(k - 1, 0) : k + 2]:
-            smooth = ca.logic_and(smooth, ca.fabs(other - bend) <= CURVATURE_MAX_CHANGE * bend)
+            smooth = ca.logic_and(smooth, ca.fabs(other - bend) <= 0.5 * bend)
         highest = ca.if_else(smooth, ca.fmax(highest, vertex), highest)
     return highest
 

@@ -72,13 +72,6 @@ def steps_for_run(modes: Any, length: float, duration: float, asked: float) -> i
     return 1
 
 
-NOMINAL_SHARE = 0.1
-"""Share of the accuracy up to which the error of the nominal run is accepted: dispersed runs have larger ones."""
-
-STALLED_SHARE = 0.5
-"""Share of the error left after halving the steps from which it is not one of the integration: a relay or rounding."""
-
-
 @dataclass(frozen=True)
 class StepSelection:
     """What is asked of the integration of a plant.
@@ -123,10 +116,11 @@ class StepSelection:
             flight = flight_with(substeps)
             ending = flight.final(flight.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
+            # dispersed runs have larger errors than the nominal one;
             # a run that is refused or leaves the finite numbers becomes no more accurate by more steps
-            if np.isnan(error) or outcome.not_finite or error <= NOMINAL_SHARE * self.asked:
+            if np.isnan(error) or outcome.not_finite or error <= 0.1 * self.asked:
                 return flight
-            stalled = stalled + 1 if error > STALLED_SHARE * least else 0
+            stalled = stalled + 1 if error > 0.5 * least else 0
             if error < least:
                 best, least = flight, error
             if stalled > 1 or (outcome.diverged and substeps >= MAX_SUBSTEPS):
