@@ -5,13 +5,12 @@ import matplotlib.animation
 import numpy as np
 import pytest
 from PIL import Image
-from testing.internals import new_figure
+from testing.internals import motion, new_figure, span
 
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.plot import Thruster, View, save_film
 from gnc_opt.plot import film as film_module
-from gnc_opt.plot.view import motion, span
 from gnc_opt.spacecraft import mrp_rate
 
 RATE = 0.5

@@ -10,9 +10,11 @@ import casadi as ca
 import matplotlib
 import numpy as np
 import pytest
+from testing.internals import name_text, number_text, per_unit, unit_text
 
 import gnc_opt as go
 from gnc_opt.plot import (
+    axes,
     plot_controls,
     plot_costates,
     plot_curves,
@@ -21,8 +23,6 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.axes import sample
-from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +172,10 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
     def step(t: np.ndarray, side: str) -> np.ndarray:
         return np.where((t > 1.0) | ((t == 1.0) & (side == "right")), 5.0, -5.0)
 
-    t, values = sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
+    t, values = axes.sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
     np.testing.assert_array_equal(t, [0, 0.5, 1, 1, 1.5, 2])
     np.testing.assert_array_equal(values, [[-5, -5, -5, 5, 5, 5]])
-    t, values = sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3, gaps=True)
+    t, values = axes.sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3, gaps=True)
     assert np.isnan(values[0, 3]) and t.size == 8
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from testing.internals import _violation
 
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.plot import plot_verdict
-from gnc_opt.plot.refinement import _violation
 
 
 def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:

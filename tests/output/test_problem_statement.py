@@ -7,10 +7,9 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Formulas, name_math, problem_statement, symbol_names
 
 import gnc_opt as go
-from gnc_opt.report.formulas import Formulas, name_math, symbol_names
-from gnc_opt.report.problem_statement import problem_statement
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 NAMES = {"x": X, "y": Y}

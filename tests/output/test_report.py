@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from testing.internals import overshooting_controls
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
-from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.progress import solve_meter
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 

@@ -9,14 +9,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
+from testing.internals import document, scene_html, tube
 
 import gnc_opt as go
 from gnc_opt.plot import Thruster, View
-from gnc_opt.plot.campaign import tube
-from gnc_opt.plot.scene import scene_html
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report, write_run_report
-from gnc_opt.report.document import document
 from gnc_opt.simulation import Normal
 from gnc_opt.spacecraft import mrp_rate
 

@@ -27,6 +27,17 @@ from gnc_opt.estimation.error_space import flat
 from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.guidance.replanning import check_remaining, remaining
+from gnc_opt.model.evaluation import (
+    BLOCK,
+    NUMPY_MAX_OPERATIONS,
+    Operations,
+    evaluate,
+    evaluate_chain,
+    evaluate_columns,
+    fast_call,
+)
+from gnc_opt.model.integration import Budget, Tolerance, carried, step_function
+from gnc_opt.model.interpolation import Method
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory, solve_mesh
 from gnc_opt.planning.nlp import NlpResult, NlpSolver
@@ -72,6 +83,7 @@ from gnc_opt.planning.solution.propagation import propagate, state_magnitudes
 from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.scales import control_spans
+from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.planning.solution.unwrap import unwound
 from gnc_opt.planning.solution.warm_start import start_from_guess
 from gnc_opt.planning.study.kkt_sensitivity import predict
@@ -92,8 +104,26 @@ from gnc_opt.planning.verification.bang_bang_second_order import obstacle, stric
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 from gnc_opt.planning.verification.verify_trajectory import _solution
-from gnc_opt.plot.style import new_figure
-from gnc_opt.simulation.confidence_intervals import pass_rate
-from gnc_opt.simulation.dispersions import Dispersion
-from gnc_opt.simulation.dormand_prince import dormand_prince
-from gnc_opt.simulation.intersample_input import Wave
+from gnc_opt.plot.campaign import tube
+from gnc_opt.plot.refinement import _violation
+from gnc_opt.plot.scene import scene_html
+from gnc_opt.plot.style import name_text, new_figure, number_text, per_unit, unit_text
+from gnc_opt.plot.view import motion, span
+from gnc_opt.report.document import document
+from gnc_opt.report.formulas import Formulas, name_math, symbol_names
+from gnc_opt.report.problem_statement import problem_statement
+from gnc_opt.simulation.allocation import _within, effect_matrix, min_max_shift, null_vector, pseudo_inverse
+from gnc_opt.simulation.block import POSITIVE, Tick
+from gnc_opt.simulation.compiled_step import StepExecutor
+from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
+from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, dispersed
+from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, dormand_prince
+from gnc_opt.simulation.event_location import Watch
+from gnc_opt.simulation.final_values import integration_errors
+from gnc_opt.simulation.intersample_input import Part, Wave, stacked
+from gnc_opt.simulation.measures import envelope
+from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
+from gnc_opt.simulation.quantities import SAMPLES, sample_steps
+from gnc_opt.simulation.run import Logged, rotation_angle, settling_time
+from gnc_opt.simulation.signals import Places, chain
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run

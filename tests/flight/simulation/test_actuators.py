@@ -267,12 +267,6 @@ def test_each_component_is_treated_as_if_it_were_alone(block):
             assert getattr(together, sum_)[i] == pytest.approx(getattr(alone, sum_)[0], rel=1e-12, abs=1e-13)
 
 
-@pytest.mark.parametrize("steps", [0, -1, 2.5, "two"])
-def test_minor_steps_that_are_no_count_are_refused(steps):
-    with pytest.raises(ArgumentError, match="minor_steps of a closed loop"):
-        fly([], wave, minor_steps=steps)
-
-
 @pytest.mark.parametrize(
     "block", [Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3)], ids=lambda block: type(block).__name__
 )

@@ -4,12 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from testing.internals import _within, min_max_shift, null_vector, pseudo_inverse
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Layout, Model, Variable
 from gnc_opt.simulation import Allocation, ClosedLoop, Mixer, ThrusterSet, WheelArray
-from gnc_opt.simulation.allocation import _within, min_max_shift, null_vector, pseudo_inverse
 from gnc_opt.spacecraft import total_momentum, wheel_body_acceleration
 
 PYRAMID = np.array([[1, -1, -1, 1], [1, 1, -1, -1], [1, 1, 1, 1]]) / np.sqrt(3)

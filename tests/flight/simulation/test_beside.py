@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.internals import Places, integration_errors
 
 import gnc_opt as go
 from gnc_opt.simulation import (
@@ -19,8 +20,6 @@ from gnc_opt.simulation import (
     Quantisation,
     RunStatus,
 )
-from gnc_opt.simulation.final_values import integration_errors
-from gnc_opt.simulation.signals import Places
 
 G = 9.81
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Wave
+from testing.internals import POSITIVE, Tick, Wave, chain, effect_matrix, pseudo_inverse
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -36,9 +36,6 @@ from gnc_opt.simulation import (
     WheelArray,
     ZeroOrderHold,
 )
-from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
-from gnc_opt.simulation.block import POSITIVE, Tick
-from gnc_opt.simulation.signals import chain
 
 INF = np.inf
 H, DT = 0.1, 0.4
@@ -175,11 +172,6 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
 # --- disturbances -----------------------------------------------------------------------------------------
 
 
-def test_a_disturbance_without_a_place_is_refused():
-    with pytest.raises(ArgumentError, match="acts on nothing"):
-        ConstantDisturbance("b", 1.0)
-
-
 # --- allocation -------------------------------------------------------------------------------------------
 
 
@@ -258,3 +250,8 @@ def test_a_second_signal_of_one_name_is_refused():
         chain([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
     _, left = chain([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")
+
+
+def test_a_disturbance_without_a_place_is_refused():
+    with pytest.raises(ArgumentError, match="acts on nothing"):
+        ConstantDisturbance("b", 1.0)

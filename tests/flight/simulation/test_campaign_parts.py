@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from testing.internals import pass_rate
+from testing.internals import Criteria, Logged, pass_rate, read_criteria
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
@@ -24,11 +24,6 @@ from gnc_opt.simulation import (
     Uniform,
     UniformInBall,
 )
-from gnc_opt.simulation.monte_carlo import (
-    Criteria,
-    read_criteria,
-)
-from gnc_opt.simulation.run import Logged
 
 NAN, INF = math.nan, math.inf
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm, truncnorm, uniform
+from testing.internals import check_dispersions, dispersed
 
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import Choice, Normal, RandomDirection, RandomRotation, Uniform, UniformInBall
-from gnc_opt.simulation.dispersions import check_dispersions, dispersed
 from gnc_opt.spacecraft import mrp_difference, mrp_from_axis_angle, mrp_shadow
 
 COUNT = 4000

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.internals import Taken, Watch
 from testing.loops import feedback, scheduled
 
 from gnc_opt.control import Reference, feedforward
@@ -23,8 +24,6 @@ from gnc_opt.simulation import (
     RunStatus,
     monte_carlo,
 )
-from gnc_opt.simulation.dormand_prince import Taken
-from gnc_opt.simulation.event_location import Watch
 from gnc_opt.spacecraft import mrp_rate
 
 G = 9.81

@@ -57,7 +57,6 @@ def test_units_that_differ_are_refused(flown, message):
         loop(axis(*flown), axis("rad/s", "N m"))
 
 
-@pytest.mark.parametrize("name", ["plant", "initial", "a.b"])
 @pytest.mark.parametrize(
     "make",
     [
@@ -68,9 +67,9 @@ def test_units_that_differ_are_refused(flown, message):
         lambda name: PiecewiseConstantNoise(name, 1.0, on="w"),
     ],
 )
-def test_blocks_that_check_more_check_their_names_too(make, name):
+def test_blocks_that_check_more_check_their_names_too(make):
     with pytest.raises(ArgumentError, match="a block cannot be called"):
-        make(name)
+        make("plant")
 
 
 def test_allocations_are_equal_where_what_they_are_made_of_is():

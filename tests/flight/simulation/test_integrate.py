@@ -3,11 +3,10 @@
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import dormand_prince
+from testing.internals import NODES, STAGES, dormand_prince
 
 import gnc_opt as go
 from gnc_opt.simulation import Normal
-from gnc_opt.simulation.dormand_prince import NODES, STAGES
 
 
 def _advance(f, x0, length, steps):

@@ -6,12 +6,11 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Wave
+from testing.internals import Part, Wave, stacked
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, RateLimit
-from gnc_opt.simulation.intersample_input import Part, stacked
 
 H = 2.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)

@@ -227,12 +227,9 @@ def test_plant_and_controller_must_fit():
             "control 'a' has 2 components in the plant 'impulse', but 3 arrive",
         ),
         ([Lag("x", 0.1), Lag("x", 0.1)], "two blocks of the closed loop are called 'x'"),
-        (["lag"], "one of the actuators of a closed loop is a str"),
     ):
         with pytest.raises(ArgumentError, match=message):
             ClosedLoop(small, idle(small), actuators, dt=DT)
-    with pytest.raises(ArgumentError, match="one of the disturbances of a closed loop is a Lag"):
-        ClosedLoop(small, idle(small), disturbances=[Lag("x", 0.1)], dt=DT)
 
 
 def test_a_law_that_solves_equations_is_flown():

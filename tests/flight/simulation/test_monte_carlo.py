@@ -13,7 +13,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 from scipy.stats import chi2
-from testing.internals import Dispersion, pass_rate
+from testing.internals import Dispersion, pass_rate, percentile, share_below_maximum
 from testing.loops import controller, double_integrator, feedback, scheduled
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
@@ -36,7 +36,6 @@ from gnc_opt.simulation import (
     Uniform,
     monte_carlo,
 )
-from gnc_opt.simulation.confidence_intervals import percentile, share_below_maximum
 from gnc_opt.workers import pool
 from problems.rendezvous import chaser_model
 
@@ -411,18 +410,6 @@ def test_dispersions_that_cannot_travel_are_refused():
 # --- files, figures, progress ---------------------------------------------------------------------------
 
 
-def test_files_keep_every_bit(serial, tmp_path):
-    path = serial.save(tmp_path / "campaign")
-    loaded = Campaign.load(path, flight=loop_of_a_cart().compile(CASE["x0"], tf=CASE["tf"]))
-    assert_same(loaded, serial)
-    assert np.array_equal(loaded.rerun(3).states[:, -1], serial.states[:, 3])
-    with pytest.raises(GncOptError, match="cannot fly"):
-        Campaign.load(path).rerun(3)
-    (tmp_path / "other.npz").write_bytes(b"nothing")
-    with pytest.raises(GncOptError, match="not a campaign"):
-        Campaign.load(tmp_path / "other.npz")
-
-
 def test_figures_show_runs_limits_and_units(serial):
     figure = plot_dispersion(serial, "q")
     left, right = figure.axes
@@ -440,3 +427,15 @@ def one_component():
     cart = double_integrator()
     loop = ClosedLoop(cart, feedback(cart, [[1.0, 1.6]]), dt=0.1)
     return monte_carlo(loop, 2, x0=[1.0, 0.0], tf=0.5, target={"q": 0.0}, executor="serial")
+
+
+def test_files_keep_every_bit(serial, tmp_path):
+    path = serial.save(tmp_path / "campaign")
+    loaded = Campaign.load(path, flight=loop_of_a_cart().compile(CASE["x0"], tf=CASE["tf"]))
+    assert_same(loaded, serial)
+    assert np.array_equal(loaded.rerun(3).states[:, -1], serial.states[:, 3])
+    with pytest.raises(GncOptError, match="cannot fly"):
+        Campaign.load(path).rerun(3)
+    (tmp_path / "other.npz").write_bytes(b"nothing")
+    with pytest.raises(GncOptError, match="not a campaign"):
+        Campaign.load(tmp_path / "other.npz")

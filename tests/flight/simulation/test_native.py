@@ -12,9 +12,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import StepExecutor
 from testing.loops import double_integrator
 
-import gnc_opt.simulation.compiled_loop as flight_module
 from gnc_opt.control import Controller, design_lqr, design_mpc
 from gnc_opt.errors import GncOptError
 from gnc_opt.model import Model
@@ -27,8 +27,8 @@ from gnc_opt.simulation import (
     PiecewiseConstantNoise,
     monte_carlo,
 )
+from gnc_opt.simulation import compiled_loop as flight_module
 from gnc_opt.simulation import compiled_step as module
-from gnc_opt.simulation.compiled_step import StepExecutor
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

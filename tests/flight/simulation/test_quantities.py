@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.internals import SAMPLES, envelope, sample_steps
 from testing.loops import double_integrator, feedback
 
 import gnc_opt as go
@@ -23,8 +24,6 @@ from gnc_opt.simulation import (
     RunStatus,
     Uniform,
 )
-from gnc_opt.simulation.measures import envelope
-from gnc_opt.simulation.quantities import SAMPLES, sample_steps
 
 MISSION = {"x0": [1.0, 0.0], "tf": 30.0}
 SPREAD = {"initial.q": Normal(0.2), "plant.m": Uniform(-0.1, 0.1)}

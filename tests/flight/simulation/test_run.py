@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from testing.internals import pass_rate
+from testing.internals import pass_rate, settling_time
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.simulation import ClosedLoop, Saturation
-from gnc_opt.simulation.run import rotation_angle, settling_time
 
 DT = 0.25
 COMMANDS = np.array([3.0, 3.0, -1.0, 2.0, 2.0, 0.5, -4.0, 0.0])
@@ -45,21 +44,6 @@ def test_settling_is_for_good():
     assert settling_time(times, np.array([0.0, 0.5, 0.2, 0.5, 0.1]), 1.0) == 0.0
     assert settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, 2.0]), 1.0) == np.inf
     assert settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, np.nan]), 1.0) == np.inf
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-6])
-def test_rotation_angle_is_the_same_for_quaternions_and_rodrigues_parameters_and_their_shadows(angle):
-    axis = np.array([0.36, -0.48, 0.8])
-    quaternion = np.append(np.sin(angle / 2) * axis, np.cos(angle / 2))
-    sigma = np.tan(angle / 4) * axis
-    for attitude in (quaternion, -quaternion, 3.0 * quaternion):
-        assert rotation_angle(attitude, np.array([0.0, 0.0, 0.0, 1.0])) == pytest.approx(
-            angle, abs=1e-15, rel=1e-12
-        )
-    shadows = [sigma] if angle == 0 else [sigma, -sigma / (sigma @ sigma)]
-    for attitude in shadows:
-        assert rotation_angle(attitude, np.zeros(3)) == pytest.approx(angle, abs=1e-15, rel=1e-9)
-    assert rotation_angle(sigma, -sigma) == pytest.approx(min(2 * angle, 2 * np.pi - 2 * angle), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import dormand_prince
-
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run
+from testing.internals import MAX_SUBSTEPS, dormand_prince, steps_for_modes, steps_for_run
 
 
 @pytest.mark.parametrize(

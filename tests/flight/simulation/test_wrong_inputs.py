@@ -133,12 +133,3 @@ def test_responses_that_there_are_not(asked: Any, what: str) -> None:
     """The plant is a double integrator: at the frequency 0 the open loop has no bound."""
     with pytest.raises(go.ArgumentError, match=what):
         asked()
-
-
-def test_a_partial_initial_state_names_what_it_lacks() -> None:
-    with pytest.raises(go.ArgumentError, match="initial state of a run lacks 'h', 'w': give x0"):
-        loop().simulate({}, tf=0.2)
-    with pytest.raises(go.ArgumentError, match="initial state of a run lacks 'w'"):
-        campaign(x0={"h": 1.0})
-    with pytest.raises(go.ArgumentError, match=r"'initial.w' of a run is not a number .it is inf"):
-        fly({"h": 1.0, "w": np.inf})
