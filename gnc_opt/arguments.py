@@ -44,9 +44,7 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
 class Strict:
     """Base of the classes that user scripts access; they list their attributes in ``__slots__``.
 
-    Reading or assigning any other attribute raises `UnknownAttributeError`, which suggests the nearest valid
-    name; so does an unknown keyword of a method. ``dir()`` lists public names. A subclass without ``__slots__`` may
-    assign any attribute.
+    Any other attribute, and an unknown keyword of a method, raises an error with the nearest valid name.
     """
 
     __slots__ = ()

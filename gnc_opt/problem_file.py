@@ -1,10 +1,8 @@
-"""Problem files: any Python file, or package, with ``build(**options) -> Problem``.
+"""Problem files: any Python file, or package, with ``build(**options) -> Problem``, and those that come with gnc_opt.
 
-Three more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default
-mesh, ``figures(solution, directory)`` draws the problem's own figures for a report, and ``VIEW``
-(a `gnc_opt.plot.View`) says what of the motion a report shows in three dimensions.
-
-The problems that come with gnc_opt: found where they are installed, listed, and run as in the repository.
+Three more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default mesh,
+``figures(solution, directory)`` draws the problem's own figures for a report, and ``VIEW`` (a `gnc_opt.plot.View`) says
+what of the motion a report shows in three dimensions.
 """
 
 from __future__ import annotations
@@ -34,14 +32,8 @@ _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
 
 @dataclass(frozen=True)
 class Example:
-    """A problem file in a folder of its trade, or a system of several files in a folder of its own.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file, or of the system's folder.
-    problems : Path
-        The folder of all problems.
+    """A problem file in a folder of its trade, or a system in a folder of its own, by ``path``, among all
+    ``problems``.
     """
 
     path: Path
@@ -82,26 +74,14 @@ class Example:
         return self.statement.partition("\n")[0].rstrip(".")
 
     def run(self, arguments: Sequence[str] = ()) -> int:
-        """Solve, verify, compare with the known result and print; return the exit code.
-
-        Parameters
-        ----------
-        arguments : sequence of str
-            Options of the problem's own command line, such as ``--json OUT``.
-        """
+        """Solve, verify, compare with the known result and print; return the exit code."""
         if self.is_system:
             return int(import_module(f"{self.module.__name__}.__main__").main(arguments))
         return int(self.module.main(arguments))
 
 
 def examples() -> list[Example]:
-    """Return every problem, files first, each by name.
-
-    Raises
-    ------
-    GncOptError
-        The problems are not where gnc_opt is.
-    """
+    """Return every problem, files first, each by name; raise `GncOptError` if they are not where gnc_opt is."""
     for holder in _HOLDERS:
         folder = holder / "problems"
         if (folder / "_example.py").is_file():
@@ -141,14 +121,7 @@ class ProblemFileError(GncOptError):
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """A problem file that has been run.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file, or of the package's folder.
-    module : module
-    """
+    """A problem file that has been run; ``path`` is that of the file, or of the package's folder."""
 
     path: Path
     module: ModuleType
@@ -165,13 +138,7 @@ class ProblemFile:
 
     @property
     def view(self) -> Any:
-        """The file's ``VIEW``, or None.
-
-        Raises
-        ------
-        ProblemFileError
-            It is something else than a View.
-        """
+        """The file's ``VIEW``, or None; raises `ProblemFileError` for anything else."""
         found = getattr(self.module, "VIEW", None)
         if found is None:
             return None
@@ -189,13 +156,7 @@ class ProblemFile:
         return dict(inspect.signature(self.module.build).parameters)
 
     def build(self, options: Mapping[str, Any]) -> Problem:
-        """Return the problem for these options.
-
-        Raises
-        ------
-        ProblemFileError
-            Unknown or missing options, ``build`` fails, or returns something else than a Problem.
-        """
+        """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
         self._check_options(options)
         with _blaming(self.path, "build()"):
             problem = self.module.build(**options)
@@ -225,10 +186,9 @@ class ProblemFile:
 def load_problem_file(path: str | Path) -> ProblemFile:
     """Run a problem file, or import a problem that is a package: a folder with ``__init__.py``.
 
-    A file can import its neighbours: its folder, the folder above and, if it belongs to a package, the folder
-    that contains the package are searched, so ``problems/b.py`` may say ``import a`` or ``from problems
-    import a``. A package is imported under its own name, whatever the current folder is. A missing
-    ``NAME.py`` stands for the package ``NAME`` in the same folder.
+    A file can import its neighbours: its folder, the folder above and, if it belongs to a package, the folder that
+    contains the package are searched. A package is imported under its own name. A missing ``NAME.py`` stands for
+    the package ``NAME`` in the same folder.
 
     Raises
     ------
@@ -301,13 +261,7 @@ def _search(*folders: Path) -> None:
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``: an integer, float, true/false, none, JSON list, or else a string.
-
-    Raises
-    ------
-    ProblemFileError
-        No ``=``, a name that is no identifier, or a list that is not valid JSON.
-    """
+    """Read ``NAME=VALUE``: an integer, float, true/false, none, JSON list or string; else `ProblemFileError`."""
     name, equals, value = text.partition("=")
     name = name.strip()
     if not equals or not name.isidentifier():

@@ -33,7 +33,7 @@ def save_film(
     seconds: float = 8.0,
     rate: float = 20.0,
 ) -> Path:
-    """Write a film of a planned or flown motion.
+    """Return the path of a film of a planned or flown motion that is written.
 
     Parameters
     ----------
@@ -49,16 +49,10 @@ def save_film(
     rate : float
         Pictures per second.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
-    UnknownNameError
-        There is no such state or control.
-    ArgumentError
-        A position, attitude or force does not have the components it must have, or the suffix is another one.
+    UnknownNameError, ArgumentError
+        A state, control or suffix that is none, or with wrong components.
     GncOptError
         A film in mp4 and no ffmpeg.
 

@@ -65,7 +65,7 @@ def new_figure(height: float, width: float = 9.0) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
-    """Write a figure to a file (its suffix is the format), making folders as needed; return its path.
+    """Return the path of a file to which a figure is written (its suffix is the format), making folders as needed.
 
     Parameters
     ----------
@@ -73,10 +73,6 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     path : str or Path
     dpi : int
         Dots per inch, for pixel formats.
-
-    Returns
-    -------
-    Path
 
     Examples
     --------

@@ -61,24 +61,18 @@ class View:
     Attributes
     ----------
     position : str or sequence of str, optional
-        States, one to three components: x, y and z in the frame that is drawn, L. Of two, the second is drawn upwards;
-        one is drawn upwards, too. None leaves the body at the origin, where its attitude turns it.
+        One to three components: x, y and z in the frame that is drawn, L; of two, the second is drawn upwards, as
+        is a single one. None leaves the body at the origin.
     attitude : str or sequence of str, optional
         Of the body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar part first).
     force : str, sequence of str, or mapping of str to Thruster, optional
-        The resultant force: controls or states of one to three components as the position, in B if there is an
-        attitude, else in L. Or the actuators by name, each with a plume of its own.
+        The resultant force, in B if there is an attitude, else in L; or the actuators by name, each with its plume.
     keep_out : mapping of str to (centre, radius)
         Spheres, or ellipsoids with three semi-axes along those of L, in the unit of the position.
     down : bool
         Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
     bodies : mapping of str to array (3,)
-        Other vehicles, which rest in L, such as the target of a rendezvous: position by name.
-
-    Raises
-    ------
-    ArgumentError
-        Neither a position nor an attitude, or a volume or a thruster that has not the numbers it must have.
+        Other vehicles, which rest in L: position by name.
 
     Examples
     --------

@@ -1,10 +1,8 @@
 """Orbits and attitudes as CCSDS messages in key-value notation, which flight dynamics systems exchange.
 
 OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: attitude ephemeris message, CCSDS 504.0-B
-(version 1.0); the quaternion from frame A to frame B, that is our ``q_BA``, with its scalar part last.
-
-The caller states epoch, frames, centre and time system; there are no defaults. Within a file the clock runs
-evenly: in UTC no leap second may lie between its first and last time.
+(version 1.0); the quaternion from frame A to frame B, that is our ``q_BA``, with its scalar part last. The clock runs
+evenly: in UTC no leap second may lie within a file.
 """
 
 from __future__ import annotations
@@ -41,11 +39,6 @@ class MessageMetadata:
     originator : str
         Who writes.
 
-    Raises
-    ------
-    ArgumentError
-        An invalid epoch, or a text that is empty or has several lines.
-
     Examples
     --------
     >>> from gnc_opt.report import MessageMetadata
@@ -79,7 +72,7 @@ def write_oem(
     center: str,
     metadata: MessageMetadata,
 ) -> Path:
-    """Write an orbit ephemeris message.
+    """Return the path of an orbit ephemeris message that is written.
 
     Parameters
     ----------
@@ -92,11 +85,6 @@ def write_oem(
         By their CCSDS names: ``"EME2000"``, ``"EARTH"``.
     metadata : MessageMetadata
         Object, epoch and time system, and who writes.
-
-    Returns
-    -------
-    Path
-        Of the file.
 
     Raises
     ------
@@ -131,7 +119,7 @@ def write_aem(
     frame_b: str,
     metadata: MessageMetadata,
 ) -> Path:
-    """Write an attitude ephemeris message.
+    """Return the path of an attitude ephemeris message that is written.
 
     Parameters
     ----------
@@ -145,11 +133,6 @@ def write_aem(
         By their CCSDS names: ``"EME2000"``, ``"SC_BODY_1"``.
     metadata : MessageMetadata
         As for `write_oem`.
-
-    Returns
-    -------
-    Path
-        Of the file.
 
     Raises
     ------

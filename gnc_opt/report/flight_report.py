@@ -48,7 +48,6 @@ def write_run_report(
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
     title : str
-        Of the page.
     view : gnc_opt.plot.View, optional
         What of the motion is shown in three dimensions, as in `write_report`.
     command : str, optional
@@ -58,11 +57,6 @@ def write_run_report(
     -------
     list of Path
         ``report.html``, ``run.npz`` and the figures (SVG).
-
-    Raises
-    ------
-    GncOptError
-        ``directory`` is a file.
 
     Examples
     --------
@@ -112,12 +106,10 @@ def write_campaign_report(
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
     title : str
-        Of the page.
     view : gnc_opt.plot.View, optional
-        Motion in three dimensions, as in `write_report`: any of the runs, simulated again, all their
-        paths, and the tube that holds 95 % of them. It needs a campaign that can fly (see `Campaign.rerun`).
+        Motion in three dimensions: any of the runs, simulated again, and the tube that holds 95 % of them.
     runs : int
-        At most so many are shown there: those that did not pass first, then the others in the order of their numbers.
+        At most so many are shown there, those that did not pass first.
     command : str, optional
         What writes this report again, for the page.
 

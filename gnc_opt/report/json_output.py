@@ -53,21 +53,12 @@ def search_text(found: Multistart) -> str:
 
 
 def write_search(path: str | Path, found: Multistart) -> Path:
-    """Write `search_dict` to a file as UTF-8 JSON; returns its path.
+    """Return the path of a file to which `search_dict` is written as UTF-8 JSON.
 
     Parameters
     ----------
     path : str or Path
     found : Multistart
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
 
     Examples
     --------
@@ -85,19 +76,13 @@ SCHEMA = 2
 
 
 def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str, Any]:
-    """Return the summary as plain JSON values.
+    """Return the summary as plain JSON values; values that are not finite or not measured are None.
 
     Parameters
     ----------
     solution : Solution
     verdict : Verdict, optional
         None leaves ``verdict`` null.
-
-    Returns
-    -------
-    dict
-        Strings, numbers, booleans, None, lists and dicts; values that are not finite or not measured are
-        None.
 
     Examples
     --------
@@ -142,7 +127,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
 
 
 def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:
-    """Write `summary_dict` to a file as UTF-8 JSON; returns its path.
+    """Return the path of a file to which `summary_dict` is written as UTF-8 JSON.
 
     Parameters
     ----------
@@ -150,15 +135,6 @@ def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = N
     solution : Solution
     verdict : Verdict, optional
         None leaves ``verdict`` null.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
 
     Examples
     --------

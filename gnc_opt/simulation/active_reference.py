@@ -66,12 +66,8 @@ class Replan:
 
 @runtime_checkable
 class PlanUpdater(Protocol):
-    """What plans again during a run, see `gnc_opt.guidance.Replanner`.
-
-    Attributes
-    ----------
-    every, latency, last : float
-        Time between two re-plannings, time until a new plan begins, time before the end without re-planning, s.
+    """What plans again during a run, see `gnc_opt.guidance.Replanner`: ``every`` so many s, with a ``latency``, not
+    after ``last`` s before the end.
     """
 
     every: float

@@ -159,14 +159,10 @@ class Block:
         Parameters
         ----------
         tick : Tick
-        signal : SX
-            Column that comes in: mean over the minor step; a sensor's is the sample.
-        state : SX
-            Column of the block's memory.
+        signal, state, noise : SX column
+            What comes in (mean over the minor step, or a sample), the memory, and new normal random numbers.
         p : mapping of str to SX
             The block's parameters by name.
-        noise : SX
-            Column of standard normal numbers, new at every step.
         """
         raise NotImplementedError
 

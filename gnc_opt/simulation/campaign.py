@@ -145,7 +145,7 @@ class Campaign(Strict, Printed):
         return self.event_counts[self._measures.layout("event").slice(event)][0] > 0
 
     def measure(self, name: str) -> Array:
-        """Return a number per run, (m,); not-a-number for runs that have none.
+        """Return a number per run, (m,); NaN for runs that have none.
 
         Parameters
         ----------
@@ -157,13 +157,6 @@ class Campaign(Strict, Printed):
             ``"time(touchdown)"``: when an event happened first, s. ``"max(tilt)"``, ``"min(tilt)"``,
             ``"integral(tilt)"``: of a quantity of the loop over the run. ``"replans"``, ``"failed replans"``:
             numbers of successful and of failed re-plans in flight. Or the name of a user-defined measure.
-
-        Raises
-        ------
-        UnknownNameError
-            There is no such measure.
-        ArgumentError
-            The error is relative to nothing.
         """
         return self._measures.values(name)
 
@@ -183,15 +176,8 @@ class Campaign(Strict, Printed):
     def envelope(
         self, quantity: str, levels: Sequence[float] = (0.05, 0.5, 0.95), confidence: float = CONFIDENCE
     ) -> Envelope:
-        """Return percentiles of a quantity of the loop over time, with their intervals at each time.
-
-        Parameters
-        ----------
-        quantity : str
-        levels : sequence of float
-            In (0, 1).
-        confidence : float
-            Of each interval, in (0, 1).
+        """Return percentiles (``levels`` in (0, 1)) of a quantity of the loop over time, with their intervals at each
+        time.
         """
         place = self._measures.layout("quantity").slice(quantity).start
         unit = self._measures.layout("quantity")[quantity].unit
@@ -215,13 +201,7 @@ class Campaign(Strict, Printed):
         return passed
 
     def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate:
-        """Return the share of runs that are OK and within one limit, or all; see `statistics.pass_rate`.
-
-        Raises
-        ------
-        GncOptError
-            No run has ended.
-        """
+        """Return the share of runs that are OK and within one limit, or all; `GncOptError` if no run has ended."""
         return pass_rate(int(np.sum(self.passed(name))), self._need_runs(), confidence)
 
     def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile:
@@ -266,12 +246,7 @@ class Campaign(Strict, Printed):
     # --- one run ------------------------------------------------------------------------------------------
 
     def rerun(self, index: int) -> Run:
-        """Fly one run again, with everything logged; it ends with the same bits.
-
-        Parameters
-        ----------
-        index : int
-            Number of the run.
+        """Return one run again, with everything logged; it ends with the same bits.
 
         Raises
         ------
@@ -338,13 +313,9 @@ class Campaign(Strict, Printed):
 
     @classmethod
     def load(cls, path: str | Path, flight: CompiledLoop | None = None) -> Campaign:
-        """Read a campaign that `save` wrote.
+        """Return a campaign that `save` wrote.
 
-        Parameters
-        ----------
-        path : str or Path
-        flight : Flight, optional
-            ``loop.compile(x0, tf=...)`` of the same loop, for `rerun`.
+        ``flight`` is ``loop.compile(x0, tf=...)`` of the same loop, for `rerun`.
 
         Raises
         ------

@@ -282,27 +282,22 @@ class ClosedLoop:
         every: int = 1,
         folder: str | Path | None = None,
     ) -> Run:
-        """Run the loop once and log everything.
+        """Return a run of the loop with everything logged, also if it fails: see its outcome.
 
         Parameters
         ----------
         x0 : array (n_states,) or mapping by name
             Initial state of the plant.
         t0, tf : float
-            s; see `flight`.
+            s; see `compile`.
         seed : int or sequence of int
             Of the random numbers: the same seed gives the same bits.
         parameters : mapping
             Changes by dotted name, see `layout`.
         every : int
-            Of so many control steps one is logged; the end always is. What is summed up (effort, say) takes in all.
+            Of so many control steps one is logged; the end always is. Sums such as the effort include all.
         folder : path, optional
             Where the log is written during the run, as ``states.npy`` and so on, so that memory does not grow with it.
-
-        Returns
-        -------
-        Run
-            Also of a run that fails: ``run.outcome`` says what happened and when.
         """
         flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)

@@ -30,13 +30,7 @@ from gnc_opt.simulation.loop_kernel import Kernel
 
 
 class StepExecutor:
-    """The step of a kernel, folded.
-
-    Parameters
-    ----------
-    library : str
-        Of `quick` as machine code; "" for the interpreter.
-    """
+    """The step of a kernel, folded; ``library`` is `quick` as machine code, "" for the interpreter."""
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library

@@ -167,8 +167,7 @@ class Events:
     rows : casadi.Function
         ``(t, x, dx_dt, p) -> (y, dy_dt)``, columns.
     effects : casadi.Function
-        ``(t, x, p) -> (holds, X)``: per event whether its condition holds (n_events, 1), and the states that it leaves,
-        (n_states, n_events).
+        ``(t, x, p) -> (holds, X)``: whether conditions hold (n_events, 1), and the states left (n_states, n_events).
     """
 
     declared: tuple[Event, ...]

@@ -142,23 +142,20 @@ class _EventfulStep:
 
 @dataclass(frozen=True)
 class Kernel:
-    """The functions of a loop and the layout of their columns.
+    """The functions of a loop and the layout of their columns X, w and log.
 
     Attributes
     ----------
     constants : casadi.Function
-        ``P -> C``: P, and below it whatever a step needs that follows from P alone.
+        ``P -> C``: P, and below it what a step needs that follows from P alone.
     start : casadi.Function
         ``(w, P) -> X`` at the first control step.
     step : casadi.Function
         ``(X, w, C) -> (X_next, log)``.
     easy : casadi.Function or None
-        ``(X, w, C) -> (X_next, enough)``: X_next of ``step`` wherever enough is 1, where a law solves a problem at some
-        steps only.
+        ``(X, w, C) -> (X_next, enough)`` of controllers that solve a problem at some steps, where enough is not 1.
     measure : casadi.Function
         ``(X, w, C) -> y``: what the controller gets to see in that step.
-    state, known, log : Places
-        Of X, w and log.
     """
 
     constants: Any

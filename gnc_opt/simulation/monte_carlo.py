@@ -145,8 +145,7 @@ def monte_carlo(
     seed : int
         Run i has the random numbers of ``SeedSequence([seed, i])``: the same bits on any executor, and alone.
     dispersions : mapping
-        By dotted name of ``loop.layout``, e.g. ``{"plant.m": Normal(0.01, relative=True), "initial.r_L":
-        Sphere(0.2), "initial.sigma": Turn(0.035)}``.
+        By dotted name of ``loop.layout``, e.g. ``{"plant.m": Normal(0.01, relative=True)}``.
     parameters : mapping
         Nominal changes of parameters by dotted name.
     target : mapping
@@ -154,13 +153,11 @@ def monte_carlo(
     limits : mapping
         Largest permitted values by measure (see `Campaign.measure`), e.g. ``{"r_L": 0.05, "angle(sigma)": 0.0087}``.
     judge : mapping
-        User-defined measures: functions of the campaign that return a number per run, by name. They can have
-        limits.
+        User-defined measures by name: functions of the campaign that return a number per run.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
     checkpoint : path, optional
-        A folder that stores every batch of runs when it ends. A repeated call with it, also with a larger n,
-        simulates only the missing runs; the result has the same bits.
+        A folder that stores every batch of runs when it ends; a repeated call with it simulates only the missing runs.
     progress : bool
         Show how many runs have ended and how many of them failed.
 
@@ -169,8 +166,7 @@ def monte_carlo(
     ArgumentError, UnknownNameError
         Something does not fit; the message names it.
     GncOptError
-        The campaign cannot be sent to the executor's processes, not a single run could be flown, or the checkpoint is
-        of another campaign.
+        The campaign cannot be sent to the executor, no run could be flown, or the checkpoint is of another campaign.
 
     Examples
     --------

@@ -115,8 +115,7 @@ class Outcome:
     what : str
         The cause, e.g. ``"measured 'omega[1]'"`` or the name of the alarm or of the event that ended the run.
     time : float
-        Beginning of the control step at which it happened, s, or the instant of the event; NaN if it has no
-        time.
+        Beginning of the control step, or instant of the event, s; NaN if it has no time.
 
     Examples
     --------

@@ -239,10 +239,10 @@ class Run(Strict, Printed):
         return float(np.linalg.norm(self._deviation(name, target)[:, -1]))
 
     def attitude_error(self, name: str, at: float | None = None) -> float:
-        """Return the angle (rad) between an attitude and its reference at the end, or ``at`` a logged time (s).
+        """Return the angle (rad, 0 to pi) between an attitude and its reference at the end, or ``at`` a logged time
+        (s).
 
-        The attitude is four components, a unit quaternion (scalar anywhere), or three, modified Rodrigues
-        parameters; the angle is in [0, pi].
+        The attitude is a unit quaternion (scalar anywhere) or modified Rodrigues parameters.
         """
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._need_errors()
@@ -286,7 +286,8 @@ class Run(Strict, Printed):
         """Return all that was logged as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
 
         States have their names, the rest a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
-        ``error.q``, ``reference.q``. What belongs to a control step stands at its beginning; there is none at the end.
+        ``error.q``, ``reference.q``. What belongs to a control step stands at its beginning; there is none at the
+        end.
         """
         return self._records().to_pandas()
 
@@ -324,15 +325,7 @@ class Run(Strict, Printed):
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
-        """Read a run that `save` wrote.
-
-        Raises
-        ------
-        FileNotFoundError
-            There is no such file.
-        GncOptError
-            The file holds no run, or a damaged one.
-        """
+        """Return a run that `save` wrote; raise `FileNotFoundError`, or `GncOptError` if the file holds no run."""
         run, _ = RUN_FILES.read(path)
         assert isinstance(run, Run)
         return run

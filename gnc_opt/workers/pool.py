@@ -82,8 +82,7 @@ class WorkerPool(Generic[Object]):
     ----------
     shared : Shared
     executor : Executor, "serial" or None
-        None: one process per processor, of its own. Threads of one process take turns, since compiled functions serve
-        one at a time.
+        None: one process per processor. Threads take turns, since compiled functions serve one at a time.
     caller : str
         For messages, e.g. ``"monte_carlo()"``.
 
@@ -91,13 +90,6 @@ class WorkerPool(Generic[Object]):
     ----------
     interrupted : bool
         Whether Ctrl-C came.
-
-    Raises
-    ------
-    ArgumentError
-        No executor.
-    GncOptError
-        The object cannot be sent to processes.
 
     Examples
     --------
@@ -141,11 +133,11 @@ class WorkerPool(Generic[Object]):
         show: Callable[[Done[Item, Answer]], None],
         split: Split[Item] = lambda item: (),
     ) -> list[Done[Item, Answer]]:
-        """Do a task with every item.
+        """Return the result of a task with every item, in order, without those that Ctrl-C prevented (`interrupted`).
 
-        When a process of the pool's own dies, what was lost with it is done again, each item in a new
-        process; an item that kills that one, too, is split. If a given executor breaks, the pool's own
-        processes do the remaining tasks.
+        When a process of the pool's own dies, what was lost with it is done again, each item in a new process; an
+        item that kills that one, too, is split. If a given executor breaks, the pool's own processes do the
+        remaining tasks.
 
         Parameters
         ----------
@@ -155,11 +147,6 @@ class WorkerPool(Generic[Object]):
             Called with each result. An exception in it ends the run.
         split : callable, optional
             Returns the parts of an item that together give the same result; none if it has no parts.
-
-        Returns
-        -------
-        list of Done
-            In the order of the items, without those that Ctrl-C prevented; then `interrupted` is set.
         """
         items = list(items)
         ledger = _Ledger(items, show)
