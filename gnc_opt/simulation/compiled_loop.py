@@ -20,11 +20,10 @@ from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, native
 from gnc_opt.simulation.events import EventOccurrence, occurrences
 from gnc_opt.simulation.final_values import FinalValues, integration_errors
-from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
 from gnc_opt.simulation.quantities import sample_steps
-from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.run import Log, Run
 
 LEG = 1000
 """Control steps that are flown in one call at most, so that its memory does not grow with the run."""
