@@ -36,8 +36,6 @@ class Tick:
         Beginning of the minor step, s (for sensors: of the control step).
     h, dt : float
         Length of a minor step and of a control step, s; for sensors both are the control step.
-    index : int or SX
-        Number of the minor step within its control step, 0 first.
     x : mapping
         State of the plant by name, SX columns.
     """
@@ -45,7 +43,6 @@ class Tick:
     t: Any
     h: float
     dt: float
-    index: Any = 0
     x: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -32,6 +32,12 @@ BATCHES = 32
 
 _PATTERN = "runs * to *.npz"
 
+_STORED = (
+    *("states", "memory", "effort", "energy", "saturation_time", "variation", "integration_error"),
+    *("event_counts", "event_times", "replans", "sums", "samples"),
+)
+"""Arrays of a campaign with one column for each run, as of its final values."""
+
 
 def stored(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
     """Return the runs below number ``runs`` that are in the folder, which is made if missing.
@@ -85,21 +91,10 @@ def _require_same(part: Campaign, mission: CampaignTask, path: Path) -> None:
 def _flown(part: Campaign, count: int) -> Flown:
     first = int(part.indices[0])
     ending = FinalValues(
-        states=part.states[:, :count],
         errors=None,
-        memory=part.memory[:, :count],
-        effort=part.effort[:, :count],
-        energy=part.energy[:, :count],
-        saturation_time=part.saturation_time[:, :count],
-        variation=part.variation[:, :count],
-        integration_error=part.integration_error[:count],
         state_error=np.full(count, np.nan),
         outcomes=part.outcomes[:count],
-        event_counts=part.event_counts[:, :count],
-        event_times=part.event_times[:, :count],
-        replans=part.replans[:, :count],
-        sums=part.sums[:, :count],
-        samples=part.samples[:, :, :count],
+        **{name: getattr(part, name)[..., :count] for name in _STORED},
     )
     return Flown(range(first, first + count), part.parameters[:, :count], ending)
 
@@ -124,6 +119,13 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
     errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
     if states.shape[1]:
         errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
+    sizes = {
+        **dict.fromkeys(("effort", "energy"), flight.controls.size),
+        **dict.fromkeys(("saturation_time", "variation"), flight.commands.size),
+        **dict.fromkeys(("event_counts", "event_times"), flight.events.size),
+        "memory": flight.memory.size,
+        "replans": 2,
+    }
     way = {}
     if flight.quantities.size:
         count, at = flight.quantities.size, sample_steps(flight.n_steps)
@@ -138,10 +140,6 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
         states=states,
         errors=errors,
         target=goal,
-        effort=joined("effort", flight.controls.size),
-        energy=joined("energy", flight.controls.size),
-        saturation_time=joined("saturation_time", flight.commands.size),
-        variation=joined("variation", flight.commands.size),
         integration_error=joined("integration_error", 1)[0],
         outcomes=tuple(outcomes),
         span=(float(flight.times[0]), float(flight.times[-1])),
@@ -160,10 +158,7 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
         },
         flight=flight,
         fingerprint=flight.fingerprint,
-        memory=joined("memory", flight.memory.size),
-        event_counts=joined("event_counts", flight.events.size),
-        event_times=joined("event_times", flight.events.size),
-        replans=joined("replans", 2),
+        **{name: joined(name, size) for name, size in sizes.items()},
         **way,
     )
 

@@ -92,7 +92,7 @@ class ControlStep:
     def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
-        tick = Tick(0.0, length, self.wiring.dt, 0, self.by_state(x))
+        tick = Tick(0.0, length, self.wiring.dt, self.by_state(x))
         return [
             link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick).shape[0]
             for link in links
@@ -112,7 +112,7 @@ class ControlStep:
         """Return the measured state and the sensors' memories; without memories they begin."""
         by_name = self.by_state(x)
         signals = {n: by_name[n] if n in by_name else self._output(n, t, x) for n in self.measured.names}
-        tick = Tick(t, self.wiring.dt, self.wiring.dt, 0, by_name)
+        tick = Tick(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
             key, p, signal = f"sensor {i}", self.parameters_of(link), take(signals, link.on)
@@ -222,14 +222,14 @@ class ControlStep:
         return x
 
     def tick_of(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
-        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, i, self.by_state(state["plant"]))
+        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.by_state(state["plant"]))
 
     def pushed(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
         """Return the state with the memories of the disturbances during this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
-            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, 0, self.by_state(state["plant"]))
+            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, self.by_state(state["plant"]))
             new[key] = link.block.update(tick, state[key], self.parameters_of(link), w[key])  # type: ignore[attr-defined]
         return new
 

@@ -200,7 +200,7 @@ class _Builder(ControlStep):
         w = self.known.split(column)
         x = take(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self.sense(x, w["t"], None, w)
-        tick = Tick(w["t"], self.h, wiring.dt, 0, self.by_state(x))
+        tick = Tick(w["t"], self.h, wiring.dt, self.by_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors, "quantities": neutral(len(wiring.quantities))}
         parts |= self.first_outputs(tick, w["r"])

@@ -231,7 +231,7 @@ def wire(
 def _check_sensing(wiring: Wiring) -> None:
     """Take every sensor through a step, so that functions of users which do not fit are refused here."""
     states, dt = wiring.plant.states, wiring.dt
-    tick = Tick(ca.SX.sym("t"), dt, dt, 0, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
+    tick = Tick(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
     for link in wiring.sensors:
         block, signal = link.block, ca.SX.sym("y", link.size)
         p = {

@@ -43,7 +43,7 @@ EYE = np.eye(2)
 
 
 def moment(t=0.0, **x):
-    return Tick(t, H, DT, 0, {name: ca.SX(ca.DM(value)) for name, value in x.items()})
+    return Tick(t, H, DT, {name: ca.SX(ca.DM(value)) for name, value in x.items()})
 
 
 def numbers(column):
