@@ -27,17 +27,6 @@ from gnc_opt.estimation.error_space import flat
 from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.guidance.replanning import check_remaining, remaining
-from gnc_opt.model.evaluation import (
-    BLOCK,
-    NUMPY_MAX_OPERATIONS,
-    Operations,
-    evaluate,
-    evaluate_chain,
-    evaluate_columns,
-    fast_call,
-)
-from gnc_opt.model.integration import Budget, Tolerance, carried, step_function
-from gnc_opt.model.interpolation import Method
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory, solve_mesh
 from gnc_opt.planning.nlp import NlpResult, NlpSolver

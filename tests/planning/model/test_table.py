@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.interpolate as reference
-from testing.internals import Method
 
 import gnc_opt as go
 from gnc_opt.report import summary_dict
