@@ -1,12 +1,15 @@
-"""The structure loop by hand: plans, kinks, arcs that vanish or are missing, and how it ends."""
+"""Structures: detected in coarse solutions, corrected and optimised with their arcs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, interval, phase, samples, solution
@@ -19,17 +22,358 @@ from testing.internals import (
     Plan,
     Resolution,
     Smooth,
+    detect,
 )
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Status
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
+from gnc_opt.planning.refinement.arcs import curvature as b
+from gnc_opt.planning.refinement.arcs import detection as d
 from gnc_opt.planning.refinement.arcs import loop as s
 from gnc_opt.planning.refinement.arcs import update as m
+from gnc_opt.planning.refinement.arcs.detection import switching
+from problems.classics import van_der_pol
+
+# Detection of arcs in coarse solutions, and the pieces of which a structure is made.
+
+
+# Recognising a control structure from samples that are given by hand, step by step.
+
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
-RELEASED = ArcKind.RELEASED
+LETTERS = {"l": LOW, "i": FREE, "u": UP, "s": SING, "r": ArcKind.RELEASED}
+PER_SEGMENT = 4
+
+
+def kinds(text: str) -> Any:
+    return np.array([LETTERS[c] for c in text], dtype=object)
+
+
+def text(labels: Any) -> str:
+    return "".join({kind: c for c, kind in LETTERS.items()}[kind] for kind in labels)
+
+
+def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
+    """Four samples to a segment of 1 s, its ends among them; one control between -1 and 1."""
+    edges = np.arange(segments + 1.0) if breaks is None else np.asarray(breaks, float)
+    times = np.linspace(edges[:-1], edges[1:], PER_SEGMENT, axis=1).ravel()
+    values = {
+        "times": times,
+        "segments": np.repeat(np.arange(segments), PER_SEGMENT),
+        "control_scale": np.array([2.0]),
+        "u": np.zeros((1, times.size)),
+        "leg": SimpleNamespace(
+            breaks=edges, control_bounds=interval(-1.0, 1.0), state_bounds=interval(-np.inf, np.inf)
+        ),
+        "x": np.zeros((1, times.size)),
+        "state_scale": np.ones(1),
+        "functions": SimpleNamespace(rates=lambda t, x, u: u),
+    }
+    return SimpleNamespace(**(values | more))
+
+
+# --- arcs that swallow their neighbours -------------------------------------------------------------------
+
+
+# --- singular segments ------------------------------------------------------------------------------------
+
+
+def singular(inside: list[float], gradient: list[float]) -> list[int]:
+    """Segments by the share of their points at which the control is inside, and the largest switching function."""
+    values = tuple(np.where(np.arange(10) < 10 * share, 0.0, 1.0)[None, :] for share in inside)
+    there = sampled(len(inside))
+    there.leg.u = SimpleNamespace(values=values)
+    return d._singular_segments(
+        there, 0, np.repeat(gradient, PER_SEGMENT) * np.tile([0.5, -1, 0.2, 0], len(inside))
+    )
+
+
+# --- labels of controls, paths and states -----------------------------------------------------------------
+
 CART = cart()
+
+
+def integrator(**bounds: Any) -> go.Problem:
+    """x' = u, the integral of x: H is linear in u, and its switching function is lam."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("integrator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 8.0)
+    problem.minimize(leg.integral(x))
+    return problem
+
+
+LINE = integrator()
+
+
+def flight(u: Any, lam: Any, bounds: Any = (-1.0, 1.0), segments: int = 8, x: Any = None) -> PhaseSamples:
+    return samples(
+        LINE, x or (lambda t, k: [0.1 * t]), u, lam, weights=(0.0,), breaks=np.arange(segments + 1.0), degree=3,
+        control_bounds=interval(*bounds),
+    )  # fmt: skip
+
+
+def test_curvature_tells_linear_from_convex() -> None:
+    """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
+    found = samples(CART, control_bounds=interval(-10.0, 10.0))
+    assert b.curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
+    assert b.regular_channels(found).tolist() == [True] and b.affine_channels(found).tolist() == [False]
+    concave = samples(CART, weights=(-0.5,), control_bounds=interval(-10.0, 10.0))
+    assert b.regular_channels(concave).tolist() == [False] == b.affine_channels(concave).tolist()
+    line = flight(lambda t, k: [0 * t], lambda t, k: [t])
+    assert b.regular_channels(line).tolist() == [False] and b.affine_channels(line).tolist() == [True]
+
+
+def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
+    found = samples(CART, lam=lambda t, k: [0 * t, 5 + t], paths=lambda t, k: [2 * t, 0 * t])
+    t = np.array([0.1, 0.8])
+    assert d.switching(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
+    line = flight(lambda t, k: [0 * t], lambda t, k: [3.7 - t])
+    assert d.switching(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
+
+
+def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> None:
+    """At 5, then at -5, its bounds; dH/du = a + lam_v is negative at the upper one, or positive at the lower one."""
+    for lam, labels in ((-8.0, [UP, FREE]), (8.0, [FREE, LOW]), (0.0, [FREE, FREE])):
+        found = samples(
+            CART, u=lambda t, k: [5.0 - 10 * k + 0 * t], lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
+            control_bounds=interval(-5.0, 5.0),
+        )  # fmt: skip
+        rows = d._nonlinear_labels(found, 0)
+        assert [set(rows[found.segments == k]) for k in (0, 1)] == [{label} for label in labels]
+    neither = samples(CART, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-9.0, 9.0))
+    assert set(d._nonlinear_labels(neither, 0)) == {FREE}
+
+
+# --- times ------------------------------------------------------------------------------------------------
+
+
+def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
+    def at(values: Callable[[Array], Array], left: float, right: float) -> float:
+        return float(d.roots(values, np.array([left]), np.array([right]))[0])
+
+    assert at(lambda t: t - 0.3, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
+    assert at(lambda t: 0.3 - t, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
+    assert at(lambda t: t + 1, 0.0, 1.0) == 0.5 and at(lambda t: -t - 1, 2.0, 4.0) == 3.0
+    assert at(lambda t: t, 0.0, 1.0) == 0.5  # a zero at an end is no change of sign
+    assert at(lambda t: t - 1e6 - 0.3, 1e6, 1e6 + 1) == pytest.approx(1e6 + 0.3, abs=2e-8)
+
+
+def test_roots_are_found_all_at_once_however_bent_the_functions_are() -> None:
+    wanted = np.array([0.2, 0.5, 0.7, 0.999, 1e-9, 0.4])
+
+    def values(t: Array) -> Array:
+        u = t - wanted
+        return np.array([u[0], u[1] ** 3, np.tanh(1e3 * u[2]), np.expm1(40 * u[3]), u[4], np.sign(u[5])])
+
+    found = d.crossings(values, np.zeros(6), np.ones(6))
+    assert found == pytest.approx(wanted, abs=3e-14)
+    assert d.crossings(values, np.ones(6), np.zeros(6)) == pytest.approx(wanted, abs=3e-14)
+
+
+@pytest.mark.parametrize(
+    ("function", "most"),
+    [
+        (lambda t: t - 0.3, 4), (lambda t: np.exp(20 * t) - 2, 20), (lambda t: np.tanh(1e3 * (t - 0.3)), 20),
+        (lambda t: np.arctan(50 * (t - 0.7)), 20), (lambda t: t**19 - 1e-3, 20), (lambda t: np.log(t + 1e-6) + 3, 20),
+        # Flat or upright at the zero: no interpolation helps.
+        (lambda t: (t - 0.3) ** 3, 50), (lambda t: (t - 0.3) ** 9, 50), (lambda t: np.cbrt(t - 0.3), 50),
+    ],
+)  # fmt: skip
+def test_a_crossing_takes_few_evaluations_and_hardly_ever_more_than_bisection(
+    function: Any, most: int
+) -> None:
+    """Bisection needs 48 to the last digits of 1 s, and two at the ends."""
+    seen = 0
+
+    def counted(t: np.ndarray) -> np.ndarray:
+        nonlocal seen
+        seen += 1
+        return np.asarray(function(t))
+
+    found = d.crossings(counted, np.zeros(1), np.ones(1))
+    assert seen <= most and function(found - 1e-12) * function(found + 1e-12) < 0
+
+
+def test_the_structure_of_the_cart_has_all_rows() -> None:
+    """A convex control within bounds, a mixed path at its limit late, a pure one, two states."""
+    found = d.detect(
+        samples(
+            CART, paths=lambda t, k: [-1.0 + 0 * t, 0 * t], path_bounds=interval([-5.0, -50.0], [100.0, np.inf]),
+            control_bounds=interval(-20.0, 20.0), breaks=np.linspace(0, 1, 9),
+        )
+    )  # fmt: skip
+    assert found.regular == (True, True, False, False, False) and (found.n_controls, found.n_paths) == (1, 2)
+    assert found.paths[0].tolist() == [FREE, LOW] and found.paths[1].tolist() == [FREE, FREE]
+    crossing = (-1 + np.sqrt(1 + 4 * 11 / 6)) / 2  # 6 - 6 t - 6 t^2 = -5
+    assert found.times[1] == pytest.approx(crossing, abs=0.02) and found.times[2] == 1.0
+
+
+# The pieces of a control structure: vanishing, swapped and added arcs, and how finely each piece is
+# solved.
+
+
+# --- arcs that vanish, swap, appear -------------------------------------------------------------------------
+
+
+# --- resolution -----------------------------------------------------------------------------------------------
+
+
+# --- detection ------------------------------------------------------------------------------------------------
+
+
+def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
+    """Not halfway between samples: the costates of a coarse mesh know the switch better than its controls."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("minimum time")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.3)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
+    structure = detect(samples)
+    assert [piece[0] for piece in structure.kinds] == [LOW, UP]
+    assert abs(switching(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
+    assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
+
+
+# --- units ----------------------------------------------------------------------------------------------------
+
+
+def pursuit(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
+    """x' = u, |u| <= 2, min of half the integral of (x - sin t)^2, x(0) = 1, x(3) = 3/2, in other units."""
+    model = go.Model("pursuit")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u / u_unit * x_unit / t_unit})
+    problem = go.Problem("pursuit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0 * t_unit)
+    leg.initial(x=1.0 * x_unit)
+    leg.final(x=1.5 * x_unit)
+    leg.bounds(u=tuple(sorted((-2.0 * u_unit, 2.0 * u_unit))))
+    off = x / x_unit - ca.sin(model.time / t_unit)
+    problem.minimize(0.5 * cost / t_unit * leg.integral(off**2))
+    return problem
+
+
+def regulator(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
+    """x' = u, |u| <= 1, half the integral of x^2 + u^2 over 4 s, x(0) = 3: a kink, in other units."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u / u_unit * x_unit / t_unit})
+    problem = go.Problem("saturated regulator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0 * t_unit)
+    leg.initial(x=3.0 * x_unit)
+    leg.bounds(u=tuple(sorted((-1.0 * u_unit, 1.0 * u_unit))))
+    problem.minimize(0.5 * cost / t_unit * leg.integral((x / x_unit) ** 2 + (u / u_unit) ** 2))
+    return problem
+
+
+@cache
+def in_units(problem: Callable[..., go.Problem], units: tuple[float, ...]) -> go.Solution:
+    return go.refine(go.solve(problem(*units), tol=None))
+
+
+@pytest.mark.parametrize("problem", [pursuit, regulator])
+@pytest.mark.parametrize("units", [(300.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (1.0, 1.0, 60.0, 1.0),
+                                   (1.0, 1.0, 1.0, 1e3), (0.1, -20.0, 0.05, 0.02)])  # fmt: skip
+def test_the_structure_does_not_depend_on_units(
+    problem: Callable[..., go.Problem], units: tuple[float, ...]
+) -> None:
+    """Same arcs, same passes, same mesh; the arcs of a control in a negative unit are upside down."""
+    usual, other = in_units(problem, (1.0,) * 4), in_units(problem, units)
+    upside_down = {LOW: UP, UP: LOW} if units[1] < 0 else {}
+    for a, found in zip(usual.structure, other.structure, strict=True):
+        assert found.kind is upside_down.get(a.kind, a.kind)
+        assert (found.start, found.end) == pytest.approx(
+            (a.start * units[2], a.end * units[2]), rel=1e-7, abs=1e-7
+        )
+    assert usual.history is not None and other.history is not None
+    assert len(usual.history.passes) == len(other.history.passes)
+    assert usual.phase().mesh.degrees == other.phase().mesh.degrees
+
+
+# --- a mixed constraint whose slope vanishes at rest ------------------------------------------------------------
+
+
+def power_limited(unit: float) -> go.Problem:
+    """Rest to rest over 1 m in 1 s with the least energy and a power a v of at most 3 W/kg, in another unit."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("power limit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.guess(q=(0.0, 1.0), v=lambda t: 6 * t * (1 - t), a=lambda t: 6 - 12 * t)
+    leg.path("power", unit * a * v, upper=3.0 * unit)
+    problem.minimize(0.5 * leg.integral(a**2))
+    return problem
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
+    """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
+    first = go.solve(power_limited(unit), mesh="12x4", tol=None)
+    rows = [piece[0] for piece in zip(*detect(first.samples()["leg"]).paths.tolist(), strict=True)]
+    assert rows == [FREE, UP, FREE]
+    solution = go.refine(first)
+    assert solution.history is not None and solution.history.converged
+    (active,) = [arc for arc in solution.structure if arc.channel == "power"]
+    assert active.kind is UP and 0.05 < active.start < active.end < 0.6
+    v = solution.state("v")
+    for t in np.linspace(active.start, active.end, 7):
+        assert v(t) ** 2 - v(active.start) ** 2 == pytest.approx(6.0 * (t - active.start), abs=1e-8)
+    a, lam = solution.control("a"), solution.costate("q")
+    for left, right in ((0.0, active.start), (active.end, 1.0)):
+        middle = 0.5 * (left + right)
+        assert a(middle) - 0.5 * (a(left) + a(right, "left")) == pytest.approx(0.0, abs=1e-6)
+        assert (a(right, "left") - a(left)) / (right - left) == pytest.approx(lam(middle), rel=1e-6)
+    verdict = go.verify(solution, tol=1e-7)
+    assert verdict.ok, verdict.explain()
+
+
+# --- detection of singular arcs on coarse meshes ------------------------------------------------------------------
+
+MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (40.0, -30.0, 10.0, 1e3)])
+def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
+    """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
+    solution = go.solve(pursuit(*units), mesh=mesh, tol=None)
+    structure = detect(solution.samples()["leg"])
+    bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
+    assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
+    segment = 3.0 * units[2] / solution.phase().mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - np.array([0.338, 2.531]) * units[2]).max() < segment
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
+    solution = go.solve(van_der_pol.build(), mesh=mesh, tol=None)
+    (samples,) = solution.samples().values()
+    structure = detect(samples)
+    assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
+    segment = 4.0 / samples.leg.mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment
+
+
+# The structure loop by hand: plans, kinks, arcs that vanish or are missing, and how it ends.
+
+
+RELEASED = ArcKind.RELEASED
 
 
 # --- resolutions ------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import Interval, PiecewisePolynomial
 from testing.wrong_solutions import (
     added,
     bang_bang,
@@ -24,8 +25,6 @@ from testing.wrong_solutions import (
 )
 
 import gnc_opt as go
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 Q, V, A = 0, 1, 0
 

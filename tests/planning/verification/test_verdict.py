@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from testing.internals import Interval, PiecewisePolynomial
 from testing.wrong_solutions import added, with_leg
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 
 
 def double_integrator() -> go.Model:
