@@ -28,8 +28,14 @@ from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, 
 from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.guidance.replanning import check_remaining, remaining
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.direct.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory, solve_mesh
-from gnc_opt.planning.nlp import NlpResult, NlpSolver
+from gnc_opt.planning.direct.solve_mesh import (
+    STRETCHES,
+    SolveLimits,
+    feasibility_starts,
+    knows_trajectory,
+    solve_mesh,
+)
+from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, settle_edges
@@ -75,7 +81,7 @@ from gnc_opt.planning.solution.scales import control_spans
 from gnc_opt.planning.solution.summary import overshooting_controls
 from gnc_opt.planning.solution.unwrap import unwound
 from gnc_opt.planning.solution.warm_start import start_from_guess
-from gnc_opt.planning.study.kkt_sensitivity import predict
+from gnc_opt.planning.study.kkt_sensitivity import predict, sharper
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
     hold_controls,

@@ -11,12 +11,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.internals import (
+    NlpPoint,
+    NlpResult,
+    NlpSolver,
+    SolveLimits,
+    knows_trajectory,
+    sharper,
+    solve_mesh,
+)
 
 import gnc_opt as go
 from gnc_opt.planning import Status
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, knows_trajectory, solve_mesh
-from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
-from gnc_opt.planning.study.kkt_sensitivity import sharper
 
 
 def regulator(weight: float = 1.0) -> go.Problem:
