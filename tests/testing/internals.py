@@ -38,7 +38,7 @@ from gnc_opt.planning.direct.solve_mesh import (
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
-from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, settle_edges
+from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate
 from gnc_opt.planning.optimality.reach import Ellipsoid
 from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales

@@ -14,18 +14,16 @@ from testing.internals import (
     ends_of,
     from_problem,
     second_order_parts,
-    settle_edges,
-)
 
 Array = NDArray[np.float64]
 
 
 def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> dict[str, go.Condition]:
-    """The second variation, normality, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
+    """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
     solution = from_problem(solution)
     samples = list(solution.samples().values())
     magnitude = Magnitudes.of(solution, samples).cost
-    samples = [settle_edges(s.with_cost_magnitude(magnitude), tol) for s in samples]
+    samples = [s.with_cost_magnitude(magnitude) for s in samples]
     return {c.name: c for c in second_order_parts(solution, samples, ends_of(solution), tol)}
 
 

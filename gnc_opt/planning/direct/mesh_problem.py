@@ -35,13 +35,8 @@ class Attempt:
 
     Attributes
     ----------
-    transcription : Transcription
-    problem : Problem
-    solver : NlpSolver
     options : SolverOptions
         As asked for; the solver's may differ in what suits the mesh.
-    scaling : Scaling
-    start : ProgramStart
     build_s : float
         Wall time of all this.
     reused : bool

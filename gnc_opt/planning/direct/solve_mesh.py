@@ -150,7 +150,6 @@ def solve_mesh(
         One that passes its `check`.
     mesh : Mesh, str or mapping, optional
         Default: that of the guess, if it has the same phases, else `DEFAULT_MESH`.
-    scheme : {"LG", "LGR", "LGL"}
     guess : Solution, optional
         Start from its trajectory and multipliers.
     options : SolverOptions, optional
@@ -414,10 +413,7 @@ def _from_flight(attempt: Attempt, show: ProgressCallback, deadline: float) -> I
 
 
 def _from_held_times(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
-    """Yield what comes of meeting the constraints in the guessed times first, and of the cost, times free, from there.
-
-    Phases that shrink and grow while their dynamics are far from met lead astray; with times held, much is linear.
-    """
+    """Yield results: constraints first, at the guessed times; from there the cost, times free."""
     solver, held = attempt.solver, _free_times(attempt.transcription)
     if not held.size or time.perf_counter() > deadline:
         return

@@ -45,8 +45,6 @@ class AccessoryEquations:
 
     Attributes
     ----------
-    leg : PhaseSolution
-    functions : PhaseFunctions
     control_size : array (n_controls,)
         What controls are measured in.
     """

@@ -1,27 +1,19 @@
-r"""Touch points of state constraints as conditions of a solution's program.
+r"""Touch points of state constraints as conditions of a program, and controls that active constraints determine.
 
-If a constraint :math:`S(t, x) \le 0` of order two or more is active at an isolated time, the *largest* value
-of S is zero on all neighbouring trajectories. With a free breakpoint at that time the condition is :math:`S =
-\dot S = 0`. S = 0 alone would let the breakpoint move, and S exceed its limit next to it. At an optimum the
-multiplier of :math:`\dot S = 0` is zero, and that of S = 0 is the jump of the costate along :math:`\partial
-S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
+If a constraint :math:`S(t, x) \le 0` of order two or more is active at an isolated time, the *largest* value of S is
+zero on all neighbouring trajectories: with a free breakpoint there, :math:`S = \dot S = 0`. The multiplier of
+:math:`\dot S = 0` is zero, that of S = 0 the jump of the costate along :math:`\partial S/\partial x` (Bryson & Ho,
+Applied Optimal Control, 1975, section 3.11). Neighbouring trajectories of an arc on the limit meet
+:math:`S = \dots = S^{(q-1)} = 0` where it begins.
 
-Along an arc on the limit all neighbouring trajectories stay on it, whether its multiplier is there or in the atoms at
-its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
-what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
+A control that holds a constraint of first order may come to a limit of its own there: the costate jumps, and
+:math:`\dot S = 0` on either side. Neighbouring trajectories come to both limits at one time, as they do where one limit
+of a control takes over from another.
 
-A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
-costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time. So
-do they where one limit of a control takes over from another, a bound and a path constraint say: the control goes on
-and no costate jumps, but to go over sooner or later would be to leave one of the two.
-
-Controls that active constraints determine: which directions are left to them.
-
-Along an arc on which a constraint :math:`c(t, x) = 0` without controls is active, its time derivatives vanish
-too, and the first in which controls appear, that of the order q of the constraint, determines as many of them
-as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi & Vickson, SIAM
-Review 37(2), 1995, sec. 2); a constraint with controls is its own, q = 0. Only what is tangent to these is
-left for H to determine. An active constraint with zero multiplier determines no control.
+Along an arc on which a constraint without controls is active, the first of its time derivatives in which controls
+appear, of its order q, determines as many of them as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J.
+1(11), 1963; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, sec. 2). H determines the rest. An active constraint with
+zero multiplier determines no control.
 """
 
 from __future__ import annotations
@@ -34,18 +26,15 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.optimality.state_constraints import TOUCH_MAX_ORDER, StateConstraints
 from gnc_opt.planning.problem.arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.functions import PhaseFunctions
-from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.scales import STILL
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
-
-TOUCH_MAX_ORDER = 3
-"""Orders of state constraints that are looked for."""
 
 
 def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -154,21 +143,17 @@ LEVEL, TOUCH_MAX_SHARE_OF_SCALE = 1e-2, 1e-3
 """A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
 (share of the segment) beside the boundary."""
 
-PUSHES = 1e-5
-"""Share of the cost from which a jump of the costate across what a constraint moves is a push."""
-
 
 def with_touches(solution: Solution) -> Problem:
-    """Return the problem of a solution with its state constraints active at free breakpoints with
-    multipliers.
+    """Return the problem of a solution with its state constraints active at free breakpoints with multipliers.
 
-    Next to a touch point they are released: the multipliers that an interior-point barrier leaves at points
-    close to the limit are spurious. Phases with user-defined arcs are unchanged.
+    Next to a touch point they are released, since an interior-point method leaves spurious multipliers there. Phases
+    with user-defined arcs are unchanged.
     """
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _held(problem, s, _touches(problem, s, _Rows.of(s)), [])
+            problem = _held(problem, s, _touches(problem, s, StateConstraints(problem, s)), [])
     return problem
 
 
@@ -179,7 +164,7 @@ def with_contacts(solution: Solution) -> Problem:
         if problem.phases[name].numbers.arcs is None:
             arcs = [found for arc in solution.structure for found in _arcs(problem, s, arc)]
             ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
-            touches = _touches(problem, s, _Rows.of(s))
+            touches = _touches(problem, s, StateConstraints(problem, s))
             alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
             problem = _held(problem, s, alone, arcs)
     return problem
@@ -214,7 +199,7 @@ def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs
     leg, n_paths = s.leg, len(s.leg.path_labels)
     if not touches and not arcs:
         return problem
-    rows = _Rows.of(s)
+    rows = StateConstraints(problem, s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
     along = np.any(rows.near(rows.values(s.times, s.x, s.u)), axis=0)
     for junction in touches:
@@ -236,42 +221,7 @@ def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Path constraints of a phase, then its states, with limits and scales (n_rows,)."""
-
-    samples: PhaseSamples
-    box: Interval
-    scales: Array
-
-    @classmethod
-    def of(cls, s: PhaseSamples) -> _Rows:
-        paths, states = s.leg.path_bounds, s.leg.state_bounds
-        box = Interval(
-            np.concatenate([paths.lower, states.lower]), np.concatenate([paths.upper, states.upper])
-        )
-        return cls(s, box, np.concatenate([s.path_scale, s.state_scale]))
-
-    def values(self, times: Array, x: Array, u: Array) -> Array:
-        return np.vstack([self.samples.functions.paths(times, x, u), x])
-
-    def near(self, values: Array) -> Mask:
-        """Whether they are at their lower, and at their upper limit (2, n_rows, n_times)."""
-        return np.asarray(np.stack(self.box.near(values, AT_LIMIT * self.scales)) & ~self.box.fixed[:, None])
-
-    def pushes(self, times: Array, x: Array, u: Array) -> Array:
-        """Jumps of costates along the gradient of each row, in units of the cost (n_rows, n_times)."""
-        s = self.samples
-        units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
-        by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
-        gradients = by_state * s.state_scale[:, None]
-        jumps = (s.leg.lam(times, "left") - s.leg.lam(times, "right")) * s.state_scale[:, None]
-        sizes = np.linalg.norm(gradients, axis=1)
-        along = np.einsum("ijk,jk->ik", gradients, jumps)
-        return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
-
-
-def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, ...]:
+def _touches(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
     """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
     boundaries = s.leg.mesh.movable
     times = s.leg.breaks[list(boundaries)]
@@ -279,7 +229,7 @@ def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, 
     near, pushes = rows.near(rows.values(*point)), rows.pushes(*point)
     found = []
     for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), near, strict=True):
-        for row, k in np.argwhere(here & (kind.sign * pushes > PUSHES * s.cost_scale)):
+        for row, k in np.argwhere(here & (kind.sign * pushes > ACTIVE * s.cost_scale)):
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
@@ -288,7 +238,7 @@ def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, 
     return tuple(found) + _handovers(problem, rows)
 
 
-def _handovers(problem: Problem, rows: _Rows) -> tuple[Junction, ...]:
+def _handovers(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
     """Where a path constraint of a control and another limit of it take over from one another, one condition each."""
     s, leg = rows.samples, rows.samples.leg
     orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
@@ -319,7 +269,7 @@ def _takes_over(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) 
     return 0
 
 
-def _given_up(rows: _Rows, row: int, boundary: int) -> int:
+def _given_up(rows: StateConstraints, row: int, boundary: int) -> int:
     """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
     s, breaks = rows.samples, rows.samples.leg.breaks
     along = np.any(rows.near(rows.values(s.times, s.x, s.u))[:, row], axis=0)

@@ -153,8 +153,6 @@ def bang_bang_flow(
     ----------
     problem : Problem
         Of the samples.
-    s : PhaseSamples
-    pieces : PiecewiseControl
     free_start : int array
         Rows of the start values that are unknowns.
     refinement : int

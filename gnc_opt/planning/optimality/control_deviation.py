@@ -24,8 +24,6 @@ MEAN_SHARE = 0.1
 MOST_PULL = 10.0
 """Most deviation by the pull of H, in deviations of a control that moves."""
 
-REST_SHARE = 1e-7
-"""A control below this share of what the motion asks for, or below its square of its span, is rounding."""
 
 BESIDE = 1.3
 """Multiple of a control at which its effect is compared with that at its value."""
@@ -70,13 +68,9 @@ def _steady(s: PhaseSamples, size: Array, bends: Array) -> Array:
 
 
 def _at_rest(s: PhaseSamples, size: Array) -> Array:
-    """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero.
-
-    It is a share of what the motion asks of them, since it moves by itself; where nothing moves, their span in
-    the program is all that is left.
-    """
-    asked, rounding = steering(s.leg, s.functions), REST_SHARE**2 * s.control_span
-    if not np.all(size <= np.fmax(REST_SHARE * asked, rounding)):
+    """Return the deviation of controls that all are rounding, neither moved nor pulled, at rest (m,); else zero."""
+    asked, rounding = steering(s.leg, s.functions), STEADY_SHARE**2 * s.control_span
+    if not np.all(size <= np.fmax(STEADY_SHARE * asked, rounding)):
         return np.zeros_like(size)
     # Where the effect of a control vanishes at its value only, as that of an angle of 180 degrees, it is not rounding.
     own, beside = (
@@ -86,7 +80,7 @@ def _at_rest(s: PhaseSamples, size: Array) -> Array:
         for factor in (1.0, BESIDE)
     )
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
-    if not np.all(size <= share * np.fmax(REST_SHARE * asked, rounding)):
+    if not np.all(size <= share * np.fmax(STEADY_SHARE * asked, rounding)):
         return np.zeros_like(size)
     return np.asarray(np.where(asked > rounding, PEAK_SHARE * asked, s.control_span))
 

@@ -1,10 +1,7 @@
-"""Scales of the cost and the boundary constraints: the changes that the trajectory can cause.
+"""Scales of the cost and the boundary constraints, and averages of violations over a share of the phase.
 
-The value of a cost is no scale, since constants may be added to it; its change over the trajectory's spans
-is. It is the reference if the costates vanish (optimal cost zero, or a nonunique optimum), where relative
-violations would compare rounding errors.
-
-Averaging of violations over a share of the phase.
+A scale is the change over the trajectory's spans, not the value, to which constants may be added. It is the reference
+where costates vanish.
 """
 
 from __future__ import annotations
@@ -79,7 +76,6 @@ class Magnitudes:
 
     Attributes
     ----------
-    cost : float
     constraints : array (n_constraints,)
         Of the boundary constraints; where none of them changes them, their size, or 1.
     parameters : array (n_free_parameters,)
@@ -134,9 +130,8 @@ class Magnitudes:
 def integral_spans(s: PhaseSamples) -> Array:
     """Return by how much the flight can change each integral of a phase (n_integrals,).
 
-    An integrand counts by what it is above its least, or below its largest, value along the phase; where the duration
-    may change, by its size. One that is constant counts by the share `MINOR` of what it changes when a state or control
-    is off by its span.
+    An integrand counts by what it is above its least, or below its largest, value along the phase; by its size if the
+    duration may change; and by the share `MINOR` of its change when a state or control is off by its span.
     """
     values = s.functions.integrands(s.times, s.x, s.u)
     if not values.shape[0]:

@@ -1,4 +1,4 @@
-r"""Costate jumps of active state constraints, and admissible multiplier measures within a segment.
+r"""Costate jumps of active state constraints.
 
 A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters the adjoint equation through a measure
 (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, theorem 4.1),
@@ -8,33 +8,23 @@ A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters th
 
 hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
 :math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` where it has an atom, as at the ends of an arc
-along the limit or where the limit is touched. Two things follow for the verifier.
-
-* At a segment boundary, a jump is admissible if the active constraints explain it with multipliers of the
-right sign.
-* In a segment where the constraint becomes active or inactive, polynomials represent neither a jump nor a
-kink. There the costate is integrated again from the segment's start, with the measure that best fits the
-costate at the segment's end and the stationarity of H in between. The residual at the end is the violation of
-the adjoint equation, and the integrated costate replaces the polynomial in all other conditions. If no
-measure of the right sign on the active part explains the costates, the full violation counts.
+along the limit or where the limit is touched. A jump at a segment boundary is
+admissible if the active constraints explain it with multipliers of the right sign.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.cost_scale import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval, intersect
-from gnc_opt.planning.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
-
-_PUSHES = 1e-3
-"""A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
 
 
 @dataclass(frozen=True)
@@ -209,100 +199,3 @@ def _spare_pushes(s: PhaseSamples) -> Array:
     """The same by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
-
-
-def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
-    """Integrate the costates again in segments where a state constraint becomes active or inactive.
-
-    Where they then miss the end of the segment, the polynomials stay.
-    """
-    residual = s.adjoint_residual
-    edges = []
-    for k in np.flatnonzero(_reached_or_left(s)):
-        if np.max(residual[:, k]) > tolerance:
-            edge = _integrate_anew(s, int(k), tolerance)
-            if edge is not None and np.max(edge.violation) <= tolerance:
-                edges.append(edge)
-    return replace(s, edges=tuple(edges)) if edges else s
-
-
-def _reached_or_left(s: PhaseSamples) -> Mask:
-    """Segments (K,) in which a pure state constraint has a multiplier at some but not all points."""
-    rows = np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
-    found = np.zeros(s.leg.mesh.segments, dtype=bool)
-    for k in range(s.leg.mesh.segments):
-        here = np.abs(rows[:, s.leg.mesh.offsets[k] : s.leg.mesh.offsets[k + 1]])
-        pushing = here > _PUSHES * np.max(here, axis=1, keepdims=True)
-        found[k] = bool(np.any(pushing.any(axis=1) & ~pushing.all(axis=1)))
-    return found
-
-
-def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | None:
-    """The costate of a segment from its start, with the measure that explains most; None if that is not it."""
-    here = np.flatnonzero(s.segments == k)
-    times, x, u, lam = s.times[here], s.x[:, here], s.u[:, here], s.lam[:, here]
-    free, fundamental = _without_pushes(s, k, here)
-    pushers = StateConstraintSides.at(s, times, x, u)
-    responses = _responses(pushers, fundamental)
-    if not responses.shape[2]:
-        return None
-    worth = s.state_scale / s.cost_scale
-    slopes = s.functions.input_jacobian(times, x, u)
-    bounds, near = s.leg.control_bounds, (AT_LIMIT * s.control_scale)[:, None]
-    inside = (u > bounds.lower[:, None] + near) & (u < bounds.upper[:, None] - near)
-    share = inside * (s.control_span / s.control_worth)[:, None] / np.sqrt(here.size)
-    gradient = s.functions.control_gradient(times, x, u, free, s.mu[:, here]) * share
-    moved = np.einsum("imt,ita->mta", slopes, responses) * share[:, :, None]
-    matrix = np.vstack([responses[:, -1] * worth[:, None], moved.reshape(-1, moved.shape[2])])
-    target = np.concatenate([(lam[:, -1] - free[:, -1]) * worth, -gradient.ravel()])
-    sizes = np.linalg.norm(matrix, axis=0)
-    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(target)) and np.any(sizes > 0)):
-        return None
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    weights = scipy.optimize.nnls(matrix / sizes, target)[0] / sizes
-    costates = free + responses @ weights
-    # A polynomial through a jump is off by about the jump; one that is further off is another costate.
-    reach = np.max(np.abs(responses) @ weights, axis=1)
-    if np.any(np.abs(costates - lam) * worth[:, None] > (reach * worth + tolerance)[:, None]):
-        return None
-    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth)
-
-
-def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
-    """Costates (n, m) from the segment's start without multipliers, and their fundamental matrices (n, n, m)."""
-    leg, n = s.leg, s.leg.states.size
-    rule = sampling_rule(leg.mesh.degrees[k])
-    half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
-    inner = here[1:-1]
-    times, x, u, mu = s.times[inner], s.x[:, inner], s.u[:, inner], s.mu[:, inner].copy()
-    mu[s.pure_paths] = 0.0
-    matrices = -np.transpose(s.functions.state_jacobian(times, x, u), (2, 1, 0))
-    forcing = -s.functions.state_gradient(times, x, u, np.zeros_like(x), mu)
-    # Collocation of the linear equation y' = M y + g at the samples, for all right sides at once.
-    m = inner.size
-    blocks = half * np.einsum("jl,lab->jalb", rule.integration, matrices).reshape(m * n, m * n)
-    starts = np.hstack([np.eye(n), s.lam[:, here[:1]]])
-    right = np.tile(starts, (m, 1)).reshape(m, n, n + 1)
-    right[:, :, -1] += half * rule.integration @ forcing.T
-    values = np.linalg.solve(np.eye(m * n) - blocks, right.reshape(m * n, n + 1)).reshape(m, n, n + 1)
-    rates = np.einsum("jab,jbc->jac", matrices, values)
-    rates[:, :, -1] += forcing.T
-    last = starts + half * np.einsum("j,jac->ac", rule.weights, rates)
-    every = np.concatenate([starts[None], values, last[None]])
-    return every[:, :, -1].T, np.transpose(every[:, :, :-1], (1, 2, 0))
-
-
-def _responses(pushers: StateConstraintSides, fundamental: Array) -> Array:
-    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes."""
-    n, _, m = fundamental.shape
-    columns = []
-    at_start = np.stack(
-        [np.linalg.solve(fundamental[:, :, j], pushers.directions[:, :, j]) for j in range(m)]
-    )
-    for j in range(m - 1):
-        for side in np.flatnonzero(pushers.active[:, j] | pushers.active[:, j + 1]):
-            push = 0.5 * (at_start[j, :, side] + at_start[j + 1, :, side])
-            response = np.zeros((n, m))
-            response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
-            columns.append(response)
-    return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))

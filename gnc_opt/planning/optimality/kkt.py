@@ -1,18 +1,9 @@
-r"""Linear algebra on the null space of what is active: sparse projections, and the ends of spectra.
+r"""Linear algebra of first- and second-order conditions: sparse saddle points, null spaces, ends of spectra.
 
-Sparse symmetric indefinite systems of first-order conditions, and what a singular one leaves undetermined.
-
-Factors of sparse symmetric matrices that are banded but for a few dense rows.
-
-The rows of a collocated program, in the order of time, have entries near the diagonal only, but for those of what the
-whole of a phase shares: a free final time, a parameter, an integral. Eliminating in an order that knows only counts of
-entries, such a row couples all that it meets. Stretched (J. Grcar, Matrix stretching for linear equations, 1990), the
-unknown :math:`y` of a dense row becomes one copy for every stretch of time and the multipliers of
-
-.. math:: y_1 = y_2 = \dots = y_K,
-
-whose rows have two entries each: the row of a copy holds the entries of its stretch, and added up, in which the
-multipliers cancel, they are the dense row. The matrix stays symmetric, its solution is the same, and it is banded.
+The rows of a collocated program, in the order of time, are banded, but for what a whole phase shares: a free final
+time, a parameter, an integral. In a stretched matrix (J. Grcar, Matrix stretching for linear equations, 1990) the
+unknown :math:`y` of such a dense row becomes one copy for every stretch of time, and the multipliers of
+:math:`y_1 = y_2 = \dots = y_K`. The matrix stays symmetric, its solution is the same, and it is banded.
 """
 
 from __future__ import annotations
@@ -250,7 +241,6 @@ class NullSpace:
 
         Parameters
         ----------
-        point : ProgramPoint
         held : bool array (n_variables + n_constraints,)
         unit : sparse (n_variables, n_variations), optional
             Instead of a variation for each variable.
@@ -332,7 +322,6 @@ def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tupl
     ----------
     operate : function of a vector (n,)
     start : array (n,)
-    steps : int
     """
     size = float(np.linalg.norm(start))
     if not size > 0:

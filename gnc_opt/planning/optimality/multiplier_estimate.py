@@ -1,20 +1,14 @@
 r"""Estimated costates and multipliers of a given trajectory: least squares of the first-order conditions.
 
-Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free
-times, parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`: the
-adjoint equation, :math:`\partial H/\partial u = 0`, transversality, and a Hamiltonian that is continuous
-where a control jumps. It is linear in the multipliers. Multipliers of inactive limits vanish. A variable on
-its limit removes its row, unless its multiplier would have the wrong sign. Path constraints without controls
-also have atoms at segment boundaries (module `atoms`). The least-squares solution is mapped to costates like
-a solver's multipliers (module `covector`) and checked in the same way.
+Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free times,
+parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`, linear in the
+multipliers. Those of inactive limits vanish. A variable on its limit removes its row, unless its multiplier would have
+the wrong sign. The result is mapped to costates like a solver's multipliers (module `costates`).
 
-PointMultipliers (impulsive multipliers) of a trajectory's path constraints, which a program's rows do not contain.
-
-Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier is a measure with
-an atom :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM
-Review 37(2), 1995, theorem 4.1). A program has rows for path constraints at its collocation points only, so that the
-terms :math:`\eta\,c(t_k, x_k)` at the boundaries of its segments are added to its Lagrangian: at the ends of arcs of
-order two or more (of order one an arc is entered and left without), at touches, and at the ends of the phase.
+Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier has an atom
+:math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM Review
+37(2), 1995, theorem 4.1). A program has rows at its collocation points only, so that terms :math:`\eta\,c(t_k, x_k)` at
+segment boundaries are added to its Lagrangian: at ends of arcs of order two or more, at touches, and at phase ends.
 """
 
 from __future__ import annotations
@@ -27,6 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.control_deviation import STEADY_SHARE
 from gnc_opt.planning.optimality.costate_jumps import path_gradients
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.functions import PhaseFunctions, phase_functions
@@ -49,8 +44,6 @@ class SampledTrajectory:
 
     Attributes
     ----------
-    problem : Problem
-    phases : mapping of FittedPhase
     q : array (n_parameters,)
         Free parameters.
     scales : array (n_variables,)
@@ -192,8 +185,6 @@ def _boundary_times(mesh: Mesh) -> Array:
 _WRONG = 1e-7
 """Multipliers of the wrong sign below this share of the largest count as zero."""
 
-STEADY_SHARE = 1e-7
-"""What moves by less than this share of its size is constant."""
 
 MAX_TRANSITION_NORM, MOST_EXPONENT = 1e4, 20.0
 """Growth of adjoint errors after which costates are unknowns of their own; largest exponent of a segment."""
@@ -213,7 +204,6 @@ def estimate(
 
     Parameters
     ----------
-    fitted : mapping of FittedPhase
     q : array (n_parameters,)
         Free parameters.
     near : float
@@ -278,8 +268,6 @@ class _Limits:
 @dataclass(frozen=True, eq=False)
 class _CostateForm:
     """The least squares in the multipliers that the adjoint equation leaves open, its rows eliminated.
-
-    Unknowns are costates at the ends of phases, multipliers of limits, and those of states on their limits.
 
     Attributes
     ----------
@@ -385,10 +373,7 @@ def _sort_out(
 def _right_signs(
     form: _CostateForm, first: Array, limits: _Limits, row_limits: _Limits, size: float
 ) -> Array | None:
-    """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too.
-
-    Along bounds that fix the whole trajectory those of its ends are free, and the shortest ones may pull.
-    """
+    """Unknowns with the right signs, by a linear programme, where they are not unique and others explain all too."""
     n_rows = limits.anywhere.size
     left, imposed = form.residual(first, n_rows), ~limits.anywhere
     if (

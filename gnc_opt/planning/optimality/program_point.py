@@ -37,12 +37,10 @@ class ProgramLimits:
 
     Attributes
     ----------
-    box : Interval
     active : bool array (n,)
         Those whose multiplier outweighs the distance to them, and what is fixed.
     at : array (n,)
         The active limits; 0 where none is.
-    labels : tuple of str
     """
 
     box: Interval
@@ -83,9 +81,6 @@ class ProgramPoint:
 
     Attributes
     ----------
-    problem : Problem
-    transcription : Transcription
-    scaling : Scaling
     x : array (n_variables,)
     lam : array (n_constraints,)
         0 in rows that are not held.
@@ -117,7 +112,6 @@ class ProgramPoint:
 
         Parameters
         ----------
-        solution : Solution
         meshes : mapping of Mesh, optional
         scaled_by : callable
             The scales (n_variables,) from the program, its problem and the variables.

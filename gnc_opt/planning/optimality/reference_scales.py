@@ -64,9 +64,6 @@ from gnc_opt.tolerances import TINY
 VANISHED_SHARE = 1e-6
 """First- and second-order changes of the cost below this share of their terms are rounding."""
 
-RESOLVED_COST_SHARE = 1e-9
-"""Least cost of control deviations, in shares of the second-order change of the cost over the reach of the states:
-below, controls and costates are rounding."""
 
 SINGULAR_SHARE = 1e-3
 """Where H is affine in all controls, first-order changes of the cost below this share of its second-order change over
@@ -106,15 +103,12 @@ class Scales:
 
     Attributes
     ----------
-    phases : mapping from phase to PhaseScales
     cost : float
         Positive.
     change_of_cost : float
         What control deviations change the cost by, those included that cancel to first order.
     parameters : array (n_free_parameters,)
         Deviations of the free parameters.
-    ends : EndPoints
-    reach : mapping from phase to Reach
     links : mapping from phase to mapping from phase to array
         Derivatives of the start of a phase by ends of earlier ones; under "" the projection on what is free there.
     constraints : tuple of array (n_constraints,)
@@ -143,7 +137,7 @@ class Scales:
         changed = sum(_cost_of_states(s, reach[s.leg.name][1]) for s in lasting)
         changed += sum(float(np.sum(_control_costs(s, deviations[s.leg.name]))) for s in samples)
         changed += ends.curvature(reach)
-        least = RESOLVED_COST_SHARE * changed
+        least = LEAST_COST_SHARE * changed
         costs, resolved = {}, {}
         for s in samples:
             resolved[s.leg.name] = resolved_deviation(s, deviations[s.leg.name], least)
@@ -297,8 +291,6 @@ class EndPoints:
 
     Attributes
     ----------
-    solution : Solution
-    samples : list of PhaseSamples
     values : list of array
         States, times, integrals and parameters of every phase, then the free parameters.
     gradients : EndGradients

@@ -9,14 +9,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
-from gnc_opt.planning.optimality.active_set import TOUCH_MAX_ORDER
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import AT_LIMIT
+
+TOUCH_MAX_ORDER = 3
+"""Orders of state constraints that are looked for."""
 
 ACTIVE_CONSTRAINT_SHARE = 1e-2
 """A constraint this close to its limit, as a share of its span, may be active between two points with
@@ -101,6 +104,22 @@ class StateConstraints:
     def values(self, times: Array, x: Array, u: Array) -> Array:
         """Return all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.paths(times, x, u), x])
+
+    def near(self, values: Array) -> Mask:
+        """Whether rows are at their lower, and at their upper limit (2, n_rows, n_times)."""
+        at_limits = np.stack(self.bounds.near(values, AT_LIMIT * self.scales))
+        return np.asarray(at_limits & ~self.bounds.fixed[:, None])
+
+    def pushes(self, times: Array, x: Array, u: Array) -> Array:
+        """Jumps of costates along the gradient of each row, in units of the cost (n_rows, n_times)."""
+        s = self.samples
+        units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
+        by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
+        gradients = by_state * s.state_scale[:, None]
+        jumps = (s.leg.lam(times, "left") - s.leg.lam(times, "right")) * s.state_scale[:, None]
+        sizes = np.linalg.norm(gradients, axis=1)
+        along = np.einsum("ijk,jk->ik", gradients, jumps)
+        return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
 
     def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""

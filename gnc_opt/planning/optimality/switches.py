@@ -39,7 +39,6 @@ class Switches:
         Of the phase (s).
     toggled : array (n_controls,)
         Lower and upper bound added up: less the control, this is the control after a switch.
-    labels : tuple of str
     """
 
     times: Array

@@ -45,7 +45,6 @@ class Unknowns:
 
     Attributes
     ----------
-    labels : tuple of str
     scale : array (n,)
         Scale of each variable.
     worth : array (n,)
@@ -120,9 +119,7 @@ class Conditions:
 
     Attributes
     ----------
-    labels : tuple of str
     values : array (k,)
-    limits : Interval
     jacobian : array (k, n)
         By the unknowns, each measured by its scale.
     multipliers : array (k,)
@@ -150,10 +147,8 @@ class InducedProblem:
 
     Attributes
     ----------
-    unknowns : Unknowns
     gradient : array (n,)
         Of the minimised cost by the unknowns, each measured by its scale.
-    conditions : Conditions
     """
 
     unknowns: Unknowns
@@ -239,11 +234,7 @@ class InducedProblem:
 def _grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
-    """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow.
-
-    What ends elsewhere however fine the steps are is not the flow of these controls: then they stay as they are, unless
-    dynamics that are fast for them throw it off altogether.
-    """
+    """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow."""
     end = s.leg.x(s.leg.breaks[-1])
     flows = []
     for finer in GRIDS:

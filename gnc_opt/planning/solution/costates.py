@@ -87,10 +87,7 @@ def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFun
 def _with_densities(
     leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
-    """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them.
-
-    ``at_limit`` and the result (n_paths, N).
-    """
+    """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them."""
     mu = leg.path_multipliers.copy()
     here = np.flatnonzero(np.any(at_limit, axis=0))
     times, others = leg.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
@@ -144,7 +141,6 @@ class Costates:
 
     Attributes
     ----------
-    polynomial : PiecewisePolynomial
     start, end : array (n_states, K)
         One-sided limits at each segment's start and end.
     points : array (n_states, N)
@@ -207,7 +203,6 @@ def map_costates(
     ----------
     breaks : array (K + 1,)
         Times of the segment boundaries, s.
-    iterate : Iterate
     weights : array (N,)
         Quadrature weights of the points, s.
     gradient : array (n_states, N)
@@ -411,11 +406,7 @@ def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
 def _boundary_costates(
     collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
 ) -> tuple[Array, Array]:
-    """Costates at each segment's start and end, (n_states, K) each.
-
-    ``point_gradients`` (n_states, N) is the derivative of the point terms of the Lagrangian with respect to
-    the states at the points; it counts where a collocation point is a segment boundary.
-    """
+    """Costates at each segment's start and end, (n_states, K) each."""
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)

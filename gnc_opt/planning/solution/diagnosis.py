@@ -14,9 +14,9 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.transcription.scaling import Scaling
 from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import EQUAL
 
 _LISTED_VIOLATIONS = 10
-_NEGLIGIBLE = 1e-9
 _RUNNING_OFF = 1e6
 """Scaled variables beyond this are named when a problem is unbounded."""
 
@@ -76,7 +76,7 @@ def _broken(
     amounts = np.concatenate([_excess(result.g, scaled_rows), _excess(result.x, scaled_box)])
     labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
-    return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= _NEGLIGIBLE]
+    return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
 
 
 def _excess(values: Array, interval: Interval) -> Array:

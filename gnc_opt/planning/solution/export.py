@@ -22,7 +22,6 @@ def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
 
     Parameters
     ----------
-    leg : PhaseSolution
     times : array (n_times,), optional
         s; default `PER_SEGMENT` intervals of every segment. Where a control jumps, the value after the jump is given.
     """

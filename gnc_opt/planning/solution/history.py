@@ -191,8 +191,6 @@ class RefinementIteration:
         Largest estimated error; see `gnc_opt.planning.refinement.error`.
     where : str
         Its place and kind.
-    objective : float
-    solved : bool
     iterations : int
         Of the solver, failed attempts included.
     seconds : float

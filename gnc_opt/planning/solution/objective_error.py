@@ -68,7 +68,6 @@ class ObjectiveError:
 
     Attributes
     ----------
-    phases : mapping of PhaseObjectiveError
     scale : float
         Magnitude of the objective.
     """
@@ -113,7 +112,6 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
     ----------
     samples : mapping of PhaseSamples
         Of all phases.
-    objective : float
     """
     scale = max([abs(objective), *(OBJECTIVE_MIN_SHARE * s.cost_scale for s in samples.values())])
     return ObjectiveError({name: _of_phase(s) for name, s in samples.items()}, scale)
@@ -138,7 +136,7 @@ def _defects(s: PhaseSamples) -> Array:
     """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
     rates = defined(s.functions.rates, *at, leg.control_bounds)
-    total = _totals(s, np.sum(s.lam_polynomial * (rates - s.x_rate), axis=0))
+    total = _totals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
     if weights.size:
         exact = _totals(s, weights @ defined(s.functions.integrands, *at, leg.control_bounds))
         total = total + exact - _quadrature(leg, s)
@@ -181,7 +179,7 @@ def _suboptimal(s: PhaseSamples) -> Array:
     """g of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
-    at = s.times_within, s.x, s.u_polynomial, s.lam_polynomial, s.mu
+    at = s.times_within, s.x, s.u_polynomial, s.lam, s.mu
     slope = np.nan_to_num(s.functions.control_gradient(*at), posinf=0.0, neginf=0.0)
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = np.nan_to_num(curvature, posinf=0.0, neginf=0.0)

@@ -52,7 +52,6 @@ def propagate(
 
     Parameters
     ----------
-    leg : PhaseSolution
     functions : PhaseFunctions
         Of the same phase.
     control : {"flown", "polynomial"}

@@ -1,20 +1,10 @@
 r"""Accuracy of a trajectory between its nodes: three figures independent of the solver.
 
-How far a trajectory is beyond what a constraint allows: a distance, not a value.
+The measure of a violated limit is a distance, since :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1` are one
+limit: to first order along the constraint's gradient, with states and controls scaled by their sizes.
 
-The value of a constraint says nothing by itself: :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1`
-are one limit. The measure is therefore the distance of a point to the feasible set, along the constraint's
-gradient, with states and controls scaled by their sizes. It is expressed as a share of the trajectory's size,
-or of the local width of the feasible or excluded set if that is far less: a sphere of 10 m on a flight of 10
-km.
-
-Where a trajectory is beyond its limits: at the samples and between them.
-
-Functions of a phase along controls that exceed their bounds between nodes.
-
-A polynomial through controls on their bounds swings past them, a lift below zero, say, of which the dynamics
-take the root. A function undefined there is evaluated on the bound. (The violation of the bound is a separate
-error.)
+A polynomial through controls on their bounds exceeds them between nodes, where the dynamics may be undefined: there
+functions are evaluated on the bound.
 """
 
 from __future__ import annotations
@@ -24,167 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.propagation import propagate
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import ROUNDING, TINY
-
-WIDTHS = 100.0
-"""Scale of a small feature, in its widths: solvers satisfy a limit to a share of the trajectory's size, not
-to the same share of a far smaller feature.
-"""
-
-DISTANCE_MIN_SCALE_SHARE = 1e-3
-"""Smallest scale, as a share of the trajectory's size: below it, the solver's rounding would count as a
-violation.
-"""
-
-PINNED = 1e-5
-"""A range narrower than this share of the flight's size fixes a value; it is no feature with a width of its own."""
-
-DISTANCE_SEARCH_RADIUS = 64.0
-"""How far off the allowed set is looked for, in sizes of the flight."""
-
-_STEPS = DISTANCE_SEARCH_RADIUS * 4.0 ** np.arange(-22.0, 1.0)
-"""Places on a line where it is looked at first; what lies between two is then cut in `_PARTS`,
-`_DISTANCE_SEARCH_ITERATIONS` times."""
-
-_PARTS, _DISTANCE_SEARCH_ITERATIONS = 16, 6
-
-
-def bound_violations(found: Violations, bounds: Interval, scale: Array) -> Array:
-    """Return how far states or controls of given sizes (n,) are beyond their bounds, as shares (m,)."""
-    rows = found.limits.rows
-    here = Interval(bounds.lower[rows], bounds.upper[rows])
-    return shares(found.excess / scale[rows], here, scale[rows])
-
-
-def shares(depth: Array, bounds: Interval, scale: Array) -> Array:
-    """Return depths (n,) beyond limits on quantities of given sizes in shares of these, or of the limits' width."""
-    width = (bounds.upper - bounds.lower) / scale
-    return _shares(depth, np.where(width > PINNED, width, np.inf))
-
-
-def path_violations(found: Violations, samples: PhaseSamples) -> Array:
-    """Return the distance of points from the feasible set of their path constraints, as shares (m,).
-
-    If the gradient vanishes (the centre of a sphere) or no feasible point lies along it, the distance is that
-    to the nearest feasible sample. If there is none, the excess counts as a share of the constraint's values.
-    Values that are not finite have infinite distance.
-    """
-    start = np.zeros(found.times.size)
-    line = _Line(found, samples, _gradient(found, samples))
-    depth = line.first(found.limits, start, 1.0, allowed=True)
-    lost = ~np.isfinite(depth)
-    if np.any(lost):
-        line = _Line(found, samples, np.where(lost, _to_nearest_allowed(found, samples), line.direction))
-        depth = line.first(found.limits, start, 1.0, allowed=True)
-    met = np.isfinite(depth)
-    depth = np.where(met, depth, 0.0)
-    shares = np.where(
-        met, _shares(depth, _width(line, depth)), found.excess / samples.path_scale[found.limits.rows]
-    )
-    return np.where(np.isfinite(found.excess), shares, np.inf)
-
-
-def _width(line: _Line, depth: Array) -> Array:
-    """Return the lesser width of what is forbidden and allowed along lines that become allowed at a depth, (m,)."""
-    limits = line.found.limits
-    forbidden = depth - line.first(limits, np.zeros(depth.size), -1.0, allowed=True)
-    allowed = line.first(limits, depth, 1.0, allowed=False) - depth
-    bounds, upper = line.samples.leg.path_bounds, limits.sides > 0
-    others = np.where(upper, bounds.lower[limits.rows], bounds.upper[limits.rows])
-    other = Limits(limits.quantities, limits.rows, -limits.sides, others)
-    span = line.first(other, depth, 1.0, allowed=False) - depth
-    return np.minimum(np.minimum(forbidden, allowed), np.where(span > PINNED, span, np.inf))
-
-
-def _shares(depth: Array, width: Array) -> Array:
-    """Return depths in shares of the flight's size, or of `WIDTHS` widths where these are less."""
-    return np.asarray(depth / np.clip(WIDTHS * width, DISTANCE_MIN_SCALE_SHARE, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """A line through each point, in scaled states and controls (n_states + n_controls, m)."""
-
-    found: Violations
-    samples: PhaseSamples
-    direction: Array
-
-    def first(self, limits: Limits, start: Array, sense: float, *, allowed: bool) -> Array:
-        """Return the first place beyond ``start`` where limits hold, or do not; infinite if there is none."""
-        inside, outside, found = self._bracket(limits, start, start + sense * _STEPS[:, None], allowed)
-        for _ in range(_DISTANCE_SEARCH_ITERATIONS):
-            cuts = inside + (outside - inside) * (np.arange(1, _PARTS + 1) / _PARTS)[:, None]
-            inside, outside, _ = self._bracket(limits, inside, cuts, allowed)
-        return np.where(found, outside, sense * np.inf)
-
-    def _bracket(
-        self, limits: Limits, start: Array, places: Array, allowed: bool
-    ) -> tuple[Array, Array, Mask]:
-        """Return the first of places (n, m) that is as wanted, the place before it, and whether there is one."""
-        columns = np.arange(start.size)
-        holds = self._holds(limits, places.ravel(), np.tile(columns, places.shape[0]))
-        hits = holds.reshape(places.shape) == allowed
-        found, hit = np.any(hits, axis=0), np.argmax(hits, axis=0)
-        hit = np.where(found, hit, places.shape[0] - 1)
-        before = np.where(hit > 0, places[hit - 1, columns], start)
-        return before, places[hit, columns], found
-
-    def _holds(self, limits: Limits, places: Array, which: Indices) -> Mask:
-        found, n = self.found, self.found.x.shape[0]
-        moved = np.concatenate([found.x, found.u])[:, which]
-        moved = moved + places * _scale(self.samples)[:, None] * self.direction[:, which]
-        here = limits.some(which)
-        excess = here.excess_pairwise(found.times[which], moved[:n], moved[n:])
-        return np.asarray(excess <= ROUNDING * np.where(np.isfinite(here.values), np.abs(here.values), 0.0))
-
-
-def _scale(samples: PhaseSamples) -> Array:
-    return np.concatenate([samples.state_scale, samples.control_scale])
-
-
-def _unit(vectors: Array) -> Array:
-    """Return columns of length 1; zero where there is no direction."""
-    vectors = np.where(np.all(np.isfinite(vectors), axis=0), vectors, 0.0)
-    largest = np.max(np.abs(vectors), axis=0, initial=0.0)
-    vectors = vectors / np.maximum(largest, TINY)
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), TINY))
-
-
-def _gradient(found: Violations, samples: PhaseSamples) -> Array:
-    """Return the direction in which the excess falls fastest, of length 1 (n_states + n_controls, m)."""
-    at = (found.times, found.x, found.u)
-    columns = np.arange(found.times.size)
-    by_state = samples.functions.path_state_jacobian(*at)[found.limits.rows, :, columns]
-    by_control = samples.functions.path_control_jacobian(*at)[found.limits.rows, :, columns]
-    gradient = np.concatenate([by_state, by_control], axis=1).T * _scale(samples)[:, None]
-    return _unit(-found.limits.sides * gradient)
-
-
-def _to_nearest_allowed(found: Violations, samples: PhaseSamples) -> Array:
-    """Return the direction to the nearest sample that satisfies each point's limit, zero if there is none."""
-    scale = _scale(samples)[:, None]
-    flight = np.concatenate([samples.x, samples.u_polynomial]) / scale
-    allowed = found.limits.excess(samples.times, samples.x, samples.u_polynomial) <= 0
-    directions = np.zeros((flight.shape[0], found.times.size))
-    for i, point in enumerate((np.concatenate([found.x, found.u]) / scale).T):
-        away = flight - point[:, None]
-        distance = np.where(allowed[i], np.linalg.norm(away, axis=0), np.inf)
-        nearest = int(np.argmin(distance))
-        if np.isfinite(distance[nearest]):
-            directions[:, i] = away[:, nearest]
-    return _unit(directions)
-
+from gnc_opt.tolerances import EQUAL, ROUNDING
 
 SWINGS = 10.0
 """A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
 to the neighbouring samples."""
 
-PEAK_NOISE_SHARE = 1e-9
-"""Changes between samples below this share of the usual distance to the limit are noise, not a peak."""
 
 _TRIED = np.linspace(-7 / 8, 7 / 8, 15)
 """Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, eight times less."""
@@ -281,7 +120,7 @@ def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) 
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + SWINGS * tops.swing
-    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > PEAK_NOISE_SHARE * tops.room))
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
     hidden = hidden[_highest(k[hidden], promise[hidden])]
     if hidden.size:
         peaks, heights = _narrowed(
@@ -385,8 +224,8 @@ class Quality:
         Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, as a share
         of the state's span.
     max_bound_violation : float
-        Largest violation of a bound or path constraint, at nodes and between, as a share of the trajectory's
-        size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
+        Largest distance beyond a bound or path constraint, at nodes and between, as a share of the trajectory's size
+        (docs/theory/scales.md, "How far beyond a limit").
     propagation_error : float
         Largest propagation error at the end of a phase, with the applied control integrated from the initial
         state, as a share of the change of state that the controls cause.
@@ -457,7 +296,7 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
         found = violations(samples, Limits.of(signals, bounds))
         if found.times.size:
             scale = samples.state_scale if signals is _states else samples.control_scale
-            shares = bound_violations(found, bounds, scale)
+            shares = found.excess / scale[found.limits.rows]
             i = int(np.argmax(shares))
             place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
             worst = worst.or_worse(Worst(float(shares[i]), place))
@@ -475,10 +314,20 @@ def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) 
     found = violations(samples if at is None else at, Limits.of(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
-    shares = path_violations(found, samples)
+    shares = _distances(found, samples)
     i = int(np.argmax(shares))
     what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
     return Worst(float(shares[i]), samples.place_at(found.times[i], what))
+
+
+def _distances(found: Violations, samples: PhaseSamples) -> Array:
+    """Return first-order distances (m,) from path limits in shares of the trajectory's size."""
+    at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
+    by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale
+    by_control = samples.functions.path_control_jacobian(*at)[rows, :, columns] * samples.control_scale
+    slope = np.linalg.norm(np.hstack([by_state, by_control]), axis=1)
+    # Where the gradient vanishes, as in the centre of a sphere, the excess counts by what the value changes.
+    return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
 
 
 def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:

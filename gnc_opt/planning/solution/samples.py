@@ -43,25 +43,8 @@ COSTATE_MIN_SHARE_OF_COST = 1e-4
 MINOR = 1e-2
 """Smallest scale of a control's effect on H, as a share of the effect of all controls together."""
 
-_BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
+_BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 """Cached properties of samples that depend on the cost magnitude."""
-
-
-@dataclass(frozen=True)
-class EdgeSegment:
-    """A segment where a state constraint becomes active or inactive, with its integrated costate (`pushes`).
-
-    Attributes
-    ----------
-    segment : int
-    costates : array (n_states, n_samples of the segment)
-    violation : array (n_states,)
-        Residual that no multiplier of admissible sign explains, as a share of the cost.
-    """
-
-    segment: int
-    costates: Array
-    violation: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +53,6 @@ class PhaseSamples:
 
     Attributes
     ----------
-    leg : PhaseSolution
-    functions : PhaseFunctions
     times : array (n_samples,)
         Sorted; segment boundaries appear twice, as the end of one and the start of the next segment.
     segments : int array (n_samples,)
@@ -79,8 +60,6 @@ class PhaseSamples:
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
         What the cost amounts to (module `magnitude`); 0 if unknown.
-    edges : tuple of EdgeSegment
-        Segments with other costates than the polynomials'.
     """
 
     leg: PhaseSolution
@@ -89,7 +68,6 @@ class PhaseSamples:
     segments: Indices
     weights: Array
     cost_magnitude: float = 0.0
-    edges: tuple[EdgeSegment, ...] = ()
 
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
@@ -183,17 +161,9 @@ class PhaseSamples:
         return idle
 
     @cached_property
-    def lam_polynomial(self) -> Array:
-        """Costates by their polynomials (n, n_samples)."""
-        return self.sample(self.leg.lam)
-
-    @cached_property
     def lam(self) -> Array:
-        """Costates (n, n_samples), integrated again in the edge segments."""
-        values = self.lam_polynomial.copy()
-        for edge in self.edges:
-            values[:, self.segments == edge.segment] = edge.costates
-        return values
+        """Costates (n, n_samples)."""
+        return self.sample(self.leg.lam)
 
     @cached_property
     def lam_rate(self) -> Array:
@@ -288,11 +258,7 @@ class PhaseSamples:
 
     @cached_property
     def _balanced_slopes(self) -> Array:
-        """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel.
-
-        They are the reference along a totally singular phase, where the costates themselves are rounding
-        errors.
-        """
+        """Slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
         leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
         at = middles, leg.x(middles), leg.flown(middles)
         none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
@@ -301,7 +267,7 @@ class PhaseSamples:
         # Costates add up what their rates are for no longer than the quickest of them takes to answer.
         steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
         lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
-        flown = np.max(np.abs(self.lam_polynomial), axis=1)
+        flown = np.max(np.abs(self.lam), axis=1)
         before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
         for _ in range(flown.size):  # costates along a chain may all vanish
             if np.array_equal(before, balanced):
@@ -345,7 +311,7 @@ class PhaseSamples:
     @cached_property
     def cost_scale(self) -> float:
         """Largest |lambda_i| x_i along the phase: the states' sizes in units of the cost."""
-        worth = float(np.max(np.abs(self.lam_polynomial) * self.state_scale[:, None], initial=0.0))
+        worth = float(np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0))
         worth = max(worth, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
         return worth if worth > 0 else 1.0
 
@@ -353,7 +319,7 @@ class PhaseSamples:
     def _terms(self) -> Array:
         """Sum of the magnitudes of what costates contribute to H (n_samples,)."""
         rates = self.functions.rates(self.times, self.x, self.u)
-        return np.asarray(np.sum(np.abs(self.lam_polynomial * rates), axis=0))
+        return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
 
     @cached_property
     def hamiltonian_scale(self) -> float:
@@ -424,16 +390,6 @@ class PhaseSamples:
         size = np.max(np.abs(values), axis=1, initial=0.0)
         scale = np.fmax(scale, RESOLUTION * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
-
-    @cached_property
-    def adjoint_residual(self) -> Array:
-        """Integral of |d(lambda)/dt + dH/dx + z| over each segment, in shares of the cost (n_states, K)."""
-        gradient = self.functions.state_gradient(self.times, self.x, self.u, self.lam_polynomial, self.mu)
-        residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
-        residual = residual * self.state_scale[:, None] / self.cost_scale
-        for edge in self.edges:
-            residual[:, edge.segment] = edge.violation
-        return np.asarray(residual)
 
     def place(self, column: int, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for a sample."""

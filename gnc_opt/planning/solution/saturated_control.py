@@ -28,8 +28,6 @@ class SaturatedControl:
 
     Attributes
     ----------
-    polynomial : PiecewisePolynomial
-    bounds : Interval
     rules : tuple of CollocationRule
         One per segment; their points are the polynomial's nodes.
     tolerance : float

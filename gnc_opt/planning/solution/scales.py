@@ -1,20 +1,13 @@
-r"""Scales of states and controls: reference magnitudes for their deviations.
+r"""Spans of states and controls: reference magnitudes for their variations, independent of the origin.
 
-Sizes depend on units and origin (a position of 7000 km on a trajectory of 1 m); spans do not depend on the
-origin. The scale of a state is its span, the largest distance from its initial value, shared by the
-components of a vector. The scale of a nearly constant state is the change that the controls could cause,
-:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k` with the mean deviation :math:`\Delta u_k` of each
-control from its mean (a constant one: its span), or the same through another state. A state that no control
-affects has the width of its limits, or its size. Scales are at least `RESOLUTION` of the size, to exclude
-rounding.
+The span of a state is its largest distance from its initial value, shared by the components of a vector. A nearly
+constant state has the change that the controls could cause, :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`
+with the mean deviation :math:`\Delta u_k` of each control (a constant one: its span), or the same through another
+state. A state that no control affects has the width of its limits, or its size. Spans are at least `RESOLUTION` of the
+size.
 
-How much of its curvature in a control H keeps over a span: rounded kinks do not keep it, and rounding is none.
-
-A smoothed kink, such as :math:`\sqrt{u^2 + e^2}` for :math:`|u|`, has curvature :math:`1 / e` but changes H
-by no more than the kink. If the costates are rounding errors, the curvature does not predict the change of H
-over a span.
-
-Controls that do nothing: the steering angle of an engine that is off.
+H keeps the curvature of a smoothed kink, such as :math:`\sqrt{u^2 + e^2}`, over a share of a control's span only
+(`Bending`). Controls may be without effect, as the steering angle of an engine that is off (`without_effect`).
 """
 
 from __future__ import annotations
@@ -42,7 +35,6 @@ class Bending:
 
     Attributes
     ----------
-    functions : PhaseFunctions
     times, x, u, lam : array (n_samples,), (n_states, n_samples), (n_controls, n_samples), (n_states, n_samples)
     curvature : array (n_controls, n_samples)
         d2H/du2 of each control by itself.
@@ -96,7 +88,6 @@ def without_effect(
 
     Parameters
     ----------
-    functions : PhaseFunctions
     bounds : Interval
         Of the controls (m,).
     t, x, u : array (N,), (n, N), (m, N)
@@ -135,8 +126,6 @@ def _moved(u: Array, i: int, by: float) -> Array:
 STILL = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
 
-NOTHING_MOVES = 1e-9
-"""Where no state moves by more than this, as at an equilibrium, sizes have to do."""
 
 IDLE = 1e-6
 """A control that moves by less than this share of its range is idle: its range is its span."""
@@ -162,7 +151,7 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
-    if not lasting or np.max(moved) <= NOTHING_MOVES:
+    if not lasting or np.max(moved) <= EQUAL:
         return magnitude(shared(size, leg.states))
     movable = shared(_movable(leg, functions, used), leg.states)
     spans = np.where(moved > STILL * movable, moved, movable)
@@ -174,9 +163,8 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
 def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
     r"""Return what misses of the final state are measured against (n_states,): what controls move, at most the span.
 
-    An orbit takes a satellite round the Earth by itself; a thruster moves the end by
-    :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`. Ends that controls do not reach count by the
-    span, and no less than the share `STEERED` of it: solvers keep end conditions to 1e-8 of their size.
+    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, at least the share `STEERED` of the span;
+    where controls do not reach, the span.
 
     Parameters
     ----------
@@ -209,16 +197,13 @@ def control_spans(
     Parameters
     ----------
     flown, pull, curvature : array (n_controls, n_samples)
-        The control; the costates' part of dH/du; d2H/du2. The span of a constant control is pull / curvature,
-        its distance from the minimum of the integrands alone. An inactive control without a range has the
-        span that changes H as much as the others do.
+        The control; the costates' part of dH/du; d2H/du2. A constant control has the span pull / curvature; an inactive
+        one without a range the span that changes H as much as the others do.
     terms : float
-        Size of the products of costates and rates in H, used if all controls are inactive, such as the
-        heading along a straight line; if that is rounding too, the span is the control's size, or 1.
+        Size of the products of costates and rates in H, used if all controls are inactive.
     asked : array (n_controls,)
-        Controls needed for the trajectory's motion (`steering`). The span of a constant control without a
-        range is this value, or its own size if less; a control that is rounding compared with it has size
-        zero.
+        Controls needed for the trajectory's motion (`steering`): the span of a constant control without a range, or its
+        own size if less.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
@@ -282,10 +267,7 @@ def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Arra
 
 
 def _pushes(leg: PhaseSolution, used: Array) -> Array:
-    """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span.
-
-    A control that acts for seconds of hours moves no state as far as its span would in hours.
-    """
+    """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span."""
     times = leg.sample_times()
     lasts, u = times[-1] - times[0], leg.flown(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts

@@ -25,7 +25,6 @@ def rest_of(solution: Solution, time: float) -> Solution:
 
     Parameters
     ----------
-    solution : Solution
     time : float
         s, at or after the beginning and before the end.
     """

@@ -24,7 +24,6 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
 
     Parameters
     ----------
-    functions : PhaseFunctions
     bounds : Interval
         Of the controls (m,).
     t, x, u : array (N,), (n, N), (m, N)

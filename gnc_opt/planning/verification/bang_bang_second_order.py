@@ -1,24 +1,21 @@
 r"""Second-order sufficient conditions of a bang-bang solution.
 
-For controls that sit on their bounds everywhere, the control problem is one of finitely many unknowns
-:math:`\theta`, one for every switch of every control (module `induced`). A first-order point is a strict local
-minimum if (Maurer & Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular
-and Bang-Bang Control, SIAM 2012, ch. 5-7)
+For controls that are on bounds everywhere, the problem is one of finitely many unknowns :math:`\theta`, one for every
+switch of every control (module `switching_problem`). A first-order point is a strict local minimum if (Maurer &
+Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang Control,
+SIAM 2012, ch. 5-7)
 
 * every switching function vanishes only where its control switches, and crosses zero there with a slope of the right
   sign (strict bang-bang property),
-* the gradient of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` vanishes, with multipliers of the right
-  signs,
-* its Hessian is positive definite on the directions that keep the active conditions: those at a limit with a
-  multiplier. One at a limit without a multiplier restricts directions to a half-space only.
+* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the directions that
+  keep the active conditions: those at a limit with a multiplier. One without restricts directions to a half-space.
 
-Where several controls switch at one time the problem is smooth only as long as their order stays. The Hessian then
-has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control
-Optim. 49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more
-conditions than one, being positive everywhere is sufficient only, and INCONCLUSIVE the answer where it is not.
+Where several controls switch at one time the Hessian has to be positive definite for every order of the switches, on
+the directions that keep it (Poggiolini & Spadini, SIAM J. Control Optim. 49(1), 2011, for two of them). With several
+one-sided conditions positive everywhere is sufficient only: INCONCLUSIVE where it is not.
 
-Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what
-these differ by estimates their error.
+Multipliers are those of least squares, nearest to the solution's. Derivatives are extrapolated from two grids, whose
+difference estimates their error.
 """
 
 from __future__ import annotations
@@ -40,8 +37,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import aimed_gradient
 from gnc_opt.planning.verification.goh import straight
-from gnc_opt.planning.verification.normality import normality_of_switches
-from gnc_opt.tolerances import AT_LIMIT, JUNCTION_OFFSET_SHARE, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK, TINY
 
 OWN = 1e-4
 """Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
@@ -49,17 +45,9 @@ OWN = 1e-4
 ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
 """Multipliers above these, in shares of H and of the cost, are those of active constraints."""
 
-EXACT = 1e-9
-"""Share of the terms that the Hessian is made of below which its eigenvalues are rounding."""
-
-WEAK_MULTIPLIER_SHARE = 1e-6
-"""Multipliers below this share of the cost may be zero: their conditions restrict directions to a half-space only."""
 
 MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
-
-HALF_SPACE_SLACK = 1e-6
-"""A direction may break a half-space condition by this share and still counts as keeping it."""
 
 
 def strict_switches(samples: list[PhaseSamples]) -> Condition:
@@ -97,7 +85,6 @@ class _Crossing:
         Whether it has the wrong sign nowhere beside the switch by more than `GRAZES` of H.
     slope : float
         The smaller one of both sides, with the sign that it should have, in shares of H per phase.
-    where : str
     """
 
     harmless: bool
@@ -176,16 +163,10 @@ def _touched(s: PhaseSamples) -> str:
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """What the induced problem says for one order of its switches; numbers are dimensionless.
+    """What the switching-time problem says for one order of its switches; numbers are dimensionless.
 
     Attributes
     ----------
-    violation : float
-        Largest component of the Lagrangian's gradient, or multiplier of the wrong sign.
-    violation_error : float
-        Estimated error of the gradient.
-    where : str
-        Of the violation.
     least : float
         Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
     error : float
@@ -196,9 +177,6 @@ class SecondOrder:
         Whether the direction of the smallest eigenvalue keeps all one-sided conditions.
     """
 
-    violation: float
-    violation_error: float
-    where: str
     least: float
     error: float
     freedom: int
@@ -209,75 +187,34 @@ class SecondOrder:
         """Whether the form is positive definite."""
         if self.least > self.error:
             return ConditionResult.PASS
-        return (
-            ConditionResult.FAIL
-            if self.least < -self.error and self.attained
-            else ConditionResult.INCONCLUSIVE
-        )
+        fails = self.least < -self.error and self.attained
+        return ConditionResult.FAIL if fails else ConditionResult.INCONCLUSIVE
 
 
-def by_switches(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
-) -> list[Condition]:
-    """Judge the conditions of the induced problem, in any order of its switches, its gradient and its Hessian."""
-    switches = {s.leg.name: Switches.of(s) for s in samples}
-    pieces = {name: found.pieces(next(found.orders())) for name, found in switches.items()}
-    unknowns = Unknowns.of(solution, samples, switches)
-    first = InducedProblem.of(solution, samples, ends, unknowns, pieces)
-    return [normality_of_switches(first), *second_order(solution, samples, ends, tolerance, first)]
-
-
-def second_order(
-    solution: Solution,
-    samples: list[PhaseSamples],
-    ends: EndGradients,
-    tolerance: float,
-    first: InducedProblem | None = None,
-) -> list[Condition]:
-    """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite.
-
-    That of the first order of the switches may be known.
-    """
-    names = ("induced gradient", "second order")
-    meanings = (
-        "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change "
-        "the cost at first order (largest derivative by an integration of its own, in shares of the largest "
-        "switching function, of H or of the cost): a failure means a switch in the wrong place, or a multiplier of the "
-        "wrong sign.",
+def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
+    """The reduced Hessian of the switching-time problem is positive definite in every order of its switches."""
+    meaning = (
         "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
         "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
         "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
-        "A negative one means that the cost falls along its direction; within the error, that it may.",
+        "A negative one means that the cost falls along its direction; within the error, that it may."
     )
+
+    def judged(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
+        return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
+
     reason = obstacle(samples)
     switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
-        return [
-            Condition(
-                names[1],
-                ConditionResult.INCONCLUSIVE,
-                float("nan"),
-                0.0,
-                reason,
-                meanings[1],
-                sufficient=True,
-            )
-        ]
+        return judged(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = Unknowns.of(solution, samples, switches)
     every = itertools.product(*(s.orders() for s in switches.values()))
     found = [
-        _judge(
-            solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches,
-            None if k else first,
-        )
-        for k, orders in enumerate(every)
-    ]  # fmt: skip
-    off = max(found, key=lambda f: np.inf if np.isnan(f.violation) else f.violation)
-    gradient = ConditionResult.PASS if off.violation <= tolerance else ConditionResult.FAIL
-    if off.where == NOT_FLOWN or tolerance < off.violation <= tolerance + off.violation_error:
-        gradient = ConditionResult.INCONCLUSIVE
+        _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
+        for orders in every
+    ]
     worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
     if worst.freedom == 0:
@@ -287,14 +224,10 @@ def second_order(
     if worst.result is ConditionResult.INCONCLUSIVE:
         small = abs(worst.least) <= worst.error
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
-        place = NOT_FLOWN if worst.where == NOT_FLOWN else place
+        place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    place = f"phase {phases}: {place}"
-    return [
-        Condition(names[0], gradient, off.violation, tolerance, off.where, meanings[0], sufficient=True),
-        Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
-    ]
+    return judged(worst.result, value, -worst.error, f"phase {phases}: {place}")
 
 
 def _judge(
@@ -304,14 +237,12 @@ def _judge(
     unknowns: Unknowns,
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
-    coarse: InducedProblem | None = None,
 ) -> SecondOrder:
-    """Judge the induced problem for one order of the switches of every phase; on the coarser grid it may be known."""
+    """Judge the switching-time problem for one order of the switches of every phase."""
     pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
-    coarse = coarse or InducedProblem.of(solution, samples, ends, unknowns, pieces, 1)
-    fine = InducedProblem.of(solution, samples, ends, unknowns, pieces, 2)
+    coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
     if not (coarse.finite and fine.finite):
-        return SecondOrder(np.nan, np.nan, NOT_FLOWN, np.nan, np.nan, unknowns.scale.size, False)
+        return SecondOrder(np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions
     gradient, jacobian = _extrapolated(fine.gradient, coarse.gradient), conditions.jacobian
     jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)
@@ -322,35 +253,25 @@ def _judge(
     precedences = _precedences(unknowns, orders, switches)[:, free]
     residual, pushes = _explained(gradient[free] + rows.T @ multipliers, precedences)
     wrong = np.maximum(-sides * multipliers, 0.0) / cost
-    shares = np.concatenate([np.abs(residual) / unknowns.worth[free], wrong])
-    labels = [*np.array(unknowns.labels)[free], *(conditions.labels[k] for k in active)]
-    place = int(np.argmax(shares)) if shares.size else -1
-    violation = float(shares[place]) if shares.size else 0.0
+    violation = float(np.max(np.concatenate([np.abs(residual) / unknowns.worth[free], wrong]), initial=0.0))
     every = np.zeros(conditions.values.size)
     every[active] = multipliers / norms
-    gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
-    violation_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
     # A condition without a multiplier, or an order without one, only restricts directions to one side.
-    strong = (sides == 0) | (np.abs(multipliers) > WEAK_MULTIPLIER_SHARE * cost)
-    kept = np.vstack([rows[strong], precedences[pushes > WEAK_MULTIPLIER_SHARE * cost]])
-    sided = np.vstack(
-        [-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK_MULTIPLIER_SHARE * cost]]
-    )
+    strong = (sides == 0) | (np.abs(multipliers) > AT_LIMIT * cost)
+    kept = np.vstack([rows[strong], precedences[pushes > AT_LIMIT * cost]])
+    sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= AT_LIMIT * cost]])
     null = _null_space(kept)
     if not null.shape[1]:
-        return SecondOrder(
-            violation, violation_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
-        )
+        return SecondOrder(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
     hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
-    error += EXACT + violation
+    error += EQUAL + violation
     keeps = sided @ (null @ vectors[:, 0])
-    attained = bool(np.all(keeps >= -HALF_SPACE_SLACK) or np.all(keeps <= HALF_SPACE_SLACK))
-    least = float(eigenvalues[0]) / (size + cost)
-    return SecondOrder(violation, violation_error, labels[place], least, error, null.shape[1], attained)
+    attained = bool(np.all(keeps >= -AT_LIMIT) or np.all(keeps <= AT_LIMIT))
+    return SecondOrder(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
 
 
 def least_squares(
@@ -400,10 +321,7 @@ def _precedences(
 
 
 def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
-    """What the order of simultaneous switches leaves of a gradient, and how much each precedence pushes.
-
-    Where controls act on each other, a switch is worth something else before than after another one.
-    """
+    """What the order of simultaneous switches leaves of a gradient, and how much each precedence pushes."""
     if not precedences.size:
         return residual, np.zeros(precedences.shape[0])
     pushes = scipy.optimize.nnls(precedences.T, residual)[0]

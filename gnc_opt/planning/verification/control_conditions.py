@@ -81,10 +81,7 @@ def _segment_means(s: PhaseSamples, values: Array) -> Array:
 
 
 def _miss(s: PhaseSamples, scales: Scales) -> Array:
-    """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards.
-
-    Where H curves strongly, a large slope means only that the minimum is slope / curvature away.
-    """
+    """Share of its deviation by which each control misses the minimum of H; infinite where H curves downwards."""
     deviation = scales.phases[s.leg.name].deviation
     curvature = np.einsum("iij->ij", s.control_hessian) * deviation
     slope = np.abs(s.control_gradient)
@@ -211,8 +208,6 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Se
 
     Parameters
     ----------
-    samples : list of PhaseSamples
-    tolerance : float
     singular : sequence of bool array (m, n_samples)
         Where controls are, phase by phase, as `undetermined` tells.
     """
@@ -244,10 +239,7 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Se
 
 
 def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
-    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long.
-
-    Of controls between their bounds, among some (m, n_samples).
-    """
+    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long."""
     unit = s.control_span / np.sqrt(s.control_worth)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
@@ -270,8 +262,6 @@ def singular_arcs(
 
     Parameters
     ----------
-    samples : list of PhaseSamples
-    tolerance : float
     singular : sequence of bool array (m, n_samples)
         Where controls are, phase by phase, as `undetermined` tells.
     told : sequence of bool array (m, n_samples)

@@ -11,15 +11,11 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
 * :math:`dH/dt = \partial H_a/\partial t`, with jumps where a moving state constraint is active,
 * u minimises H among the admissible controls (module `control_conditions`).
 
-Gradients count by what they change over the reach of the states, in shares of the cost scale
-(module `reference_scales`).
+Gradients count by what they change over the reach of the states, in shares of the cost scale (module
+`reference_scales`).
 
-Path constraints that are met at an end of a phase only, as boundary constraints.
-
-Where :math:`c(t, x) \le 0` is reached at :math:`t_f`, say, and not before, it pushes with an atom
-:math:`\eta \ge 0` there: :math:`\lambda(t_f) = \partial\Phi/\partial x_f + \eta\,\partial c/\partial x` (Hartl, Sethi &
-Vickson, SIAM Review 37(2), 1995, theorem 4.1). So it is a condition on the end with :math:`\nu = \eta`, and that is how
-the second order and normality take it: neither the points of a mesh nor switch times know of a limit at the ends.
+A constraint :math:`c(t, x) \le 0` that is met at an end of a phase only has an atom :math:`\eta \ge 0` there (Hartl,
+Sethi & Vickson, theorem 4.1). The second order takes it as a boundary constraint with :math:`\nu = \eta`.
 """
 
 from __future__ import annotations
@@ -37,9 +33,11 @@ from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.planning.verification.feasibility import path_reach
 from gnc_opt.planning.verification.recomputed import ends_of
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
@@ -101,18 +99,9 @@ def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Wo
     worst = NOTHING
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
-        gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam_polynomial, s.mu)
-        residual = (s.lam_rate + gradient + s.state_multiplier) * s.weights
-        starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
-        total = np.add.reduceat(residual, starts, axis=1)
-        running = np.cumsum(residual, axis=1)
-        running -= (running[:, starts] - residual[:, starts])[:, s.segments]
-        inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
-        share = np.fmax(along.change(total), inside) / cost
-        for edge in s.edges:  # inside, a polynomial through a jump is off; costates integrated again are not
-            own = along.change((edge.violation * s.cost_scale / s.state_scale)[:, None])[0] / cost
-            share[edge.segment] = np.fmin(share[edge.segment], own)
-        share = np.where(np.all(np.isfinite(total), axis=0), share, np.inf)
+        share, total = _adjoint_shares(s, s.mu, scales, tolerance)
+        if s.leg.scheme != GAUSS and s.pure_paths.size:
+            share = np.fmin(share, _adjoint_shares(s, _without_atoms(s), scales, tolerance)[0])
         k = int(np.argmax(share))
         i = int(np.argmax(np.abs(total[:, k]) * along.radius))
         place = s.segment_place(k, f"adjoint equation of {s.leg.states.labels[i]}")
@@ -126,6 +115,31 @@ def adjoint(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Wo
             place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
             worst = worst.or_worse(Worst(float(share[k]), place + s.leg.states.labels[i]))
     return worst
+
+
+def _adjoint_shares(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
+    """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
+    along = scales.phases[s.leg.name].along
+    gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
+    residual = (s.lam_rate + gradient + s.state_multiplier) * s.weights
+    starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
+    total = np.add.reduceat(residual, starts, axis=1)
+    running = np.cumsum(residual, axis=1)
+    running -= (running[:, starts] - residual[:, starts])[:, s.segments]
+    inside = np.maximum.reduceat(along.change(running), starts) * np.sqrt(tolerance)
+    share = np.fmax(along.change(total), inside) / scales.cost
+    return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
+
+
+def _without_atoms(s: PhaseSamples) -> Array:
+    """Return path multipliers (n_paths, n_samples) by the points inside of segments: those at boundaries have atoms."""
+    leg = s.leg
+    inner = [np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool) for rule in leg.rules]
+    nodes = tuple(rule.points[here] for rule, here in zip(leg.rules, inner, strict=True))
+    values = tuple(v[:, here] for v, here in zip(leg.path_multiplier.values, inner, strict=True))
+    mu, pure = s.mu.copy(), s.pure_paths
+    mu[pure] = s.sample(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
+    return mu
 
 
 def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scales) -> Worst:

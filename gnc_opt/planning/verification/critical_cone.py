@@ -1,16 +1,11 @@
 r"""The variations of a solution that its active limits leave free, on its mesh.
 
-Directions of vectors that vanish: nothing depends on them, they do not vary, and a push begins where it pays.
+Where a magnitude s with a direction n vanishes, :math:`H = H_0 + s\,(c + \sigma \cdot n)` does not depend on n, which
+does not vary; the switching function of s is :math:`c - |\sigma|` (Lawden, Optimal Trajectories for Space Navigation,
+1963).
 
-With a magnitude s and a direction n, :math:`H = H_0 + s\,(c + \sigma \cdot n)`. Where s = 0 any n will do; a push
-would begin along :math:`-\sigma`, and the switching function of s is :math:`c - |\sigma|` (Lawden's primer vector,
-Optimal Trajectories for Space Navigation, 1963), whatever the direction that was stored.
-
-Where arcs on path constraints begin: held there as along the arc, which a program's rows do not say.
-
-In the critical cone the variation of a path constraint without controls vanishes along an arc on which it pushes, and
-by continuity where the arc begins. A program of Gauss collocation has rows at its points only, and leaves a segment
-one variation that vanishes at all of them, the Legendre polynomial: which leads beyond the limit between the points.
+The variation of a path constraint without controls vanishes along an arc on which it pushes, and by continuity where
+the arc begins. A program of Gauss collocation has rows at its points only, so that this is a row of its own.
 """
 
 from __future__ import annotations
@@ -75,10 +70,7 @@ def aimed_gradient(s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array
 
 
 def without_idle_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
-    """Return the cone with directions held where their magnitude is: the length of what is held is no row of it.
-
-    Angles that do nothing while another control is held are held, too.
-    """
+    """Return the cone with directions held where their magnitude is, and angles that do nothing there."""
     strong = cone.strong.copy()
     for s in samples:
         collocation = cone.point.transcription.parts[s.leg.name].collocation
@@ -145,7 +137,6 @@ class CriticalCone:
 
     Attributes
     ----------
-    point : ProgramPoint
     strong, weak : bool array (n_variables + n_constraints,)
         Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
     unit : sparse (n_variables, n_variations) or None
@@ -164,9 +155,8 @@ class CriticalCone:
     def of(cls, point: ProgramPoint) -> CriticalCone:
         """Tell from the gradient of the Lagrangian which limits push.
 
-        Along an arc on a limit the variation of what is limited vanishes, by continuity at the arc's ends too: a
-        node at the limit is held where it shares a segment with one that is pushed there. The push of a control comes
-        to zero at the ends of its arcs, which move with the times; on its nodes next to them it may be as small as any.
+        By continuity the variation of what is limited vanishes at the ends of an arc on its limit too: a node at the
+        limit is held if it shares a segment with one that is pushed there.
         """
         strong, weak = [], []
         for limits, values, multipliers, lines in (

@@ -9,7 +9,6 @@ import numpy as np
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
-from gnc_opt.planning.optimality.costate_jumps import settle_edges
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.expressions import table_uses
 from gnc_opt.planning.problem.functions import EndGradients
@@ -34,7 +33,6 @@ from gnc_opt.planning.verification import (
 from gnc_opt.planning.verification.costate_conditions import with_end_limits
 from gnc_opt.planning.verification.feasibility import condition_of
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
-from gnc_opt.planning.verification.normality import beside_normal, normality
 from gnc_opt.planning.verification.recomputed import (
     costates_kept_twice,
     ends_of,
@@ -48,7 +46,6 @@ from gnc_opt.planning.verification.reduced_hessian import (
     flown_spans,
     reduced_hessian,
     rounding_of_cost,
-    visible_spans,
 )
 from gnc_opt.planning.verification.singular_arcs import (
     generalised_legendre_clebsch,
@@ -142,7 +139,7 @@ def _checked(solution: Solution, tol: float) -> Verdict:
     ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = missing_number(stored, with_costates)
-    samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
+    samples = [s.with_cost_magnitude(amounts.cost) for s in samples]
     scales = Scales.of(solution, samples)
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
     kept = missing.or_worse(costates_kept_twice(samples) if with_costates else NOTHING)
@@ -227,10 +224,7 @@ def _first_order(
 
 
 def _joined(name: str, parts: list[Condition]) -> Condition:
-    """Return one condition with the result of several; its number and place are those of the part that decides.
-
-    Of several with the same result a necessary condition decides, and where all pass the one of this name.
-    """
+    """Return one condition with the result of several; its number and place are those of the part that decides."""
     order = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (order[c.result], not passed and c.sufficient, c.name != name))
@@ -278,10 +272,10 @@ def _within_errors(condition: Condition) -> Condition:
 def second_order_parts(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
-    """Return the second variation, normality, Legendre-Clebsch's condition and what decides on singular arcs."""
+    """Return the second variation, Legendre-Clebsch's condition and what decides on singular arcs."""
     problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
     limited, limited_ends = with_end_limits(solution, samples, ends)
-    found = _second_variation(limited, samples, limited_ends, tol)
+    found = _second_variation(limited, samples, limited_ends)
     if any(c.result is not ConditionResult.PASS for c in found) and is_convex(problem):
         found = [_of_convex(c) for c in found]
     return [*found, *_singular_parts(problem, lasting, tol)]
@@ -300,25 +294,14 @@ def _singular_parts(problem: Problem, samples: list[PhaseSamples], tol: float) -
     ]
 
 
-def _second_variation(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
-) -> list[Condition]:
+def _second_variation(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> list[Condition]:
     if not second_order.obstacle(samples):
-        return second_order.by_switches(solution, samples, ends, tolerance)
+        return [second_order.second_order(solution, samples, ends)]
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:
         return [_inconclusive("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
-    return [reduced_hessian(solution, samples, cone), _normality(solution, samples, rounding)]
-
-
-def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
-    """By the magnitudes of the program and, where those may be too large, by those of the trajectory."""
-    cone = critical_cone(solution, rounding=rounding)
-    found = normality(cone)
-    if found.result is ConditionResult.PASS:
-        return beside_normal(found, cone)
-    return normality(critical_cone(solution, samples, rounding, visible_spans))
+    return [reduced_hessian(solution, samples, cone)]
 
 
 def _of_convex(condition: Condition) -> Condition:
@@ -330,11 +313,8 @@ def _of_convex(condition: Condition) -> Condition:
 
 
 def _of_least_cost(condition: Condition) -> Condition:
-    """Where no trajectory can cost less, costates are rounding errors and no evidence against it.
-
-    Whether the minimum is strict stays open. Abnormality is reported in any case.
-    """
-    if condition.result is ConditionResult.PASS or condition.where.startswith("normality:"):
+    """Where no trajectory can cost less, costates are rounding errors and no evidence against it."""
+    if condition.result is ConditionResult.PASS:
         return condition
     result = ConditionResult.INCONCLUSIVE if condition.sufficient else ConditionResult.PASS
     where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"

@@ -23,12 +23,10 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.propagation import segment_misses
 from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.planning.solution.scales import RESOLUTION
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, TINY
-
-RESOLUTION = 1e-7
-"""Least scale of a number, in shares of its size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
 MOST_BESIDE = 200
 """Samples beyond a path limit, at most, at which the distance to it is measured."""
@@ -154,10 +152,7 @@ def _worst_state(s: PhaseSamples, scales: Scales) -> Worst:
 
 
 def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
-    """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it.
-
-    Deep inside an excluded region the gradient may vanish, or grow without bound.
-    """
+    """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it."""
     limits = Limits.of(s.functions.paths, s.leg.path_bounds)
     found = violations(at, limits, applied=True)
     if not found.times.size:

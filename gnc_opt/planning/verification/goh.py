@@ -1,4 +1,4 @@
-r"""Goh's variables: controls along singular arcs, varied by what they amount to.
+r"""Goh's variables: controls along singular arcs, varied by their integrals.
 
 Where H is affine in controls :math:`u_S`, the second variation does not curve in :math:`v = \delta u_S` but, by Goh's
 transformation, in
@@ -7,14 +7,13 @@ transformation, in
           \gamma = \int y^2\,dt + h^2 + \text{squares of all else that varies}.
 
 Along arcs of the first order that meet the strengthened generalised Legendre-Clebsch condition it is a Legendre form in
-:math:`(y, h)`, and where it is positive a strict minimum follows, with growth of the cost by :math:`\gamma` (Goh, SIAM
-J. Control 4, 1966; Aronna, Bonnans, Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are
-bang elsewhere; Aronna, Discrete Contin. Dyn. Syst. S 11(6), 2018, beside others that H determines). y is continuous
-over bang arcs and may jump where a singular arc begins or ends, which is what moving that time does: these times do not
-vary besides. Neither does h count here: where the end feels it, the form has to curve in it by itself (`open_end`).
+:math:`(y, h)`, and where it is positive a strict minimum follows (Goh, SIAM J. Control 4, 1966; Aronna, Bonnans,
+Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang elsewhere; Aronna, Discrete
+Contin. Dyn. Syst. S 11(6), 2018, beside others that H determines). y may jump where a singular arc begins or ends, in
+the place of moving that time. If the end depends on h, the form has to curve in it by itself (`open_end`).
 
-On a mesh, y is a polynomial of a degree less by two than that of the states: of controls that alternate faster
-quadrature would see the wrong curvature. Arcs are cut narrow at their ends, so that y can as good as jump.
+On a mesh, y has a degree less by two than the states, since quadrature sees the wrong curvature of controls that
+alternate faster. Arcs are cut narrow at their ends, so that y can nearly jump.
 """
 
 from __future__ import annotations
@@ -130,11 +129,7 @@ def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:
 
 
 def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
-    """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little.
-
-    There H only flattens out, as where a control loses its grip on the flight near a free end, or couples its control
-    with one that it determines: what it is in their integrals would grow without end on ever finer meshes.
-    """
+    """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
@@ -175,10 +170,9 @@ def _junctions(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
 def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
 
-    Neither cost and conditions on the end nor what the integrands have of the control may depend on what it moves by h
-    at the end (in coordinates that straighten out its vector field, h is then nowhere); or the form must curve in h by
-    itself, :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free. Where that is negative,
-    a push just before the end gains, and the flight is no minimum; if it is zero, higher orders tell.
+    Either cost and conditions on the end do not depend on what h moves, or the form curves in h by itself,
+    :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free; where that is negative, a pulse just
+    before the end gains.
     """
     channels = np.flatnonzero(_singular_and_free(cone, s)[:, -1])
     if not channels.size or not _felt(cone.point.problem, s, channels):
@@ -221,10 +215,7 @@ def _felt(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
 
 
 def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
-    """Derivatives of H by controls and states, and those of the integrands alone.
-
-    A function of (t, x, u, lam, weights, p, q).
-    """
+    """Derivatives of H by controls and states, and those of the integrands alone."""
 
     def build() -> Any:
         slope = s.functions.functions["switching"]
@@ -243,10 +234,7 @@ def _moved_at_once(s: PhaseSamples, control: int) -> Indices:
 
 
 def _integrated(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
-    """Variations y of a control of a phase (n, n_variations), and the variables that they stand for.
-
-    y is measured by the integral of its square, over bang arcs as well.
-    """
+    """Variations y of a control of a phase (n, n_variations), and the variables that they stand for."""
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []
     segments = np.flatnonzero(singular)

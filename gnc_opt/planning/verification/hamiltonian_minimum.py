@@ -1,11 +1,8 @@
-"""The least Hamiltonian over the admissible controls: told where H is affine or convex, searched for elsewhere.
+"""The least Hamiltonian over the admissible controls, by groups of controls that H and the path constraints couple.
 
-Controls that H and the path constraints do not couple are searched apart, group by group: their gains add up. Of a
-vector control in which H is affine the least is known in closed form. A group of which H is a convex quadratic
-function, under affine constraints, has no minimum but the nearest. In any other group `POINTS` controls are tried
-along the phase, and Newton's method descends from the best of them, from some others and from the flown control. The
-points are a Kronecker lattice that goes on from one time to the next: what lasts meets points everywhere (its gaps in
-one dimension: Slater, Proc. Cambridge Philos. Soc. 63, 1967).
+It is known in closed form for a vector control in which H is affine, and by one descent where H is a convex quadratic
+function under affine constraints. In any other group `POINTS` controls of a Kronecker lattice are tried along the phase
+(its gaps: Slater, Proc. Cambridge Philos. Soc. 63, 1967), and Newton's method descends from the best of them.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.optimality.cost_scale import lasting
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import lone_vector
-from gnc_opt.tolerances import RANK, ROUNDING, TINY
+from gnc_opt.tolerances import EQUAL, RANK, ROUNDING, TINY
 
 POINTS = 2**15
 """Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
@@ -46,11 +43,7 @@ spare, whose costates vanish."""
 _STARTS_REFINED = 8
 _HAMILTONIAN_NEWTON_STEPS = 12
 _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
-_QUADRATIC = 1e-9
-"""Share of H's terms by which a quadratic function may be missed."""
 
-_ON_LIMIT = 1e-9
-"""A control this far beyond the limit of a path constraint, relative to its value, is on it."""
 
 _PROGRESS = 1e-6
 """Share of the least worth below which a descent ends."""
@@ -156,7 +149,7 @@ class _Search:
         """Room that path constraints leave: their limits, or the flown value if that is beyond (n_paths, n) each."""
         s, bounds = self.s, self.s.leg.path_bounds
         values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
-        slack = _ON_LIMIT * (s.path_scale[:, None] + np.abs(values))
+        slack = EQUAL * (s.path_scale[:, None] + np.abs(values))
         return np.stack(
             [
                 np.minimum(bounds.lower[:, None], values) - slack,
@@ -210,10 +203,7 @@ class _Search:
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
 
     def slopes(self, shares: Array, at: Indices, mu: Array | None = None) -> tuple[Array, Array]:
-        """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite.
-
-        The gradient is that of H, the Hessian that of H + mu c.
-        """
+        """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite."""
         s, group, (times, x, u) = self.s, self.group, self._at(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._box[1]
         gradient = s.functions.switching(times, x, u, lam)[group] * span
@@ -230,7 +220,7 @@ class _Search:
         every = np.arange(self.chosen.size)
         gradient, bends = self.slopes(self._flown, every)
         sizes = np.linalg.eigvalsh(bends)
-        if np.any(sizes[:, 0] < -_QUADRATIC * np.max(np.abs(sizes))):
+        if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
         move = lattice(every.size, self.group.size) - self._flown
         _, _, u = self._at(self._flown + move, every)
@@ -239,19 +229,14 @@ class _Search:
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
         base = s.hamiltonian[self.chosen]
         terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
-        return bool(np.all(np.abs(value - base - first - second) <= _QUADRATIC * terms))
+        return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
     def nearest(self) -> Array:
         """Return the minima that descents from the flown controls reach (group, n_times)."""
         return self.descend(self._flown, np.arange(self.chosen.size))[0]
 
     def aligned(self, vector: VectorControl) -> Array:
-        """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form.
-
-        H = H_0 + s (c + sigma . n) with the magnitude s and the direction n is least where n points against sigma, at
-        the lower limit of s if c > |sigma|, else at the upper one (Lawden, Optimal Trajectories for Space Navigation,
-        1963).
-        """
+        """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
         times, x, u = self._at(self._flown, np.arange(self.chosen.size))
@@ -306,10 +291,7 @@ class _Search:
         return self.lasting(self._followed(kept, shares[:, best]))
 
     def _points(self) -> tuple[Array, Indices]:
-        """Half of the points anywhere in the range, the others at log-uniform distances from the applied control.
-
-        Of both, half differ from it in one channel only.
-        """
+        """Half of the points anywhere in the range, the others at log-uniform distances from the applied control."""
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
         points, flown = lattice(at.size, k), self._flown[:, at]
@@ -347,10 +329,7 @@ class _Search:
         return gain, gain / (self._largest_change(better - self._flown[:, at]) + gain)
 
     def _largest_change(self, moves: Array) -> Array:
-        """Return the largest change of H along the phase by moves (group, n) that are scaled to the control deviations.
-
-        By slope or curvature in the direction of the move only.
-        """
+        """Return the largest change of H along the phase by moves (group, n) scaled to the control deviations."""
         s, group = self.s, self.group
         scale = s.control_span[group, None]
         if self.deviation is not None:
@@ -370,10 +349,7 @@ class _Search:
         )
 
     def descend(self, shares: Array, at: Indices) -> tuple[Array, Array]:
-        """Return controls that Newton's method reaches within the bounds, downwards only, and H there.
-
-        Negative curvature is taken with the opposite sign, so that saddles and maxima are left.
-        """
+        """Return controls that Newton's method reaches within the bounds, downwards only, and H there."""
         shares = self._restored(shares.copy(), at)
         value = self.value(shares, at)
         active = np.arange(at.size)
@@ -406,7 +382,7 @@ class _Search:
         pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
         steepest = np.max(np.abs(pull), axis=1)
         sizes = np.abs(sizes)
-        floor = np.maximum(_QUADRATIC * np.max(sizes, axis=1), _LEAST_BEND * steepest)
+        floor = np.maximum(EQUAL * np.max(sizes, axis=1), _LEAST_BEND * steepest)
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
@@ -415,7 +391,7 @@ class _Search:
         functions = self.s.functions
         paths = functions.paths(*self._at(shares, at))
         least, most = self._room[:, :, at]
-        near = 2.0 * _ON_LIMIT * (self.s.path_scale[:, None] + np.abs(paths))
+        near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
         rows = self._path_slopes(shares, at) * free[:, None, :]

@@ -56,7 +56,7 @@ from gnc_opt.planning.verification.goh import (
     singular_segments,
     straight,
 )
-from gnc_opt.tolerances import AT_LIMIT, BRANCH_ENDED, ROUNDING, magnitude
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
@@ -69,8 +69,6 @@ DOWNWARDS_SINGULAR = 1e-2
 """The same where a control is singular: there quadrature may take a control that alternates from node to node for one
 that gains something."""
 
-CURVATURE_ROUNDING_SHARE = 1e-6
-"""Curvature that is less than this share of its own terms is what they leave when they cancel."""
 
 SHIFT = 0.1
 """The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
@@ -116,11 +114,11 @@ class Curvature:
     @property
     def upwards(self) -> bool:
         """Whether it is told to be positive."""
-        return self.value > UPWARDS and self.share > CURVATURE_ROUNDING_SHARE
+        return self.value > UPWARDS and self.share > AT_LIMIT
 
     def downwards(self, steep: float) -> bool:
         """Whether it is told to be negative, by more than ``steep`` and by what gains something."""
-        return self.value < -steep and self.share < -CURVATURE_ROUNDING_SHARE and self.gain >= self.least_gain
+        return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
 def critical_cone(
@@ -137,10 +135,10 @@ def critical_cone(
     samples : sequence of PhaseSamples
         Of its phases.
     rounding : float
-        Costs below this are that (`rounding_of_cost`).
+        Costs below this are rounding (`rounding_of_cost`).
     sizes : callable, optional
-        Variations of 1 in the states (n,) and in the controls (m,) of a phase: `flown_spans` or `visible_spans`;
-        default: the magnitudes of the program.
+        Variations of 1 in the states (n,) and in the controls (m,) of a phase, as `flown_spans`; default: the
+        magnitudes of the program.
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
@@ -167,16 +165,6 @@ def critical_cone(
 def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """Return what states and controls move along a phase."""
     return state_variations(s), s.control_span
-
-
-def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return the same, or 1 for states that do not move, and for controls that move none.
-
-    Where constraints alone single out a trajectory, as x' = u^2 does between equal ends, what moves is rounding.
-    """
-    slopes = np.abs(s.functions.input_jacobian(s.times, s.x, s.u))
-    moved = s.span * s.control_span * np.max(slopes, axis=(0, 2), initial=0.0)
-    return magnitude(s.state_scale), np.where(moved > BRANCH_ENDED, s.control_span, 1.0)
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
@@ -292,7 +280,6 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: 
 
     Parameters
     ----------
-    point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
     unit, further : sparse, optional
         As of `NullSpace`.
@@ -322,10 +309,7 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: 
 
 
 def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
-    """Return the direction of least curvature (unit length) in a null space, or None if that is 0.
-
-    What is downwards and steep is looked for by itself.
-    """
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
     n = hessian.shape[0]
     if n == 0:
         return None

@@ -56,9 +56,6 @@ class Jump:
 
     Attributes
     ----------
-    phase : str
-    time : float
-    channel : int
     shorter_arc : float
         Duration of the shorter of the two arcs that it separates, s.
     beyond : str
@@ -86,7 +83,6 @@ class ShiftedTrajectory:
 
     Attributes
     ----------
-    jumps : list of Jump
     regular : list of (phase, times, array (m, n_times))
         Control variations.
     """
@@ -152,10 +148,7 @@ class ShiftedTrajectory:
         return self._second_order_fall(full @ chosen, single @ chosen**2)
 
     def _second_order_fall(self, directions: Array, terms: Array) -> Fall | None:
-        """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps.
-
-        ``terms`` (n,) are the sums of the curvatures of the single shifts.
-        """
+        """Return the largest fall along directions (n_jumps + n_regular, n), if it is of second order at two steps."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions[:n]), axis=0)
         directions = directions / np.maximum(largest, TINY)
@@ -266,7 +259,6 @@ class _ShiftedPhase:
 
     Attributes
     ----------
-    samples : PhaseSamples
     jumps : list of (channel, time, before, after, array (n_columns,))
         Jumps of the controls: values before and after them, and their shifted times.
     variations : list of (times, array (m, n_times), array (n_columns,))

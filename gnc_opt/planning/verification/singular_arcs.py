@@ -59,7 +59,6 @@ class SingularArc:
 
     Attributes
     ----------
-    place : str
     order : int
         k; 0 if it has not been found.
     least : float
@@ -193,10 +192,7 @@ def _judge(
 
 
 def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
-    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H.
-
-    A matrix with zeros on its diagonal is not positive where it couples: the least of u v + v^2 / 2 is -u^2 / 2.
-    """
+    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
     cross = hessian[:, regular[:, None], channels]

@@ -1,10 +1,8 @@
-r"""What the theorems suppose: dynamics and integrands that are differentiable where the trajectory runs.
+r"""Kinks and jumps: dynamics and integrands must be differentiable where the trajectory runs.
 
-Where a flight crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
-:math:`\partial g/\partial x`, so that H is continuous (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section
-3.7): between two phases that meet there, linkages and the condition g = 0 bring that multiple along. Inside of a phase
-neither the program nor the conditions here know of it. Along a flight that rests on a kink, gradients are any out of a
-set, of which one is taken.
+Where a trajectory crosses a surface :math:`g(x) = 0` at which they jump, the costate jumps by a multiple of
+:math:`\partial g/\partial x` (A. E. Bryson & Y.-C. Ho, Applied Optimal Control, 1975, section 3.7). Between two phases
+linkages and the condition g = 0 contain that multiple; inside of a phase nothing does.
 """
 
 from __future__ import annotations

@@ -1,35 +1,20 @@
-r"""Costs that cannot be less: what they are made of is as small as it can be.
+r"""Certificates: convexity, attained lower bound and uniqueness. They settle inconclusive conditions and fail nothing.
 
-A sum of squares is not negative. With the least value of every integrand, times the duration, and of the cost of these
-and of the ends, for states and controls within their bounds, interval arithmetic (module `ranges`) bounds the cost from
-below. A flight that reaches that bound is a global minimum, whatever its costates say: they vanish there,
-:math:`\partial L/\partial x = 0` as well, and what is left of them is rounding. It may be one of many.
+**Convex problems.** With fixed times, dynamics, path constraints and end conditions that are affine in states, controls
+and parameters, and a convex cost, every extremal is a global minimum (O. L. Mangasarian, SIAM J. Control 4, 1966).
 
-Whether a convex problem has one solution only.
+**Least cost.** Interval arithmetic on integrands and end costs bounds the cost from below. A trajectory that reaches
+the bound is a global minimum; its costates vanish, up to rounding.
 
-Let :math:`\delta = (\delta x, \delta u)` be the difference of two solutions of a convex problem (module `convex`). All
-mixtures of the two are solutions as well, so that the cost is constant along them: where its integrands are quadratic
-with Hessian H, :math:`H \delta = 0` at almost all times. With :math:`\dot{\delta x} = A \delta x + B \delta u` and
-:math:`\delta x = 0` at the start, :math:`\delta` is an input and a state of a linear system with the output
-:math:`H \delta`. If that system is left invertible, no input but zero has the output zero, and the two are the same.
-For constant A, B, H it is if the pencil
+**Uniqueness.** The difference :math:`\delta` of two solutions of a convex problem satisfies :math:`H \delta = 0` with
+the Hessian H of the integrands, and :math:`\dot{\delta x} = A \delta x + B \delta u`, :math:`\delta x(t_0) = 0`. It
+vanishes if this system is left invertible: for constant A, B, H, if the pencil
 
 .. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
 
-has full column rank for some s (H. L. Trentelman, A. A. Stoorvogel & M. Hautus, Control Theory for Linear Systems,
-2001, section 8.2). A phase starts from :math:`\delta x = 0` if its initial states are given, or if end conditions lead
-over to them from phases of which there is one solution only.
-
-A control on its bound whose switching function vanishes at isolated times only is the same in all solutions: the first
-order already costs what differs from it, :math:`\int |\partial H/\partial u_i|\,|\delta u_i|\,dt`. Its column of B
-falls out, and with all of them the phase has one solution whatever A is.
-
-Convex problems: their first-order conditions suffice for a global minimum.
-
-With fixed times, dynamics, path constraints and end conditions that are affine in states, controls and
-parameters, and a convex cost, every extremal is a global minimum (O. L. Mangasarian, Sufficient conditions for the
-optimal control of nonlinear systems, SIAM J. Control 4, 1966, 139-152). Nothing curves downwards then, although
-the program on a mesh whose boundaries move is not convex.
+has full column rank for some s (Trentelman, Stoorvogel & Hautus, Control Theory for Linear Systems, 2001, section 8.2).
+A control on its bound whose switching function vanishes at isolated times only is the same in all solutions, and its
+column falls out.
 """
 
 from __future__ import annotations
@@ -60,10 +45,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING
-
-_FULL_RANK_MIN_SINGULAR_VALUE = 1e-9
-"""Least singular value of matrices of full rank, rows and columns scaled to one."""
+from gnc_opt.tolerances import AT_LIMIT, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
 """A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
@@ -129,11 +111,7 @@ def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
 
 
 def determined_by_slope(s: PhaseSamples) -> Mask:
-    """Which controls are on their bounds all along, with switching functions that vanish for
-    `AVERAGING_SHARE_OF_PHASE` at most (m,).
-
-    A zero of any order at one time is no longer; one that lasts leaves a control open there.
-    """
+    """Which controls are on bounds all along, their switching functions zero for a moment at most (m,)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
     opens = lasting_longer(s.times, ~(worth > GRAZES), AVERAGING_SHARE_OF_PHASE)
@@ -170,7 +148,7 @@ def _full_column_rank(matrix: Array) -> bool:
         matrix = matrix / np.where(sizes > 0, sizes, 1.0)
     if matrix.shape[0] < matrix.shape[1]:
         return False
-    return bool(scipy.linalg.svdvals(matrix)[-1] > _FULL_RANK_MIN_SINGULAR_VALUE)
+    return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
 
 
 def _numbers(expression: Any) -> Array | None:
@@ -259,9 +237,6 @@ def reaches_least_cost(
 ) -> bool:
     """Whether the cost is at its least possible value but for rounding, and so are its costates.
 
-    Where the first derivatives of a cost with second derivatives are within the share ``tolerance`` of what it amounts
-    to, the cost is within the square of that.
-
     Parameters
     ----------
     solution : Solution
@@ -269,20 +244,19 @@ def reaches_least_cost(
     cost : float
         As the problem states it.
     amount : float
-        What the cost amounts to (module `magnitude`).
+        Scale of the cost (`Magnitudes`).
+    tolerance : float
+        Largest first derivative in shares of that scale; the cost is then within its square.
     """
     problem = solution.need_problem("verify")
     above = problem.sense * cost - least_cost(problem)
-    worths = [np.max(np.abs(s.lam_polynomial) * s.state_scale[:, None], initial=0.0) for s in samples]
+    worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
     return bool(near and np.all(_above_least(solution) <= tolerance**2))
 
 
 def _above_least(solution: Solution) -> Array:
-    """Return how far each term of the cost is above its least value, in shares of what it amounts to.
-
-    Each is a boundary constraint of a problem of its own, which the verdict's yardsticks are taken of.
-    """
+    """Return how far each term of the cost is above its least value, in shares of its scale."""
     problem = solution.need_problem("verify").clone()
     terms = list(_addends(problem.sense * problem.cost))
     for leg in problem.phases.values():

@@ -1,8 +1,7 @@
 """Second order of switching times: no shift of the jumps of controls lowers the cost.
 
-Where the second-order theory has every switch as an unknown of its own, that decides (module `bang_bang_second_order`).
-Elsewhere, at boundaries of phases and where switches coincide, the trajectory is integrated with shifted jumps (module
-`shifted_trajectory`).
+Where every switch is an unknown of its own, the module `bang_bang_second_order` decides. Elsewhere, at boundaries of
+phases and where switches coincide, the trajectory is integrated with shifted jumps (module `shifted_trajectory`).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.trajectory_fit import VISIBLE
 from gnc_opt.planning.problem.functions import EndGradients
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -25,11 +25,6 @@ from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, TINY
 MOST_TOGETHER = 8
 """Jumps whose shifts are combined, at most."""
 
-VISIBLE = 1e-3
-"""Least jump of a control, in shares of its largest change."""
-
-LIMIT_SHARE = 1e-6
-"""Effect of a limit on the cost, in shares of its scale, below which its multiplier is rounding."""
 
 _MEANING = (
     "Shifts of switching times that keep the end conditions must not lower the cost to second order (value: fall at "
@@ -77,7 +72,7 @@ def _is_limited(s: PhaseSamples, scales: Scales) -> bool:
     if np.any(at_states[:, 1:-1]) or np.any(at_paths[:, 1:-1]):
         return True
     pushes = np.max(np.abs(s.mu[~pure]), axis=1, initial=0.0) * s.path_scale[~pure]
-    return bool(np.max(pushes, initial=0.0) * s.span > LIMIT_SHARE * scales.cost)
+    return bool(np.max(pushes, initial=0.0) * s.span > AT_LIMIT * scales.cost)
 
 
 def worst_fall(

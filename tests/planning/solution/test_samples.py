@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
-from testing.internals import Interval, free, propagate
+from testing.internals import free, propagate
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -17,13 +16,12 @@ from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.solution import quality as limits
 from gnc_opt.planning.solution.quality import (
     Limits,
-    Violations,
-    path_violations,
     violations,
     worst_defect,
+    worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import EDGE, EXTRA, EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import EDGE, EXTRA, PhaseSamples, sampling_rule
 
 CART = cart()
 
@@ -57,17 +55,6 @@ def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
     assert right.weights @ right.times**9 == pytest.approx(0.1, rel=1e-13)
 
 
-def test_edges_have_their_own_costates_and_violations(right: PhaseSamples) -> None:
-    here = right.segments == 1
-    anew = EdgeSegment(1, np.full((2, int(here.sum())), 7.0), np.array([0.25, 0.5]))
-    edged = replace(right, edges=(anew,))
-    assert np.all(edged.lam[:, here] == 7.0)
-    assert np.array_equal(edged.lam[:, ~here], right.lam_polynomial[:, ~here])
-    assert np.array_equal(edged.lam_polynomial, right.lam_polynomial)
-    assert edged.adjoint_residual[:, 1].tolist() == [0.25, 0.5]
-    assert edged.adjoint_residual[:, 0] == pytest.approx(0.0, abs=1e-12)
-
-
 # --- derivatives and multipliers along the phase ----------------------------------------------------------
 
 
@@ -80,20 +67,6 @@ def test_hamiltonian_and_its_derivatives(right: PhaseSamples) -> None:
     assert with_mu.mu == pytest.approx(np.vstack([2 + 0 * with_mu.times, 3 + with_mu.times]))
     assert with_mu.control_gradient[0] == pytest.approx(2.0)
     assert samples(CART, states=lambda t, k: [t, 2 * t]).state_multiplier[1] == pytest.approx(2 * right.times)
-
-
-def test_adjoint_residual_is_the_integral_of_what_is_missing() -> None:
-    """lam_q' = -1/2 where 0 is right, over half a second; v is 3/2 at most, and 12 m of q the largest worth."""
-    wrong = samples(CART, lam=lambda t, k: [-12 - 0.5 * t, -6 + 12 * t + 0.25 * t**2])
-    worth = wrong.cost_scale
-    assert worth == pytest.approx(12.5)
-    assert wrong.adjoint_residual == pytest.approx(np.array([[0.25, 0.25], [0.0, 0.0]]) / worth, abs=1e-12)
-    pushed = samples(
-        CART,
-        states=lambda t, k: [0.5 + 0 * t, 0 * t],
-        lam=lambda t, k: [-12 - 0.5 * t, -6 + 12 * t + 0.25 * t**2],
-    )
-    assert pushed.adjoint_residual == pytest.approx(0.0, abs=1e-12)
 
 
 # --- yardsticks -------------------------------------------------------------------------------------------
@@ -156,6 +129,32 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
         assert found.value == pytest.approx(0.125 / size) and found.where.startswith("phase leg, segment 1")
     assert worst_defect(samples(CART)).value < 1e-14
     assert worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
+
+
+def test_path_constraints_are_judged_by_the_distance_to_what_they_allow() -> None:
+    """q reaches 1 where 0.9 is allowed; v + a begins at 6, 1 beyond 5, with the gradient (1.5, 6) in scaled v and a."""
+    pure = worst_path_violation(samples(CART, path_bounds=interval([-np.inf, -50.0], [np.inf, 0.9])))
+    assert pure.value == pytest.approx(0.1, rel=1e-6)
+    assert pure.where == "phase leg, t = 1 s, pure = 1 (at most 0.9)"
+    mixed = worst_path_violation(samples(CART, path_bounds=interval([-np.inf, -np.inf], [5.0, np.inf])))
+    assert mixed.value == pytest.approx(1 / np.hypot(1.5, 6.0), rel=1e-6)
+    lower = worst_path_violation(samples(CART, path_bounds=interval([-5.0, -np.inf], [np.inf, np.inf])))
+    assert lower.value == pytest.approx(1 / np.hypot(1.5, 6.0), rel=1e-6)
+    assert lower.where.endswith("mixed = -6 (at least -5)")
+
+
+def test_without_a_gradient_an_excess_counts_by_what_the_value_changes() -> None:
+    """1/4 beyond (q - 1/2)^2 >= 1/4 in the centre at 1/2 s, of values that vary by 1/4."""
+    model = go.Model("line")
+    q, a = model.state("q"), model.control("a")
+    model.ode({q: a})
+    problem = go.Problem("line")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.path("away", (q - 0.5) ** 2, lower=0.25)
+    problem.minimize(leg.integral(a**2))
+    found = samples(problem, lambda t, k: [t], lambda t, k: 1 + 0 * t, lambda t, k: 0 * t, weights=(1.0,))
+    assert worst_path_violation(found).value == pytest.approx(1.0)
 
 
 def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
@@ -280,62 +279,6 @@ def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> 
         )
         assert found.times.size == count
     assert violations(samples(CART), Limits.of(identity, free(2))).times.size == 0
-
-
-# --- distances --------------------------------------------------------------------------------------------
-
-
-def beyond(excess: float, bounds: Interval, row: int = 0) -> Violations:
-    side = 1.0
-    chosen = Limits(identity, np.array([row]), np.array([side]), bounds.upper[[row]])
-    return Violations(chosen, np.zeros(1), np.array([excess]), np.zeros((2, 1)), np.zeros((1, 1)))
-
-
-def circle(sense: float, radius: float, at: float = 0.0) -> tuple[go.Problem, Any]:
-    """A path constraint on (q - at)^2 + v^2, with the states along the line v = 0."""
-    model = go.Model("plane")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
-    square = (q - at) ** 2 + v**2
-    leg.path("circle", square, **({"upper": radius**2} if sense > 0 else {"lower": radius**2}))
-    problem.minimize(leg.integral(a**2))
-    return problem, leg
-
-
-@pytest.mark.parametrize(
-    ("sense", "radius", "where", "depth"), [(1, 0.5, 1.0, 0.5), (-1, 0.5, 0.2, 0.3), (-1, 0.5, -0.1, 0.4)]
-)
-def test_depth_beyond_a_circle_is_the_distance_to_it(
-    sense: float, radius: float, where: float, depth: float
-) -> None:
-    problem, leg = circle(sense, radius)
-    found = samples(problem, lambda t, k: [1.0 + 0 * t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
-    chosen = Limits.of(found.functions.paths, leg.path_interval())
-    point = Violations(
-        chosen,
-        np.array([0.5]),
-        np.array([sense * (where**2 - radius**2)]),
-        np.array([[where], [0.0]]),
-        np.zeros((1, 1)),
-    )
-    assert path_violations(point, found) == pytest.approx([depth], rel=1e-6)
-
-
-def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> None:
-    problem, leg = circle(-1, 0.5)
-    found = samples(problem, lambda t, k: [1.0 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
-    centre = Violations(
-        Limits.of(found.functions.paths, leg.path_interval()),
-        np.array([0.5]), np.array([0.25]), np.zeros((2, 1)), np.zeros((1, 1)),
-    )  # fmt: skip
-    assert path_violations(centre, found) == pytest.approx([0.5 / 1.0], rel=1e-6)
-    lost = Violations(
-        centre.limits, centre.times, np.array([np.inf]), np.full((2, 1), np.nan), np.zeros((1, 1))
-    )
-    assert path_violations(lost, found).tolist() == [np.inf]
 
 
 # --- signals of a phase -----------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-import scipy
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.given_scales import given_scales
@@ -19,8 +18,6 @@ from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
-    _responses,
-    _without_pushes,
     jumps_explained,
     pushed_beside,
 )
@@ -250,26 +247,6 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
     np.testing.assert_allclose(jumps_explained(s)[0][:, 0], [left, 0.0], atol=1e-9)
-
-
-def test_costates_without_pushes_and_what_pushes_add() -> None:
-    """lambda' = -A^T lambda from the start of the second segment; a push in between starts another such flow."""
-    s = limited(state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]))
-    here = np.flatnonzero(s.segments == 1)
-    costates, fundamental = _without_pushes(s, 1, here)
-    a = np.array([[0.2, 1.0], [-0.5, 0.4]])
-    times = s.times[here]
-    exact = np.stack([scipy.linalg.expm(-a.T * (t - 0.5)) for t in times], axis=2)
-    np.testing.assert_allclose(fundamental, exact, atol=1e-8)
-    np.testing.assert_allclose(costates, np.einsum("abt,b->at", exact, [2.5, 2.0]), atol=1e-8)
-    pushers = StateConstraintSides.at(s, times, s.x[:, here], s.u[:, here])
-    responses = _responses(pushers, fundamental)
-    assert responses.shape == (2, times.size, times.size - 1)  # x_0 is beyond its limit from 0.5 s on
-    j = 4
-    at = [np.linalg.solve(exact[:, :, k], [1.0, 0.0]) for k in (j, j + 1)]
-    expected = -np.einsum("abt,b->at", exact, 0.5 * (at[0] + at[1]))
-    expected[:, : j + 1] = 0.0
-    np.testing.assert_allclose(responses[:, :, j], expected, atol=1e-8)
 
 
 # --- the induced problem ----------------------------------------------------------------------------------

@@ -15,15 +15,11 @@ from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.accessory import fine_times
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import (
-    bang_bang_second_order as second_order,
-)
-from gnc_opt.planning.verification import (
     reduced_hessian,
 )
 from gnc_opt.planning.verification import (
     singular_arcs as singular,
 )
-from gnc_opt.planning.verification.bang_bang_second_order import SecondOrder
 from gnc_opt.planning.verification.reduced_hessian import Curvature
 from gnc_opt.planning.verification.singular_arcs import SingularArc
 
@@ -60,109 +56,6 @@ def test_which_singular_arc_counts(
         condition = singular.generalised_legendre_clebsch(given, 1e-5)
         assert (condition.result, condition.where, condition.tolerance) == (result, where, -1e-5)
         assert condition.value == pytest.approx(value) and condition.sufficient
-
-
-# --- the induced problem ----------------------------------------------------------------------------------
-
-
-def found(least: float, error: float = 1e-8, attained: bool = True, **changes: Any) -> SecondOrder:
-    return replace(SecondOrder(1e-7, 1e-9, "here", least, error, 2, attained), **changes)
-
-
-@pytest.mark.parametrize(
-    ("least", "attained", "result"),
-    [
-        (2e-8, True, PASS),
-        (5e-9, True, UNTOLD),
-        (-5e-9, True, UNTOLD),
-        (-2e-8, True, FAIL),
-        (-2e-8, False, UNTOLD),
-    ],
-)
-def test_result_of_one_order(least: float, attained: bool, result: ConditionResult) -> None:
-    assert found(least, attained=attained).result is result
-
-
-def of_orders(monkeypatch: pytest.MonkeyPatch, *orders: SecondOrder) -> list[go.Condition]:
-    """The conditions for what is found for each order of the switches of phase "leg"."""
-    left = iter(orders)
-    switches = SimpleNamespace(n_orders=len(orders), orders=lambda: iter([()] * len(orders)))
-    monkeypatch.setattr(second_order, "obstacle", lambda samples: "")
-    monkeypatch.setattr(second_order, "Switches", SimpleNamespace(of=lambda s: switches))
-    monkeypatch.setattr(second_order, "Unknowns", SimpleNamespace(of=lambda *given: None))
-    monkeypatch.setattr(second_order, "_judge", lambda *given: next(left))
-    samples: Any = [SimpleNamespace(leg=SimpleNamespace(name="leg"))]
-    nothing: Any = None
-    return second_order.second_order(nothing, samples, nothing, 1e-6)
-
-
-@pytest.mark.parametrize(
-    ("violation", "error", "result"),
-    [
-        (9e-7, 1e-9, PASS),
-        (1e-6, 0.0, PASS),
-        (1.05e-6, 1e-7, UNTOLD),
-        (1.2e-6, 1e-7, FAIL),
-        (np.nan, 1e-7, FAIL),
-    ],
-)
-def test_gradient_within_its_tolerance_and_error(
-    monkeypatch: pytest.MonkeyPatch, violation: float, error: float, result: ConditionResult
-) -> None:
-    """The worst of all orders counts."""
-    other, off = found(1.0), found(1.0, violation=violation, violation_error=error, where="there")
-    for orders in ((other, off), (off, other)):
-        gradient, second = of_orders(monkeypatch, *orders)
-        assert (gradient.name, gradient.result, gradient.where) == ("induced gradient", result, "there")
-        np.testing.assert_equal(gradient.value, violation)
-        assert gradient.tolerance == 1e-6 and gradient.sufficient and second.result is PASS
-
-
-@pytest.mark.parametrize(
-    ("orders", "result", "value", "tolerance", "where"),
-    [
-        ([found(0.5)], PASS, -0.5, -1e-8, "2 degrees of freedom"),
-        (
-            [found(0.5), found(0.3)],
-            PASS,
-            -0.3,
-            -1e-8,
-            "2 degrees of freedom, 2 orders of simultaneous switches",
-        ),
-        ([found(-9.0, attained=False), found(-0.3)], FAIL, 0.3, -1e-8, "2 orders of simultaneous switches"),
-        ([found(0.5, 0.49), found(0.3)], PASS, -0.5, -0.49, "2 orders of simultaneous switches"),
-        (
-            [found(-9.0, attained=False)],
-            UNTOLD,
-            9.0,
-            -1e-8,
-            "freedom: negative, but beyond one-sided conditions",
-        ),
-        ([found(5e-9)], UNTOLD, -5e-9, -1e-8, "freedom: no curvature beyond its error"),
-        ([found(np.inf, 0.0, freedom=0)], PASS, 0.0, 0.0, "nothing is left to vary"),
-    ],
-)
-def test_curvature_of_the_worst_order(
-    monkeypatch: pytest.MonkeyPatch,
-    orders: list[SecondOrder],
-    result: ConditionResult,
-    value: float,
-    tolerance: float,
-    where: str,
-) -> None:
-    for given in (orders, orders[::-1]):
-        second = of_orders(monkeypatch, *given)[1]
-        assert (second.name, second.result, second.sufficient) == ("second order", result, True)
-        assert (second.value, second.tolerance) == pytest.approx((value, tolerance))
-        assert second.where.startswith("phase leg: ") and second.where.endswith(where)
-
-
-def test_too_many_orders_are_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert len(of_orders(monkeypatch, *[found(1.0)] * 120)) == 2
-    (condition,) = of_orders(monkeypatch, *[found(1.0)] * 121)
-    assert condition.name == "second order" and condition.result is UNTOLD and condition.sufficient
-    assert condition.where.startswith("more than 120 orders") and condition.tolerance == 0.0
-    assert np.isnan(condition.value) and condition.meaning.startswith("The Hessian")
 
 
 # --- on the mesh ------------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoin
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.verification.bang_bang_second_order import _explained, _extrapolated, _null_space
 from gnc_opt.planning.verification.critical_cone import CriticalCone
-from gnc_opt.planning.verification.normality import _least_dependent, _may_push, normality
 from gnc_opt.planning.verification.reduced_hessian import least_curvature
 
 Array = NDArray[np.float64]
@@ -109,18 +108,6 @@ def test_lanczos_takes_no_more_steps_than_it_is_told_and_than_settle_the_ends() 
     spread = np.concatenate([[-5.0], np.linspace(0.0, 1.0, 200), [4.0]])
     values = lanczos(lambda v: spread * v, np.ones(202), 100)[0]
     assert values[[0, -1]] == pytest.approx([-5.0, 4.0], abs=1e-6) and values.size in (10, 20, 30)
-
-
-def test_least_dependent_rows() -> None:
-    """Rows of sizes 1, 10, 0.1, two of which are parallel but for 1e-3: y combines those two."""
-    first, other = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, 0.0])
-    nearly = 10.0 * np.array([1.0, 1e-3, 0.0, 0.0])
-    jacobian = np.vstack([first, nearly, 0.1 * other])
-    y, size = _least_dependent(space_of(jacobian, np.ones(4), np.arange(4), 4))
-    values = np.linalg.svd(jacobian.T)
-    np.testing.assert_allclose(np.abs(y), np.abs(values[2][-1]), atol=1e-6)
-    assert size == pytest.approx(values[1][-1], rel=1e-3)
-    assert size == pytest.approx(float(np.linalg.norm(jacobian.T @ y)), rel=1e-6)
 
 
 # --- the induced problem's ------------------------------------------------------------------------------------
@@ -321,47 +308,3 @@ def test_what_is_held_and_what_may_leave_to_one_side() -> None:
     point.x = np.array([1.0, 0.0, 1.0, 9e-7, 2.0])
     nearer = CriticalCone.of(point)  # to the upper limit
     assert nearer.weak[3] and nearer.admits(outwards, []) and not nearer.admits(inwards, [])
-
-
-def test_multipliers_that_push_inwards(metric: Array) -> None:
-    """g = z1 - z2 with z1 at its lower and z2 at its upper limit: y > 0 would have to pull at both."""
-    jacobian = np.array([[0.0, 1.0, -1.0, 0.0, 0.0]])
-    point = program(jacobian, np.eye(5), [-9, 0, -9, -9, -9], [9, 9, 1, 9, 9], np.array([0, 0, 1.0, 0, 0]))
-    cone = CriticalCone(point, np.array([False, True, True, False, False, True]), np.zeros(6, dtype=bool))
-    assert _may_push(cone, np.array([1.0])) and not _may_push(cone, np.array([-1.0]))
-
-
-@pytest.mark.parametrize(
-    ("slope", "bend", "result"), [(1e-6, 1.0, "FAIL"), (1.0, 1.0, "PASS"), (1e-6, 0.0, "PASS")]
-)
-def test_constraints_whose_second_order_outweighs_their_first(
-    metric: Array, slope: float, bend: float, result: str
-) -> None:
-    """g = slope z0 + bend (z1^2 + z2^2 / 2) / 2 takes over from slope / bend on, beside a harmless row on z4."""
-    jacobian = np.array([[0.0, 0.0, 0.0, 0.0, 1.0], [slope, 0.0, 0.0, 0.0, 0.0]])
-    curves = (np.zeros((5, 5)), np.diag([0.0, bend, 0.5 * bend, 0.0, 0.0]))
-    point = program(jacobian, np.eye(5), np.full(5, -9.0), np.full(5, 9.0), np.zeros(5), curves)
-    cone = CriticalCone(point, np.array([False] * 5 + [True] * 2), np.zeros(7, dtype=bool))
-    condition = normality(cone)
-    assert condition.result.name == result
-    root = 1 / np.sqrt(metric)
-    size = np.hypot(bend * root[1] ** 2, 0.5 * bend * root[2] ** 2)  # of the row alone, its whole Hessian
-    assert condition.value == pytest.approx(size / slope, rel=1e-4)
-    assert condition.where == "row 1" or slope == 1.0
-
-
-@pytest.mark.parametrize("bend", [1.0, -1.0, 0.0])
-@pytest.mark.parametrize("apart", [1e-6, 1e-2])
-def test_constraints_that_depend_on_each_other_but_curve_differently(
-    metric: Array, bend: float, apart: float
-) -> None:
-    """z0 + bend z1^2 / 2 and z0 + apart z3, less each other: of first order apart z3, of second bend z1^2 / 2."""
-    jacobian = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, apart, 0.0]])
-    curves = (np.diag([0.0, bend, 0.0, 0.0, 0.0]), np.zeros((5, 5)))
-    point = program(jacobian, np.eye(5), np.full(5, -9.0), np.full(5, 9.0), np.zeros(5), curves)
-    cone = CriticalCone(point, np.array([False] * 5 + [True] * 2), np.zeros(7, dtype=bool))
-    condition = normality(cone)
-    root = 1 / np.sqrt(metric)
-    assert condition.value == pytest.approx(abs(bend) * root[1] ** 2 / (apart * root[3]), rel=1e-3)
-    assert condition.result.name == ("FAIL" if bend and apart < 1e-4 else "PASS")
-    assert condition.tolerance == 1e4 and not condition.sufficient

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
-import scipy
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.internals import (
     Interval,
-    PhaseSamples,
     Samples,
     StateConstraintSides,
     estimate,
     fit,
-    settle_edges,
     transcribe,
 )
 
 import gnc_opt as go
-from gnc_opt.planning.optimality import costate_jumps as pushes
-from gnc_opt.planning.optimality.costate_jumps import (
-    _integrate_anew,
-    _reached_or_left,
-    _responses,
-    _without_pushes,
-    path_gradients,
-)
-from gnc_opt.planning.solution.samples import EdgeSegment
+from gnc_opt.planning.optimality.costate_jumps import path_gradients
 from gnc_opt.tolerances import ACTIVE
 
 Array = NDArray[np.float64]
@@ -53,57 +40,6 @@ def linear(paths: bool = False) -> go.Problem:
         leg.path("pure", ca.dot(ca.DM(PURE), x) + x[0] * x[1], upper=100.0)
     problem.minimize(leg.integral(ca.dot(ca.DM(LEVEL), x)))
     return problem
-
-
-def costate(t: Array, start: Array, begin: float = 0.5, push: float = 0.0, at: float = 0.0) -> Array:
-    """lam' = -A^T lam - LEVEL from ``begin``, with lam_0 less by ``push`` from ``at`` on."""
-    rest = np.linalg.solve(MATRIX.T, -LEVEL)
-    flow = np.stack([scipy.linalg.expm(-MATRIX.T * (s - begin)) @ (start - rest) + rest for s in t], axis=1)
-    kick = np.stack([scipy.linalg.expm(-MATRIX.T * (s - at)) @ [push, 0.0] * (s > at) for s in t], axis=1)
-    return np.asarray(flow - kick)
-
-
-START = np.array([2.5, 2.0])
-
-
-def flown(
-    push: float = 0.0, at: float = 0.0, pushing: Any = None, upper: float = 1.5, **changes: Any
-) -> PhaseSamples:
-    """x = (1 + t, 2 - t^2) over 2 s that part at 0.5 s; x_0 is at or beyond its limit of 1.5 from there on."""
-    return by_hand.samples(
-        linear(),
-        lambda t, k: np.array([1 + t, 2 - t**2]),
-        lambda t, k: np.array([-0.3 + 0 * t]),
-        lambda t, k: costate(t, START, push=push * k, at=at),
-        weights=(1.0,),
-        states=pushing,
-        **(
-            {
-                "breaks": (0.0, 0.5, 2.0),
-                "degree": 6,
-                "state_bounds": by_hand.interval([-99.0, -99.0], [upper, 99.0]),
-                "control_bounds": by_hand.interval(-0.3, 9.0),
-            }
-            | changes
-        ),
-    )
-
-
-def test_costates_without_pushes_follow_cost_and_dynamics() -> None:
-    """From the start of the second segment to its end; the last one by quadrature of the rates."""
-    s = flown()
-    here = np.flatnonzero(s.segments == 1)
-    free, _ = _without_pushes(s, 1, here)
-    np.testing.assert_allclose(free, costate(s.times[here], s.lam[:, here[0]]), rtol=1e-9)
-
-
-def test_no_active_limit_responds_to_nothing() -> None:
-    s = flown(upper=99.0)
-    here = np.flatnonzero(s.segments == 1)
-    _, fundamental = _without_pushes(s, 1, here)
-    pushers = StateConstraintSides.at(s, s.times[here], s.x[:, here], s.u[:, here])
-    assert _responses(pushers, fundamental).shape == (2, here.size, 0)
-    assert _integrate_anew(s, 1, 1e-6) is None
 
 
 def test_gradients_and_sides_of_paths() -> None:
@@ -132,105 +68,6 @@ def test_gradients_and_sides_of_paths() -> None:
     assert pushers.active.shape == (6, 2)
     np.testing.assert_array_equal(pushers.active[5], [True, False])
     assert not np.any(pushers.active[:5])
-
-
-@pytest.mark.parametrize(
-    ("pattern", "found"),
-    [
-        ([0, 0, 0, 0, 0, 1], True),
-        ([1, 1, 0, 0, 0, 0], True),
-        ([1, 1, 1, 1, 1, 1], False),
-        ([0, 0, 0, 0, 0, 0], False),
-        ([1, 1, 1, 1, 1, 2e-3], False),
-        ([1, 1, 1, 1, 1, 5e-4], True),
-        ([-1, -1, 0, -1, -1, -1], True),
-    ],
-)
-def test_segments_in_which_a_limit_is_reached_or_left(pattern: list[float], found: bool) -> None:
-    """Some but not all points push, by a thousandth of the largest at least; another state pushes throughout."""
-    s = flown()
-    for row in (0, 1):
-        z = np.zeros((2, 12))
-        z[row, 6:], z[1 - row] = np.array(pattern) * 7.0, 3.0
-        pushed = flown(state_multipliers=z)
-        assert _reached_or_left(pushed).tolist() == [False, found]
-    assert not np.any(_reached_or_left(s))
-
-
-@pytest.mark.parametrize(("push", "legitimate"), [(0.8, True), (-0.8, False)])
-def test_a_jump_within_a_segment_is_followed_where_the_limit_pushes_outwards(
-    push: float, legitimate: bool
-) -> None:
-    """At the upper limit lam_0 falls: integrated anew, the costate ends where the other one does.
-
-    What leads away from the limit is no push of it.
-    """
-    s = flown(push, 1.2)
-    here = np.flatnonzero(s.segments == 1)
-    edge = _integrate_anew(s, 1, 1e-6)
-    if not legitimate:
-        assert edge is None or np.max(edge.violation) > 0.1
-        return
-    assert edge is not None and edge.segment == 1
-    np.testing.assert_allclose(edge.costates[:, 0], s.lam[:, here[0]], atol=1e-12)
-    np.testing.assert_allclose(edge.costates[:, -1], s.lam[:, here[-1]], atol=1e-2)
-    worth = s.state_scale / s.cost_scale
-    np.testing.assert_allclose(edge.violation, np.abs(edge.costates[:, -1] - s.lam[:, here[-1]]) * worth)
-    # Between the samples one by one the costate follows its equation, or falls by a push along x_0.
-    t = s.times[here]
-    for j in range(t.size - 1):
-        flow = costate(t[j + 1 : j + 2], edge.costates[:, j], begin=t[j])[:, 0]
-        fall = np.linalg.solve(
-            scipy.linalg.expm(-MATRIX.T * (t[j + 1] - t[j]) / 2), edge.costates[:, j + 1] - flow
-        )
-        assert fall[0] <= 1e-9 and abs(fall[1]) <= 0.05 * abs(fall[0]) + 1e-6
-
-
-def test_costates_that_no_push_explains_are_left_alone() -> None:
-    """Farther off than a polynomial through a jump would be."""
-    s = by_hand.samples(
-        linear(),
-        lambda t, k: np.array([1 + t, 2 - t**2]),
-        lambda t, k: np.array([-0.3 + 0 * t]),
-        lambda t, k: costate(t, START) + k * np.array([np.sin(np.pi * (t - 0.5) / 1.5), 3 * np.sin(t - 0.5)]),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
-        degree=6,
-        state_bounds=by_hand.interval([-99.0, -99.0], [1.5, 99.0]),
-        control_bounds=by_hand.interval(-0.3, 9.0),
-    )
-    assert _integrate_anew(s, 1, 1e-6) is None
-
-
-def test_edges_are_settled_where_a_limit_is_reached_and_the_residual_is_too_large(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The first of three segments is offended but not reached, the second is both, the third is reached only."""
-    s = flown(breaks=(0.0, 0.5, 1.0, 2.0))
-    residual = np.array([[5.0, 0.0, 0.0], [0.0, 2e-6, 0.9e-6]])
-    monkeypatch.setattr(PhaseSamples, "adjoint_residual", property(lambda self: residual))
-    monkeypatch.setattr(pushes, "_reached_or_left", lambda s: np.array([False, True, True]))
-    asked = []
-
-    def anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | None:
-        asked.append((k, tolerance))
-        return EdgeSegment(k, np.zeros((2, 1)), np.zeros(2)) if explained else None
-
-    monkeypatch.setattr(pushes, "_integrate_anew", anew)
-    for explained in (True, False):
-        settled = settle_edges(s, 1e-6)
-        assert [e.segment for e in settled.edges] == ([1] if explained else [])
-        assert (settled is s) is not explained
-    assert asked == [(1, 1e-6)] * 2
-
-
-def test_a_control_between_its_bounds_has_a_say_in_the_measure() -> None:
-    """H_u = lam_1 where u is free: a push that would move lam_1 away from zero is not taken, at a bound it is."""
-    s = flown(0.8, 1.2)
-    inside = flown(0.8, 1.2, control_bounds=by_hand.interval(-9.0, 9.0))
-    bound, free = _integrate_anew(s, 1, 1e-6), _integrate_anew(inside, 1, 1e-6)
-    assert bound is not None and np.max(bound.violation) < 1e-2
-    assert free is None or np.max(free.violation) > np.max(bound.violation)
 
 
 # --- multipliers of a trajectory without any --------------------------------------------------------------
@@ -285,20 +122,6 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate(transcription, problem, fitted, np.zeros(0))
     assert found.lam_g[transcription.constraint_rows] == [0.0]
-
-
-def test_missing_costates_are_not_integrated_anew() -> None:
-    assert _integrate_anew(flown(), 1, 1e-6) is not None
-    gone = by_hand.samples(
-        linear(),
-        lambda t, k: np.array([1 + t, 2 - t**2]),
-        lambda t, k: np.array([-0.3 + 0 * t]),
-        lambda t, k: np.where(k == 1, np.nan, 1.0) + np.zeros((2, t.size)),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
-        state_bounds=by_hand.interval([-99.0, -99.0], [1.5, 99.0]),
-    )
-    assert _integrate_anew(gone, 1, 1e-6) is None
 
 
 def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:

@@ -200,7 +200,7 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 def of_switch_times(solution: go.Solution) -> go.Condition:
     judged = from_problem(solution)
-    return second_order(judged, list(judged.samples().values()), ends_of(judged), 1e-5)[-1]
+    return second_order(judged, list(judged.samples().values()), ends_of(judged))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

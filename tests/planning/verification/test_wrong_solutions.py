@@ -34,7 +34,7 @@ from testing.wrong_solutions import (
 )
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import jumps_explained, settle_edges
+from gnc_opt.planning.optimality.costate_jumps import jumps_explained
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.propagation import propagate
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -203,23 +203,15 @@ EDGES = (0.299, 0.3002, 0.6998, 0.701)
 
 
 def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
-    """Polynomials cannot follow the jump at 0.3 s within (0.299, 0.3002) s; an atom at the limit explains it."""
-    solution = ceiling(breaks=EDGES, degree=12)
-    polynomials = samples_of(solution)
-    settled = settle_edges(polynomials, 1e-5)
-    assert {edge.segment for edge in settled.edges} == {1, 3}
-    here = settled.segments == 1
-    assert settled.lam[Q, here][0] == pytest.approx(200 / 9, rel=2e-3)
-    assert settled.lam[Q, here][-1] == pytest.approx(0.0, abs=0.05)
-    assert np.all(np.diff(settled.lam[Q, here]) < 1e-9)  # an upper limit pushes one way only
-    verdict = go.verify(solution)
+    """Polynomials cannot follow the jump at 0.3 s within (0.299, 0.3002) s; a multiplier of the limit explains it."""
+    verdict = go.verify(ceiling(breaks=EDGES, degree=12))
     assert verdict.minimum, verdict.explain()
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1e3])
 @pytest.mark.parametrize("unit", [1.0, 0.02, -50.0])
 def test_limit_reached_within_a_segment_in_other_units(weight: float, unit: float) -> None:
-    """The atom that explains the jump is found whatever the cost and the state are measured in."""
+    """The jump is explained whatever the units of the cost and the state."""
     model = go.Model("double integrator")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v * unit, v: a})
@@ -232,13 +224,8 @@ def test_limit_reached_within_a_segment_in_other_units(weight: float, unit: floa
     problem.minimize(0.5 * weight * leg.integral(a**2))
     mesh = go.Mesh((0.0, *EDGES, 1.0), (10,) * 5)
     solution = go.solve(problem, mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
-    polynomials = samples_of(solution)
-    settled = settle_edges(polynomials, 1e-5)
-    assert np.max(polynomials.adjoint_residual) > 5e-5
-    assert {edge.segment for edge in settled.edges} == {1, 3}
-    start = settled.lam[Q, settled.segments == 1][0]
-    assert start == pytest.approx(200 / 9 * weight / unit, rel=2e-3)
-    assert np.max(settled.adjoint_residual) < 1e-5
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
 
 
 def test_impulses_push_inwards_where_a_bound_is_only_touched_in_a_segment() -> None:
@@ -284,7 +271,7 @@ def samples_of(solution: go.Solution) -> PhaseSamples:
 
 
 def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
-    """Of those that can fail; 'singular arcs' can only be untold, 'normality' is a matter of the problem."""
+    """Of those that can fail; 'singular arcs' can only be inconclusive."""
     names = {c.name for c in go.verify(bang_bang()).conditions}
     assert names - {"kinks", "switching times"} == {case.condition for case in CASES}
 
