@@ -14,6 +14,7 @@ from testing.internals import (
     ends_of,
     from_problem,
     second_order_parts,
+)
 
 Array = NDArray[np.float64]
 
