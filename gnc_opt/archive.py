@@ -1,8 +1,7 @@
 """Results on disk: one compressed NumPy archive with a JSON header; floats keep every bit, nothing is pickled.
 
 The header holds a tree of JSON values tagged with types, the arrays are entries named by their place in it
-(``phases.leg.lam_start``), so ``numpy.load(path)`` alone can read a file. Only listed classes are created: a file
-from a stranger runs no foreign code.
+(``phases.leg.lam_start``). Only listed classes are created.
 """
 
 from __future__ import annotations
@@ -92,11 +91,8 @@ class Packing:
             return kind(tree["value"])
         return kind(**{key: self.unpack(item, arrays) for key, item in tree["fields"].items()})
 
-    # --- internals ----------------------------------------------------------------------------------------
-
     def _pack_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
         if _pieces(value):
-            # one entry for all segments of a polynomial: thousands of tiny entries would be slow and big
             whole = _put(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [self.pack(item, _join(place, str(i)), arrays) for i, item in enumerate(value)]
@@ -106,7 +102,6 @@ class Packing:
         numbers = {text: i for i, text in enumerate(dict.fromkeys(texts))}
         if len(numbers) == len(trees):
             return trees
-        # the outcomes of a campaign: thousands, and few of them differ
         which = _put(np.array([numbers[text] for text in texts]), place, arrays)
         return {"alike": [json.loads(text) for text in numbers], "which": which}
 
@@ -152,8 +147,7 @@ def _join(place: str, name: str) -> str:
 class FileFormat:
     """How results of one class, the ``kind``, are written to files and read.
 
-    Raise ``version`` whenever a stored class changes its fields; ``alike`` are older ones that lack fields with
-    defaults.
+    Raise ``version`` if a stored class changes its fields; ``alike`` are compatible older versions.
     """
 
     kind: type
@@ -165,8 +159,7 @@ class FileFormat:
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
         """Write a result, and more values by name; return the file written.
 
-        ``.npz`` is appended to a path without suffix. The file is written next to the target, then replaces it: a
-        crash leaves the old one.
+        ``.npz`` is appended to a path without suffix. A crash leaves the old file.
 
         Raises
         ------

@@ -34,7 +34,6 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
                 raise
             known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
             unknown = next(name for name in keywords if name not in known)
-            # Python 3.13 has a suggestion of its own, from 3.10 on for attributes only.
             text = str(error).split(". Did you mean")[0]
             raise TypeError(f"{text}: {did_you_mean(unknown, known)}") from None
 
@@ -42,10 +41,7 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class Strict:
-    """Base of the classes that user scripts access; they list their attributes in ``__slots__``.
-
-    Any other attribute, and an unknown keyword of a method, raises an error with the nearest valid name.
-    """
+    """Base of public classes: an unknown attribute or keyword raises an error with the nearest valid name."""
 
     __slots__ = ()
 

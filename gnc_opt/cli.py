@@ -1,8 +1,4 @@
-"""The command line.
-
-``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``;
-``gnc-opt film FILE``.
-"""
+"""The command line."""
 
 from __future__ import annotations
 

@@ -198,9 +198,6 @@ def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> 
     return ExitCode.CONDITIONS_FAIL
 
 
-# --- output -------------------------------------------------------------------------------------------
-
-
 def _console(args: argparse.Namespace) -> Console:
     """Where people read: standard output, or standard error if that carries JSON."""
     from rich.console import Console

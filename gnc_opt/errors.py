@@ -86,10 +86,7 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
 
 
 def right_symbol(name: str, known: Sequence[str]) -> str:
-    """Say which symbol is meant by one of another model: its namesake here, or `did_you_mean`.
-
-    Components of vectors are symbols called ``r_0``, ``r_1``.
-    """
+    """Say which symbol is meant by one of another model: its namesake here, or `did_you_mean`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:
         return did_you_mean(name, known)

@@ -1,8 +1,7 @@
 """Problem files: any Python file, or package, with ``build(**options) -> Problem``, and those that come with gnc_opt.
 
-Three more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default mesh,
-``figures(solution, directory)`` draws the problem's own figures for a report, and ``VIEW`` (a `gnc_opt.plot.View`) says
-what of the motion a report shows in three dimensions.
+Optional names: ``MESH`` is the default mesh, ``figures(solution, directory)`` draws the problem's own
+figures, and ``VIEW`` (a `gnc_opt.plot.View`) defines the motion in three dimensions of a report.
 """
 
 from __future__ import annotations
@@ -26,15 +25,12 @@ from gnc_opt.errors import GncOptError, did_you_mean, unknown_name
 from gnc_opt.planning.problem.problem import Problem
 
 _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
-"""Possible places of the package ``problems``: inside an installed gnc_opt, or next to it in the repository.
-"""
+"""Possible places of the package ``problems``: installed, or in the repository."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """A problem file in a folder of its trade, or a system in a folder of its own, by ``path``, among all
-    ``problems``.
-    """
+    """A problem file, or a system in a folder of its own, by ``path`` among all ``problems``."""
 
     path: Path
     problems: Path
@@ -186,14 +182,12 @@ class ProblemFile:
 def load_problem_file(path: str | Path) -> ProblemFile:
     """Run a problem file, or import a problem that is a package: a folder with ``__init__.py``.
 
-    A file can import its neighbours: its folder, the folder above and, if it belongs to a package, the folder that
-    contains the package are searched. A package is imported under its own name. A missing ``NAME.py`` stands for
-    the package ``NAME`` in the same folder.
+    A file can import from its folder, the folder above and the folder of its package. A missing ``NAME.py``
+    stands for the package ``NAME``.
 
     Raises
     ------
-    ProblemFileError
-        No such file, not Python, an error while it runs, no ``build`` in it, or a package that another
+        No such file, not Python, an error while it runs, no ``build``, or a package hidden by another module.
         module of the same name hides.
     """
     source = _source(Path(path))
@@ -222,7 +216,6 @@ def _source(path: Path) -> Path:
 def _executed(file: Path) -> ModuleType:
     folder = file.resolve().parent
     _search(_holder(folder), folder.parent, folder)
-    # A prefix, so that a file called numpy.py does not replace numpy.
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
@@ -300,9 +293,7 @@ def _blaming(path: Path, what: str) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Return the error message, with the error's type if it is not from gnc_opt, and the replacement for a
-    rejected expression.
-    """
+    """Return the error message, with its type if not from gnc_opt, and the replacement of an expression."""
     if isinstance(error, GncOptError):
         return str(error)
     message = error.msg if isinstance(error, SyntaxError) else str(error)

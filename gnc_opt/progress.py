@@ -20,8 +20,7 @@ ShowRuns: TypeAlias = Callable[[int, int], None]
 
 @contextmanager
 def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
-    """Show the iterations of a solve; yields ``show(iteration, objective, infeasibility)``, the largest scaled
-    violation.
+    """Show the iterations of a solve; yields ``show(iteration, objective, infeasibility)``.
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
@@ -40,7 +39,6 @@ class _Meter:
         self._begin = time.monotonic()
         self._due = self._begin
         self._line: Text | None = None
-        # No refresh thread: it would compete with the solver for the interpreter.
         self._live = (
             Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         )
@@ -93,11 +91,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
 def search_meter(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
-    """Show how many of ``total`` tasks have ended and the best objective; yields ``show(objective)``, None without
-    one.
-
-    ``sense`` is negative where a larger objective is better.
-    """
+    """Show ended tasks and the best objective; yields ``show(objective)``; negative ``sense``: maximise."""
     with _bar(name, total, console) as advance:
         best: float | None = None
 

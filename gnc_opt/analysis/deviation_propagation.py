@@ -13,12 +13,7 @@ from gnc_opt.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Sources of a loop's deviations: the dispersions, then the blocks that draw random numbers, by name.
-
-    ``spreads`` are the covariances of their parameters, ``numbers`` the places of a block's numbers in those of a
-    step, ``deviations`` (n_dispersed, n_runs) the draws of some runs. The numbers of the first step count among the
-    parameters.
-    """
+    """Sources of deviations, by name: covariances, places of numbers, draws (n_dispersed, n_runs)."""
 
     names: tuple[str, ...]
     spreads: tuple[Array, ...]
@@ -34,9 +29,7 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a column (n,) scatters: derivatives (n, n_parameters), covariances (n, n) due to the numbers of each block
-    since the first step, and linear predictions (n, n_runs) of some runs.
-    """
+    """How a column (n,) scatters: derivatives, covariances by block, linear predictions (n, n_runs)."""
 
     sources: Sources
     by_parameters: Array

@@ -43,7 +43,6 @@ class InnovationTest(Strict):
     band : tuple of two floats
         Interval of that mean at the requested confidence if the filter is consistent.
     taken, refused : int
-        Samples used, and refused by the gate.
 
     Examples
     --------
@@ -70,13 +69,10 @@ class Consistency(Strict, Printed):
     Attributes
     ----------
     nees : array (n_times,) or (m,)
-        Of the predictions at the control steps and the end of a run, or at the ends of the m runs of a
-        campaign; NaN if a run has no such end.
+        Of the predictions of a run, or at the ends of the m runs of a campaign; NaN if a run has no such end.
     average : float
-        Mean of ``nees``.
     band : tuple of two floats
-        Campaign: interval of that mean at the requested confidence if the filter is consistent. Run: interval
-        of each single value; successive values are dependent.
+        Interval at the requested confidence, of that mean (campaign) or of each value (run).
     components : int
         Of the error, the mean to be expected.
     independent : bool
@@ -237,9 +233,7 @@ def _innovations(estimator: Estimator, name: str, ends: Array, confidence: float
 
 
 def _band(components: int, values: int, confidence: float, gate: float | None = None) -> Band:
-    """Return the interval of the mean of independent chi-square values (behind a gate), with a confidence,
-    equal tails.
-    """
+    """Return the interval of the mean of independent chi-square values (behind a gate), equal tails."""
     if values < 1:
         return float("nan"), float("nan")
     mean, freedom = (components, components) if gate is None else _gated(components, gate)

@@ -9,11 +9,9 @@ two independent campaigns A and B, and A with one factor taken from B, :math:`AB
 the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are bootstrap
 percentiles. *Correlations* are Spearman's, of the ranks, from an existing campaign.
 
-References
-----------
-A. Saltelli, P. Annoni, I. Azzini, F. Campolongo, M. Ratto, S. Tarantola, Variance based sensitivity analysis of model
-output, Computer Physics Communications 181 (2010), table 2. E. C. Fieller, H. O. Hartley, E. S. Pearson, Tests for rank
-correlation coefficients I, Biometrika 44 (1957).
+Sources: A. Saltelli et al., Variance based sensitivity analysis of model output, Computer Physics
+Communications 181 (2010), table 2. E. C. Fieller et al., Tests for rank correlation coefficients I,
+Biometrika 44 (1957).
 """
 
 from __future__ import annotations
@@ -50,10 +48,6 @@ _RESAMPLED = 1000
 class IntervalEstimate:
     """A number with its interval.
 
-    Attributes
-    ----------
-    value, low, high : float
-
     Examples
     --------
     >>> print(IntervalEstimate(0.5, 0.4, 0.6))
@@ -76,7 +70,6 @@ class SobolIndices(Printed):
     ----------
     measure : str
     mean, variance : float
-        Of the measure.
     first, total : mapping of str to Share
         S and T by factor: dispersions by their names, and "noise".
     confidence : float

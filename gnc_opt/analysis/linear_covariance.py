@@ -9,13 +9,8 @@ so that each source has its own share of every covariance. Nonlinearity within t
 random numbers also give the linear prediction: if r is the root mean square of the differences, standard deviations lie
 within :math:`\sigma \pm r`, by the triangle inequality.
 
-The gains of a filter are those of the nominal run if its innovations vanish there; otherwise its covariance is part
-of X.
-
-References
-----------
-D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous onboard mission planning,
-Journal of Guidance, Control, and Dynamics 29 (2006), section III.
+Source: D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous
+onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), section III.
 """
 
 from __future__ import annotations
@@ -161,9 +156,7 @@ def _percent(share: float) -> str:
 
 
 class PlantModes:
-    """Integration steps that a plant's modes need along its nominal run, for an error per minor step
-    (`steps_for_modes`).
-    """
+    """Integration steps that a plant's modes need along its nominal run (`steps_for_modes`)."""
 
     def __init__(self, linearization: Linearization, asked: float) -> None:
         self._asked = asked
@@ -201,8 +194,7 @@ _KINDS = {"command": "commands", "applied": "applied"}
 class LinearCovariance(Strict, Printed):
     """Covariances along a nominal run, by source; see `linear_covariance`.
 
-    A *signal* is the name of a state (its error, relative to the nominal run), ``command(F)`` or ``applied(F)``: the
-    controller's command, and the mean of the applied control over the step.
+    A *signal* is the name of a state (its error), ``command(F)`` or ``applied(F)`` (mean over the step).
 
     Attributes
     ----------
@@ -223,7 +215,6 @@ class LinearCovariance(Strict, Printed):
     layouts : mapping
         Names, sizes and units: error, command, applied.
     flight : Flight
-        What was linearized.
     dispersions : mapping of str to Dispersion
 
     Examples
@@ -282,18 +273,15 @@ class LinearCovariance(Strict, Printed):
         return {self.sources[i]: float(shares[i]) for i in order}
 
     def nonlinearity(self, signal: str) -> Array:
-        """Return the root mean square difference of runs from their linear prediction, (size, n_times), in standard
-        deviations.
+        """Return the RMS error of the linear prediction, (size, n_times), in standard deviations.
 
-        Infinite where the prediction does not scatter, NaN without runs.
+        Infinite if the prediction does not scatter, NaN without runs.
         """
         kind, name = self._parse(signal)
         return self.bends[kind][self.layouts[kind].slice(name)]
 
     def linear(self, signal: str, tolerance: float = LINEAR_MAX_ERROR_SIGMA) -> bool:
-        """Whether the standard deviations of a signal at the end are right to ``tolerance``; `ArgumentError`
-        without runs.
-        """
+        """Whether the final standard deviations are right to ``tolerance``; `ArgumentError` without runs."""
         if not self.checked:
             raise ArgumentError(
                 "no run was compared with its linear prediction: give checks= a number of runs."
@@ -328,7 +316,6 @@ class LinearCovariance(Strict, Printed):
         if runs < 2:
             raise ArgumentError(f"{runs} runs of the campaign ended with finite numbers: fly at least two.")
         variance = np.diag(self.parts["error"][:, -1].sum(axis=0))
-        # what scatters by no more than the integration errs is fixed
         erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
         scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal[:, None])) ** 2)
         errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())[scatters]
@@ -365,18 +352,14 @@ def linear_covariance(
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
-    It predicts the runs of `monte_carlo` and takes as long as some dozens of them.
-
     Parameters
     ----------
     scenario : Scenario
-        Whose loop has no events. Only the means and covariances of its dispersions matter here; its seed is that of
-        the runs to compare with.
+        Whose loop has no events. Its seed is that of the runs to compare with.
     every : int
         Of so many control steps one is kept; the end always is.
     checks : int
-        Runs simulated for comparison with their linear predictions, for `LinearCovariance.nonlinearity`; 0:
-        none.
+        Runs simulated for `LinearCovariance.nonlinearity`; 0: none.
 
     Raises
     ------

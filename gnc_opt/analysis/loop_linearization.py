@@ -37,9 +37,7 @@ _CARRIED = ("plant", "sensor", "actuator", "push", "memory")
 
 @dataclass(frozen=True, eq=False)
 class LinearStep:
-    """One control step: the nominal X_next (n_X,) and y (n_y,), and the derivatives of both by X, noise and
-    parameters.
-    """
+    """One control step: nominal X_next (n_X,) and y (n_y,), and their derivatives by X, noise, parameters."""
 
     X_next: Array
     y: Array
@@ -53,10 +51,7 @@ class LinearStep:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A loop along its nominal run, differentiated by columns of P; with ``hold``, a filter's covariance is constant.
-
-    Events and re-planning are refused: they have no derivative at a fixed time.
-    """
+    """A loop differentiated along its nominal run; ``hold``: constant filter covariance. No events."""
 
     flight: CompiledLoop
     wiring: Wiring
@@ -180,9 +175,7 @@ class Linearization:
 
     @cached_property
     def _function(self) -> Any:
-        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``, derivatives of the carried X_next
-        and, below, of y.
-        """
+        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: carried X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
         places, rest = self.carried, self._rest

@@ -6,8 +6,8 @@ The loop is cut where the commands leave the controller. With d added to the com
 .. math:: \delta X^+ = A\, \delta X + B\, d, \qquad u = C\, \delta X,
 
 the open loop is :math:`L(z) = -C (z - A + B C)^{-1} B`, the sensitivity :math:`S = (1 + L)^{-1}`, its complement
-:math:`T = L S`, including sampling, holding, sensors, estimator, delays and lags. Each instant is frozen: sensors read
-every few steps, for example, are not described. Margins are those of `gnc_opt.control.loop_margins`.
+:math:`T = L S`. Sampling, holding, sensors, estimator, delays and lags are included; each instant is frozen.
+Margins are those of `gnc_opt.control.loop_margins`.
 """
 
 from __future__ import annotations
@@ -255,9 +255,7 @@ def loop_response(
 def _along(
     opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
 ) -> tuple[LoopResponse, int]:
-    """Return the response of a loop with its probe, and the integration steps that its modes need (0: it has
-    as many).
-    """
+    """Return the response of a loop with its probe, and the integration steps that its modes need."""
     flight = opened.compile(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]

@@ -34,8 +34,6 @@ _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 class Scenario:
     """A closed loop on one flight, with the dispersions of its runs and the measures evaluated on them.
 
-    The words are those of `monte_carlo`, the random numbers those of ``seed``.
-
     Parameters
     ----------
     loop : ClosedLoop
@@ -163,9 +161,7 @@ class Scenario:
 
 
 class GivenNumbers:
-    """A random generator's methods on given standard normal numbers (n,); with ``None`` it counts what is
-    drawn.
-    """
+    """A random generator's methods on given standard normal numbers (n,); ``None``: counts the draws."""
 
     def __init__(self, numbers: Array | None) -> None:
         self._numbers, self.taken = numbers, 0

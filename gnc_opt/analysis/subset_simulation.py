@@ -9,11 +9,9 @@ the last one by a Markov chain over all standard normal numbers of a run (`Scena
 taken if its run exceeds the level as well; s is adapted from level to level. As runs of a chain and levels are
 dependent, the whole is repeated independently, and the interval is that of Student's t over the repetitions.
 
-References
-----------
-S.-K. Au, J. L. Beck, Estimation of small failure probabilities in high dimensions by subset simulation, Probabilistic
-Engineering Mechanics 16 (2001). I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub, MCMC algorithms for subset
-simulation, Probabilistic Engineering Mechanics 41 (2015), section 3.4.
+Sources: S.-K. Au, J. L. Beck, Estimation of small failure probabilities in high dimensions by subset
+simulation, Probabilistic Engineering Mechanics 16 (2001). I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub,
+MCMC algorithms for subset simulation, Probabilistic Engineering Mechanics 41 (2015), section 3.4.
 """
 
 from __future__ import annotations
@@ -61,14 +59,12 @@ class FailureProbability(Printed):
     probability : float
         Mean of the repetitions.
     low, high : float
-        Interval with ``confidence``: Student's t over the repetitions, on the logarithmic scale; that of Clopper and
-        Pearson for failures so frequent that no repetition needed a second level.
+        Interval with ``confidence``: Student's t on the logarithmic scale, or that of Clopper and Pearson.
     confidence : float
     estimates : array (repetitions,)
     levels : array (n_levels,)
-        Levels of the measure of the first repetition, the limit last.
+        Of the first repetition, the limit last.
     runs : int
-        Flown in all.
 
     Examples
     --------
@@ -107,8 +103,7 @@ def failure_probability(
 ) -> FailureProbability:
     """Return the estimated probability that a run is not OK or a measure exceeds its limit, however rare.
 
-    A campaign needs some 100 / p runs to know a probability p to 10 %; this takes about ``repetitions * n *
-    log10(1 / p)`` to know it to some 20 %.
+    It takes about ``repetitions * n * log10(1 / p)`` runs to know the probability p to some 20 %.
 
     Parameters
     ----------
@@ -236,9 +231,7 @@ class _Search:
 def subset_simulation(
     value: Value, size: int, limit: float, count: int, generator: np.random.Generator
 ) -> Estimate:
-    """Estimate the probability that ``value`` of ``size`` standard normal numbers exceeds a limit, by
-    ``count`` runs per level.
-    """
+    """Estimate the probability that ``value`` of ``size`` standard normal numbers exceeds a limit."""
     z = generator.standard_normal((size, count))
     y = value(z)
     probability, step, runs = 1.0, _STEP, count

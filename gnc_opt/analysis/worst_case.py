@@ -42,13 +42,9 @@ class WorstCase(Printed):
     value : float
         Of the worst run; infinite if it fails.
     nominal : float
-        Of the nominal run.
     parameters : mapping of str to array
-        What the dispersed values are in the worst run.
     runs : int
-        Number of simulated runs.
     run : Run
-        The worst run, with everything logged.
 
     Examples
     --------
@@ -87,9 +83,7 @@ def worst_case(
     Parameters
     ----------
     scenario : Scenario
-        Its dispersions are bounded: `Uniform`, `UniformInBall`, `Normal` with ``truncate`` and the like.
-        How probable a value
-        is does not matter; the seed is that of the search.
+        Its dispersions are bounded (`Uniform`, truncated `Normal`); the seed is that of the search.
     measure : str
         As in `Campaign.measure`, or one of the scenario's ``judge``.
     generations : int

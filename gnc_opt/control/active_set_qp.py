@@ -1,6 +1,4 @@
-"""The programme of a horizon as C, condensed, solved by the active-set method of fixed memory in
-``active_set_qp.c``.
-"""
+"""The condensed programme of a horizon as C, solved by the active-set method in ``active_set_qp.c``."""
 
 from __future__ import annotations
 
@@ -28,12 +26,7 @@ _ITERATIONS_PER_UNKNOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class ProgrammeCode:
-    """The C of a programme, with the rows of a step, the roots (n_soft,) of the prices of its soft limits, the tables
-    A - B K, B L^-T, K and L^-T, (n_tables, ., .) each, N steps, and where the feedforward begins in a row of the
-    schedule.
-
-    If ``sliding``, the j-th step from row k takes table k + j, else k N + j.
-    """
+    """The C of a programme; if ``sliding``, the j-th step from row k takes table k + j, else k N + j."""
 
     rows: Rows
     roots: Array

@@ -122,15 +122,7 @@ def _distance(u: Array, limits: Authority) -> Array:
 def reference_beyond(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
-    """Return and warn of how far the reference exceeds limits (n_limited,) of states, ``places`` among all.
-
-    Parameters
-    ----------
-    places : sequence of int
-        Of the limited states among all.
-    lower, upper : array (n_limited,)
-        Infinite for none.
-    """
+    """Return and warn of how far the reference exceeds limits (n_limited,) of states at ``places``."""
     times, facts = reference_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):
         x, label = reference.x(times)[place], reference.states.labels[place]

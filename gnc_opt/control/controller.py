@@ -20,9 +20,7 @@ from gnc_opt.model.variables import Layout, as_point
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
-"""``schedule(times, dt)`` returns the law's signals in advance, (n_signals, n_times), for control steps that
-begin at ``times`` (n,) and last ``dt`` (s).
-"""
+"""``schedule(times, dt)`` returns signals (n_signals, n_times) for steps of dt (s) from times (s)."""
 
 
 class SolverCode(Protocol):
@@ -55,9 +53,8 @@ _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
 class Controller:
     """A discrete-time control law ``(t, x, r, z) -> (u, z_next)``.
 
-    A CasADi function without side effects. At a control step that begins at t it takes the measured state x, the row r
-    of its schedule (reference, feedforward, gains) and its memory z; it returns the command u, held until the next
-    step, and the next memory.
+    A CasADi function without side effects of the time t, the measured state x, the row r of the schedule
+    (reference, feedforward, gains) and the memory z. Returns the held command u and the next z.
 
     Attributes
     ----------
@@ -67,15 +64,13 @@ class Controller:
     start : casadi.Function
         ``(t, x, r) -> z``: the memory at the first step, from the first measurement.
     states, commands, signals, memory : Layout
-        Names, sizes and units of x, u, r and z.
-    schedule : callable
+    schedule : `Schedule`
         See `Schedule`.
     explanation : DesignReport
     dt : float or None
         Control step of the design, s; ``None``: any.
     alarms : tuple of str
-        Entries of the memory that are 0 in normal operation and nonzero from the first step at which the law
-        cannot meet its guarantees (a singular decoupling matrix, a failed QP, a NaN measurement).
+        Entries of the memory, nonzero from the first step at which the law cannot meet its guarantees.
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; it is constant after the second.
     unbridged : Controller, optional
@@ -133,9 +128,7 @@ class Controller:
         return self.schedule(np.array([float(t)]), self.step_length(dt))[:, 0]
 
     def step_length(self, dt: float | None = None) -> float:
-        """Return the length of a control step (s), the given one or the design's own; raise `ArgumentError`
-        if they differ.
-        """
+        """Return the length of a control step (s); `ArgumentError` if the given one is not the design's."""
         if dt is None:
             if self.dt is None:
                 raise ArgumentError(f"controller '{self.name}' fits any control step: give dt, in s.")
@@ -183,8 +176,7 @@ class Controller:
     def to_control(self, dt: float | None = None) -> Any:
         """Return the law as a ``control.NonlinearIOSystem`` of python-control, from the measured state to the command.
 
-        Its state is the memory, whose first value is ``initial_memory(t, x)[:system.nstates]``, without dropout
-        handling.
+        Its state is the memory without dropout handling, at first ``initial_memory(t, x)[:system.nstates]``.
 
         Parameters
         ----------

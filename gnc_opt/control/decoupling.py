@@ -50,10 +50,7 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """E^+ y of a decoupling matrix that may become singular at run time.
-
-    ``regular`` is 1 (SX) if E may be inverted; ``scale`` and ``lowest`` are the extremes of |det E| on the reference.
-    """
+    """E^+ y of a decoupling matrix; ``regular`` (SX): may be inverted; ``scale``, ``lowest``: of |det E|."""
 
     matrix: Any
     regular: Any
@@ -66,9 +63,7 @@ class Inverse:
 
 
 def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
-    """Return the inverse of the decoupling matrix; `DesignError` where det E on the reference changes its sign or is
-    below ``guard`` times its largest value.
-    """
+    """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
     times = reference_times(reference)
@@ -117,11 +112,7 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
 
 @dataclass(frozen=True, eq=False)
 class GuardedLaw:
-    """Command (n_controls,) for a regular decoupling matrix, and ``fallback`` (default: the last command) for a
-    singular one.
-
-    The last command and the alarms are added to the memory; ``nominal`` is a controller that the law builds upon.
-    """
+    """Command (n_controls,), and ``fallback`` (default: the last command) for a singular matrix."""
 
     command: Any
     regular: Any

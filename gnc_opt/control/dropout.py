@@ -3,12 +3,10 @@ r"""Dropouts: commands of a law during lost measurements.
 A sample is *lost* if any of its numbers is not finite or beyond `LARGEST`. A bridged law
 
 1. goes on with the last good sample for up to ``hold`` lost samples in a row;
-2. then, or where there has been no good sample yet, gives the safe command, raises the alarm ``invalid`` and leaves its
-   memory alone;
-3. goes back to work with the next good sample, which is its first one if there was none before; the alarm stays.
+2. then, or before the first good sample, gives the safe command, raises ``invalid`` and keeps its memory;
+3. continues with the next good sample; the alarm stays.
 
-A command or a memory that is not finite although the sample is good counts as 2. All of it is part of the symbolic
-law, so that simulations and flight code do the same.
+A command or a memory that is not finite although the sample is good counts as 2.
 """
 
 from __future__ import annotations
@@ -54,8 +52,7 @@ def with_dropout_handling(
     Returns
     -------
     Controller
-        Its memory has, after the law's own, ``last_good`` (n_states,), ``lost`` (samples in a row, -1 before the first
-        good one) and the alarm ``invalid``.
+        Adds ``last_good`` (n_states,), ``lost`` (samples in a row, -1: none yet), alarm ``invalid``.
 
     Raises
     ------

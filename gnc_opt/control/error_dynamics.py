@@ -32,9 +32,7 @@ from gnc_opt.model.variables import Layout
 def linear_system(
     name: str, matrices: tuple[Array, Array, Array, Array], dt: float, *layouts: tuple[str, ...]
 ) -> Any:
-    """Return a ``control.StateSpace`` of matrices A, B, C, D; dt is 0 for continuous time, layouts name
-    states, inputs, outputs.
-    """
+    """Return a ``control.StateSpace`` of A, B, C, D; dt is 0 for continuous time."""
     states, inputs, outputs = (list(labels) for labels in layouts)
     package = imported("control", "control")
     return package.ss(*matrices, dt, name=_name(name), states=states, inputs=inputs, outputs=outputs)
@@ -48,9 +46,7 @@ def sampled_system(
     measured: Layout,
     commands: Layout,
 ) -> Any:
-    """Return a ``control.NonlinearIOSystem`` with steps of dt (s); ``step(t, z, x)`` returns the command and
-    the next memory.
-    """
+    """Return a ``control.NonlinearIOSystem`` with steps of dt (s) from ``step(t, z, x) -> (u, z_next)``."""
     package = imported("control", "control")
 
     def update(t: float, z: Array, x: Array, params: object) -> Array:

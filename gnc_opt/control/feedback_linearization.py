@@ -67,8 +67,7 @@ def design_feedback_linearization(
         Affine in its controls.
     reference : Reference or array (n_states,)
     outputs : name, names, expressions or mapping
-        See `Outputs`. For attitudes prefer a state with a declared difference: its only singular point is the
-        half turn from the *reference*.
+        See `Outputs`. For attitudes prefer a state with a declared difference.
     poles : sequence (r,), or mapping from outputs to them
         1/s.
     gains : sequence (r,) of float or array (n_outputs,)
@@ -80,24 +79,19 @@ def design_feedback_linearization(
     growth : float
         Fastest growth of the zero dynamics that is accepted, 1/s.
     fallback : array (n_controls, n_errors), optional
-        Gain K of u = u_ref - K e where E is singular; without it the last command is held. The alarm
-        ``singular`` is raised either way.
+        Gain K of u = u_ref - K e where E is singular; default: hold the last command. Alarm ``singular``.
     limits : (lower, upper), optional
         Authority; the reserve is reported.
     dt : float, optional
         Length of a control step, s: the sampled chains have to be stable.
     name : str
-        For messages and reports.
 
     Raises
     ------
     DesignError
-        Undefined relative degree, singular decoupling matrix on the reference, unstable poles or zero dynamics, long
-        steps.
+        Undefined relative degree, singular E on the reference, unstable poles or zero dynamics, long steps.
 
-    Notes ----- A run of ``ClosedLoop(model, controller, [Saturation("limit", lower, upper)])`` shows whether the
-    errors decay from a distant start: it ends as ``CONTROLLER_ALARM`` if E becomes singular and as ``DIVERGED`` if the
-    state leaves all bounds.
+    Simulate with ``Saturation`` to check a distant start; ``CONTROLLER_ALARM``: E became singular.
 
     Examples
     --------

@@ -25,9 +25,7 @@ def reference_signals(reference: Reference, *more: Variable) -> Layout:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSchedule:
-    """Rows (n_states + n_controls, n) of `reference_signals` for times (n,): states at the beginning of a step of dt
-    (s), mean controls over it.
-    """
+    """Rows (n_states + n_controls, n) at times (n,): states at the step's beginning, mean controls."""
 
     reference: Reference
 
@@ -47,9 +45,7 @@ class StackedSchedule:
 
 
 def reference_times(reference: Reference, samples: int = 101) -> Array:
-    """Return the times (s) at which a design evaluates its reference: equidistant, its ends and both sides of
-    jumps.
-    """
+    """Return the times (s) at which a design evaluates its reference: equidistant, and around jumps."""
     start, end = reference.initial_time, reference.final_time
     if end <= start:
         return np.array([start])
@@ -60,8 +56,7 @@ def reference_times(reference: Reference, samples: int = 101) -> Array:
 
 
 def feedforward(reference: Reference) -> Controller:
-    """Return the controller without feedback or memory: the command is the mean of the reference's control over the
-    step.
+    """Return the controller without feedback or memory: the mean reference control over the step.
 
     Parameters
     ----------

@@ -41,7 +41,6 @@ class Fmu:
     identifier : str
         Model identifier, the name of the library within.
     guid : str
-        Made of the sources: another law has another.
     dt : float
         Control step, s.
     binary : str or None
@@ -72,9 +71,7 @@ def export_fmu(
     """Return where a controller was written as a functional mock-up unit, FMI 2.0 for co-simulation.
 
     Inputs are the measured states, outputs the commands, both Real with the names and units of the model; an alarm is
-    a Boolean output. ``fmi2DoStep(t, h)`` runs the samples (start time plus multiples of dt) in [t, t + h) with the
-    inputs set before it: its outputs act from t on. A master that steps controller and plant at a time adds a delay of
-    h.
+    a Boolean output. ``fmi2DoStep(t, h)`` runs the samples (start time plus multiples of dt) in [t, t + h).
 
     Parameters
     ----------
@@ -85,7 +82,7 @@ def export_fmu(
     dt, span
         As of `export_c`.
     binary : bool, optional
-        Compile the library of this platform with ``cc``. By default if a compiler is found.
+        Compile the library with ``cc``; default: if a compiler is found.
 
     Raises
     ------
@@ -94,9 +91,7 @@ def export_fmu(
     GncOptError
         ``binary=True`` and no compiler, or it failed.
 
-    Notes
-    -----
-    Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.4, Modelica Association (2022).
+    Source: Functional Mock-up Interface 2.0.4, Modelica Association (2022).
 
     Examples
     --------

@@ -8,9 +8,7 @@ linear-quadratic gain K of the frozen linear plant is found; in flight
 with the weights w of multilinear interpolation. Stability of the frozen loops does not imply that of a loop whose
 schedule moves as fast as its errors. Scheduling states that no control moves are exogenous and are not fed back.
 
-References
-----------
-W. J. Rugh, J. S. Shamma, Research on gain scheduling, Automatica 36 (2000) 1401-1425, section 3.
+Source: W. J. Rugh, J. S. Shamma, Research on gain scheduling, Automatica 36 (2000) 1401-1425, section 3.
 """
 
 from __future__ import annotations
@@ -63,12 +61,10 @@ def design_gain_schedule(
     reference : Reference or array (n_states,)
         States and feedforward to follow; for a state, the equilibrium there with its control.
     over : mapping
-        Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output of the
-        model that depends on no control; increasing, two points or more. States behind them that no control
-        affects are exogenous: they have no gain, and their weights are ignored.
+        Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output that
+        depends on no control; increasing.
     at : callable
-        Returns the state and control of the linearisation for one value of each scheduling variable; it is
-        also evaluated between the grid points.
+        Returns the state and control at one value of each scheduling variable, also between grid points.
     Q, R : weight
         As in `design_lqr`, the same at each point.
     dt : float
@@ -77,8 +73,7 @@ def design_gain_schedule(
     Returns
     -------
     Controller
-        Signals ``<state>_ref``, ``<control>_ff``. `explain` shows the slowest frozen pole, at the points and
-        half way between them.
+        Signals ``<state>_ref``, ``<control>_ff``. `explain` shows the slowest frozen pole.
 
     Raises
     ------

@@ -4,8 +4,7 @@ Each output error has its own first surface, :math:`s_i = k_i e_i + \dot e_i`; t
 
 .. math:: S = \sum_i w_i s_i, \qquad \sigma = \Big(\frac{d}{dt} + k\Big)^{r-1} S ,
 
-to zero, r the relative degree of S. Whether each s_i follows is decided by the zero dynamics on S = 0, that is, by the
-signs and ratios of the weights: a growing eigenvalue at the end of the reference is refused.
+to zero, r the relative degree of S. The weights decide the zero dynamics on S = 0; unstable ones are refused.
 """
 
 from __future__ import annotations
@@ -77,7 +76,6 @@ def design_hierarchical_sliding_mode(
     reaching, boundary, observer, limits, dt, guard, growth
         As in `design_sliding_mode`.
     name : str
-        For messages and reports.
 
     Raises
     ------

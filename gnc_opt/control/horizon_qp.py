@@ -22,9 +22,7 @@ _INACTIVE_ROW_DISTANCE = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Limits of one step: of the controls (m,), of their change (or None) and of states, at places in x and e, whose
-    excess squared has a price (infinite for a hard limit).
-    """
+    """Limits of one step: controls (m,), their change, and states with the price of their excess squared."""
 
     lower: Array
     upper: Array
@@ -71,10 +69,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """``min y'hy/2 + g'y`` within ``low <= a y <= high``, limits scaled to [-1, 1]; DM and MX.
-
-    The first rows are ``equal`` equations; unknowns after the first ``free`` are slacks >= 0.
-    """
+    """``min y'hy/2 + g'y``, ``low <= a y <= high``; first ``equal`` equations, last unknowns slacks >= 0."""
 
     h: Any
     g: Any
@@ -85,10 +80,7 @@ class Programme:
     free: int
 
     def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
-        """Return the largest violation of the optimality conditions; multipliers are positive at upper limits.
-
-        It is relative to the largest multiplier, gradient or right side, if that is above 1.
-        """
+        """Return the largest relative violation of optimality; multipliers are positive at upper limits."""
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
         stationary = ca.norm_inf(self.h @ y + self.g + self.a.T @ lam_a + lam_x) / size
         value, k = self.a @ y, self.equal
@@ -111,11 +103,7 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """The steps of a horizon: A - B K, B L^-T, K and L^-T of each step (DM or MX), and the scale (n_errors,) of the
-    errors.
-
-    If ``condensed``, errors are no unknowns: no equations, and dense rows.
-    """
+    """The steps of a horizon: A - B K, B L^-T, K, L^-T and the scale of errors; ``condensed``: dense rows."""
 
     rows: Rows
     matrices: list[list[Any]]
@@ -149,9 +137,7 @@ class Horizon:
         return 0 if self.condensed else self.count * self.sizes[0]
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
-        """Return the programme from the first errors, the feedforward over the steps, the limited reference states at
-        their ends and the previous command (m,).
-        """
+        """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
         rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
         commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
         found = [] if self.condensed else [self._step(j, e_0) for j in range(self.count)]
@@ -171,9 +157,7 @@ class Horizon:
         return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
 
     def alone(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> tuple[Any, Any]:
-        """Return the unknowns of the unconstrained regulator, and whether it meets no limit; arguments as of
-        `programme`.
-        """
+        """Return the unconstrained regulator's unknowns, and whether it meets no limit."""
         rows, (_, m) = self.rows, self.sizes
         e, errors, room, limited = e_0, [], [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):

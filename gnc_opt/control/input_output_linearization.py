@@ -6,9 +6,8 @@ control enters; with f affine in u,
 
 .. math:: h^{(r)} = a(t, x) + E(t, x)\, u .
 
-Tracking compares with a reference that obeys the same dynamics, so that errors :math:`e(x, x_r)` are differentiated
-along both (`Pair`). That holds for plain outputs, :math:`e = h(x) - h(x_r)`, and for states whose difference is a
-rotation. (A. Isidori, Nonlinear Control Systems, 3rd ed., ch. 4 and 5.)
+Tracking errors :math:`e(x, x_r)` are differentiated along plant and reference (`Pair`): plain outputs,
+:math:`e = h(x) - h(x_r)`, or rotations. (A. Isidori, Nonlinear Control Systems, 3rd ed., ch. 4 and 5.)
 """
 
 from __future__ import annotations
@@ -30,20 +29,12 @@ from gnc_opt.model.variables import as_expression
 from gnc_opt.tolerances import ROUNDING, dependent
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
-"""Controlled outputs: a name of a state or an output of the model, several of these, SX expressions of (t, x,
-p), or a mapping from names to expressions.
-"""
+"""Controlled outputs: one or several names, SX expressions of (t, x, p), or a mapping from names to these."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A plant and the reference it follows: two copies of the same dynamics.
-
-    Attributes
-    ----------
-    f, f_ref : SX
-        dx/dt of either; the parameters have the model's values.
-    """
+    """A plant and its reference with the same dynamics; f, f_ref (SX): dx/dt of either."""
 
     model: Model
     t: Any
@@ -94,11 +85,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrors:
-    """Errors of outputs relative to a reference, one label per component.
-
-    ``chains`` holds e, de/dt, ... up to order r - 1, SX (r, 1), of each component; the r-th derivatives are
-    ``drift + decoupling @ u``.
-    """
+    """Errors relative to a reference: ``chains`` (e, de/dt, ...) and ``drift + decoupling @ u``."""
 
     pair: Pair
     labels: tuple[str, ...]
@@ -118,7 +105,7 @@ class OutputErrors:
 
     @property
     def determinant(self) -> Any:
-        """det E, or (det E E^T)^(1/2) where there are more controls than outputs: zero where E is singular."""
+        """det E, or (det E E^T)^(1/2) if there are more controls than outputs."""
         e = self.decoupling
         return ca.det(e) if e.shape[0] == e.shape[1] else ca.sqrt(ca.det(e @ e.T))
 
@@ -290,9 +277,7 @@ def _differentiate(pair: Pair, reference: Reference, label: str, e: Any) -> tupl
 
 
 def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
-    """Whether a control enters de/dt at points near the reference: by structure alone, terms that cancel
-    would count.
-    """
+    """Whether a control enters de/dt at points near the reference (numerically: terms may cancel)."""
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
@@ -309,11 +294,7 @@ def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """The zero dynamics (outputs exactly on their reference) linearised at one point: their dimension and eigenvalues
-    (1/s).
-
-    Frozen at the point, these prove stability at a reference at rest only.
-    """
+    """Dimension and eigenvalues (1/s) of the zero dynamics at one point; a proof at rest only."""
 
     dimension: int
     eigenvalues: Array

@@ -70,23 +70,20 @@ def design_integral_sliding_mode(
     dt : float
         Length of a control step, s.
     projection : {"pseudo-inverse", "transpose"}
-        G. With B^+ s has the unit of the controls times s and a matched disturbance enters ds/dt as it is, with the
-        least amplification of unmatched ones; with B^T it is multiplied by B^T B.
+        G. With B^+ a matched disturbance enters ds/dt as it is; with B^T it is multiplied by B^T B.
     bound : float or array (n_controls,)
         Largest disturbance of ds/dt; for `SuperTwisting` its largest rate.
     limits : (lower, upper), optional
-        Authority, checked along the reference. The part of a command removed by limits does not count as a
-        disturbance.
+        Authority, checked along the reference; commands removed by limits are no disturbance.
     guard : float
         Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
     name : str
-        For messages and reports.
 
     Raises
     ------
     DesignError
-        Dependent controls, disturbances above the gain, gain above the authority, steps too long for the boundary
-        layer, a nominal gain that is not stable at rest, or a nominal law that is not in closed form.
+        Dependent controls, disturbances above the gain, gain above the authority, long steps, or a nominal law
+        that is unstable at rest or not in closed form.
 
     Examples
     --------

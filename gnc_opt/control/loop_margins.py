@@ -8,9 +8,7 @@ With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \
   channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
   phase by :math:`2 \arctan(\alpha/2)`.
 
-References
-----------
-P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40 (2020), eqs. 9-15.
+Source: P. Seiler, A. Packard, P. Gahinet, Introduction to disk margins, IEEE Control Syst. 40 (2020), eqs. 9-15.
 """
 
 from __future__ import annotations
@@ -33,8 +31,7 @@ _ENTRIES = 1_000_000
 _BESIDE = 1e-6
 """Distance of the nodes on either side of a resonance, relative to its frequency."""
 _GAIN_ROUNDING_SHARE = 1e-4
-"""A loop gain that rounding of A may change by more than this share is that of an integrator or undamped mode, and has
-no size: where it changes its sign it has gone through infinity and not through zero."""
+"""A gain that rounding of A changes by more than this share is infinite (integrator or undamped mode)."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +141,7 @@ def _met(
     imaginary: Array,
     dt: float | None,
 ) -> list[float]:
-    """Return where L of a system (A, b, gain) meets the real axis; infinite where rounding leaves it undetermined.
-
-    It does at rest and, sampled, at the highest frequency, and where its imaginary part changes sign.
-    """
+    """Return where L of a system (A, b, gain) meets the real axis; infinite if rounding hides it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
         at, change = _rounded(*system, _point(w, dt))

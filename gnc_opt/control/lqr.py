@@ -8,9 +8,7 @@ In the error coordinates of `ErrorDynamics`, ``de/dt = A e + B v`` with v the co
 With dt, plant and cost are sampled exactly for a held command, and :math:`\zeta_{k+1} = \zeta_k + dt\, C e_k`. With
 limits, :math:`K_i^+ (v - \mathrm{sat}\, v)` is added to it (anti-windup by Hanus' conditioning).
 
-References
-----------
-G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapter 9.
+Sources: G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), ch. 9.
 R. Hanus, M. Kinnaert, J.-L. Henrotte, Conditioning technique, a general anti-windup and bumpless transfer method,
 Automatica 23 (1987).
 """
@@ -96,8 +94,7 @@ def design_lqr(
     ----------
     model : Model
     reference : Reference or array (n_states,)
-        A state to rest at (the control that keeps it there is found), or a reference along which the errors move by
-        constant A and B; `design_tvlqr` is for the others.
+        A state to rest at, or a reference with constant A and B; for others see `design_tvlqr`.
     Q, R : weight
         Of the errors (n_errors, n_errors) and of the controls: matrices, diagonals, or entries by name, see `bryson`.
     N : array (n_errors, n_controls), optional
@@ -105,12 +102,10 @@ def design_lqr(
     dt : float, optional
         Control step, s: the gain for commands held that long. Without it, the continuous gain (any step).
     integral : mapping, optional
-        Names of states or outputs whose error is to vanish under constant disturbances, each with the weight of its
-        integral, ``1 / (largest acceptable integral)^2``.
+        States or outputs with integral action and their weights, ``1 / (largest acceptable integral)^2``.
     limits : (lower, upper), optional
         Of the controls, for the anti-windup and the statement of the reserve. Commands are not clipped.
     name : str
-        For messages and reports.
 
     Returns
     -------

@@ -7,12 +7,9 @@ With :math:`v_j = -K_j e_j + w_j`, K of the Riccati recursion, the cost is a sum
 
 and the programme for :math:`\omega_j = L_j^T w_j` finds the point of least norm within the limits. Without an active
 limit :math:`\omega = 0`, and no solver is called. Limits of controls and rates are hard; those of states are soft
-(exact penalty) unless they are named hard. If the solver's point fails the optimality conditions, the law gives the
-clipped regulator's command and raises an alarm.
+(exact penalty) unless named hard. If the solver fails, the law clips the regulator's command and raises an alarm.
 
-References
-----------
-J. B. Rawlings, D. Q. Mayne, M. M. Diehl, Model Predictive Control, 2nd ed. (2017), sections 1.3 and 2.5.
+Sources: J. B. Rawlings, D. Q. Mayne, M. M. Diehl, Model Predictive Control, 2nd ed. (2017), sec. 1.3, 2.5.
 J. A. Rossiter, B. Kouvaritakis, M. J. Rice, A numerically robust state-space approach to stable-predictive control
 strategies, Automatica 34 (1998): the change of variables.
 """
@@ -111,32 +108,27 @@ def design_mpc(
     rate_limits : float or array (n_controls,), optional
         Largest change of each control per second.
     state_limits : mapping, optional
-        ``{"v_L": (lower, upper)}``, at the steps; infinite numbers for no limit. Soft, unless named in ``hard``:
-        they are left by as little as possible where they cannot be kept.
+        ``{"v_L": (lower, upper)}``, at the steps; may be infinite. Soft, unless named in ``hard``.
     hard : sequence of str
-        States whose limits are hard: where they cannot be kept, the programme has no solution, and the alarm is raised.
+        States whose limits are hard: if they cannot be kept, the alarm is raised.
     terminal : weight or "riccati"
         Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
     solver : {"piqp", "osqp", "daqp"}, optional
-        Sparse interior-point or operator-splitting method; or a dual active-set method without errors among the
-        unknowns, for horizons along which few limits are met. Default: the last one, or the first one where states are
-        limited.
+        Interior-point, operator-splitting or dual active-set method. Default: "piqp" with limited states, else
+        "daqp".
     name : str
-        For messages and reports.
 
     Returns
     -------
     Controller
-        Memory ``previous_command``, ``plan``, ``multipliers`` (warm start) and the alarm ``qp_failed``, 1 from the
-        first programme on that was not solved.
+        Memory ``previous_command``, ``plan``, ``multipliers`` (warm start) and the alarm ``qp_failed``.
 
     Raises
     ------
     DesignError
-        As in `design_tvlqr`; limits that are empty or exclude the feedforward; limits of a state whose error is no
-        difference.
+        As in `design_tvlqr`; limits that are empty, exclude the feedforward or are of a rotation.
 
     Warns
     -----
@@ -217,9 +209,7 @@ def design_mpc(
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """The linear dynamics over a horizon: from a step's number, A - B K, B L^-T, K, L^-T of N steps, (N, .,
-    .) each.
-    """
+    """The linear dynamics over a horizon from a step's number: A - B K, B L^-T, K, L^-T, (N, ., .) each."""
 
     gains: SampledGains
     count: int
@@ -337,10 +327,7 @@ def _law(
 
 
 def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: str) -> list[Any]:
-    """Return the regulator's unknowns and whether they satisfy all limits, by elementary operations.
-
-    ``given``: errors, feedforward and limited reference over the horizon, matrices, previous command.
-    """
+    """Return the regulator's unknowns and whether they satisfy all limits, by elementary operations."""
     symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
     e, u_ff, x_limited, matrices, previous = symbols
     alone = _horizon(schedule, rows, matrices, solver).alone(e, u_ff, x_limited, previous)
@@ -350,9 +337,7 @@ def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: 
 def _solution(
     schedule: _Schedule, rows: Rows, known: tuple[Any, ...], found: list[Any], solver: str
 ) -> list[Any]:
-    """Return unknowns, multipliers and whether they are the solution: those ``found`` of the regulator if it meets no
-    limit, else the solver's. ``known``: the arguments of `_unlimited`, and plan and multipliers of the previous step.
-    """
+    """Return unknowns, multipliers and success: those ``found`` if they meet no limit, else the solver's."""
     # the programme is only built where it is solved
     regulated, inside = found
     symbols = [ca.MX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate((*known, regulated))]

@@ -22,8 +22,6 @@ Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     """Return the weights :math:`1/x_{max}^2` of Bryson's rule, by name, for ``Q=`` and ``R=``.
 
-    Each error then costs the same when it is as large as is acceptable, whatever its unit.
-
     Parameters
     ----------
     layout : Layout
@@ -55,9 +53,7 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
 
 
 class QuadraticCost(NamedTuple):
-    """Weights of ``e'q e + v'r v + 2 e'n v``: q (n_errors, n_errors), r (n_controls, n_controls), n
-    (n_errors, n_controls).
-    """
+    """Weights of ``e'q e + v'r v + 2 e'n v``."""
 
     q: Array
     r: Array

@@ -1,6 +1,4 @@
-"""Reference: the states and controls that a controller follows, and its residual in the dynamics of its
-model.
-"""
+"""Reference: the states and controls that a controller follows, and its residual in the model's dynamics."""
 
 from __future__ import annotations
 
@@ -35,11 +33,7 @@ _DYNAMICS_CHECK_TOLERANCE = 1e-3
 
 
 def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
-    """Return which state is furthest from obeying the model, when and by how much; "" where all do.
-
-    The change of the states over short steps between ``edges`` (s) is compared with the integral of f(t, x, u); the
-    least difference over three step lengths counts, relative to the terms that a rate is made of.
-    """
+    """Return which state is furthest from obeying the model, when and by how much; "" if all do."""
     times, longest = _looked_at(edges)
     left = np.min([_defect(model, x, u, times, share * longest) for share in _STEPS], axis=0)
     return _told(model, times, left, x(times), u(times))
@@ -85,8 +79,7 @@ def _told(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
 Tail: TypeAlias = Literal["trim", "hold", "none"]
 
 TRIM_TOLERANCE = 1e-6
-"""A state counts as one to rest at if, with the best control, no rate is above this (1/s), relative to the
-largest state if that is above 1."""
+"""Largest rate of a state at rest with the best control (1/s), relative to the largest state if above 1."""
 
 _NODES, _WEIGHTS = leggauss(8)  # of the mean of a control over a step without a jump
 _NEWTON = 1e-14
@@ -193,8 +186,7 @@ class Reference(Strict):
         tail : {"trim", "hold", "none"}
             As in the class.
         vectorized : bool
-            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n), which is much
-            faster for many times; otherwise they are called once per time.
+            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n): faster.
 
         Raises
         ------
@@ -204,8 +196,7 @@ class Reference(Strict):
         Warns
         -----
         ProblemWarning
-            The states violate the model's dynamics under the controls: with the largest residual found at 24
-            times. Such a reference may be meant; no controller follows it without an error.
+            The states violate the model's dynamics under the controls; with the largest residual found.
         """
         reference = cls.__new__(cls)
         span = [float(initial_time), float(final_time)]
@@ -277,10 +268,7 @@ class Reference(Strict):
         return self._evaluate(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
-        """Return the mean of the controls over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n).
-
-        Without a tail, a step beyond the end is finished with the last control.
-        """
+        """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
         owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES

@@ -9,9 +9,7 @@ Sampled: :math:`P = A^T P A - K^T (R + B^T P B) K + Q`, :math:`K = (R + B^T P B)
 A stabilising P exists if no mode on or right of the stability boundary is uncontrollable (stabilisable) or without cost
 (detectable); both are tested in balanced coordinates.
 
-References
-----------
-B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, Prentice Hall (1990), chapters 2 and 3.
+Sources: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), chapters 2 and 3.
 D. L. Kleinman, On an iterative technique for Riccati equation computations, IEEE Trans. Automatic Control 13 (1968).
 """
 
@@ -37,9 +35,7 @@ _PART = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Steady:
-    """Solution of a steady Riccati equation: K in ``v = -K e``, P (``e'P e`` is the cost to go), the poles of A - B K,
-    slowest first, and the residual relative to the largest term.
-    """
+    """Steady Riccati solution: K in ``v = -K e``, P (cost to go ``e'P e``), poles of A - B K, residual."""
 
     gain: Array
     cost: Array
@@ -49,10 +45,7 @@ class Steady:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode that controls do not reach (or without cost), and the states with a large share in it.
-
-    ``rank_gap`` is the least singular value of ``[lambda 1 - A, B]`` in balanced coordinates with A of norm one.
-    """
+    """A mode that controls do not reach, its states, and the least singular value of [lambda 1 - A, B]."""
 
     eigenvalue: complex
     states: tuple[str, ...]
@@ -95,8 +88,7 @@ def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) 
 
 
 def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
-    """Return the largest entry of the Riccati equation's left side relative to its largest term, each row and
-    column scaled by the diagonal of P so that units do not matter."""
+    """Return the largest entry of the Riccati equation's left side relative to its largest term."""
     gain = gain_of(a, b, r, n, p, sampled=sampled)
     quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
     terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
@@ -131,10 +123,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 
 
 def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
-    """Return the modes of ``de/dt = A e + B v`` that v does not reach.
-
-    The reachable space is built by orthonormal bases (a staircase), which works for multiple eigenvalues too.
-    """
+    """Return the modes of ``de/dt = A e + B v`` that v does not reach, by a staircase."""
     size = a.shape[0]
     balanced, scale = _balanced(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)

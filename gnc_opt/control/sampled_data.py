@@ -7,11 +7,9 @@ the flow of
 
 has the blocks :math:`Z_{22} = \Psi` (the step) and :math:`\Psi^T Z_{12} = \int \Psi^T W \Psi` (its cost).
 
-References
-----------
-C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic Control 23 (1978).
-S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics Reports 470
-(2009), eq. 253 (fourth order with two Gauss points).
+Sources: C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Autom. Control 23
+(1978). S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics
+Reports 470 (2009), eq. 253.
 """
 
 from __future__ import annotations
@@ -66,9 +64,7 @@ def in_order(times: Sequence[Any]) -> list[Any]:
 
 
 def real_polynomial(poles: Any) -> Array | None:
-    """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first; None if not
-    conjugate.
-    """
+    """Return the coefficients (n + 1,), highest order first, of the polynomial with these roots."""
     polynomial = np.atleast_1d(np.poly(poles))
     if np.any(np.abs(polynomial.imag) > EQUAL * np.abs(polynomial)):
         return None
@@ -79,9 +75,7 @@ _ROUNDING = float(np.finfo(float).eps)
 
 
 def continuous_poles(poles: Any, dt: float | None) -> Any:
-    """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s), minus infinity for z = 0 to
-    rounding.
-    """
+    """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s)."""
     if dt is None:
         return poles
     sampled = np.asarray(poles, dtype=complex)

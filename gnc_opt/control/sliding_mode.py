@@ -6,8 +6,8 @@ For an output error e of relative degree r the surface and the law are
    u = E^{-1}\big( -a - c_{r-2} e^{(r-1)} - \dots - c_0 \dot e - \hat\Gamma - \rho(s) \big),
 
 so that :math:`\dot s = -\rho(s) + d` with the unmodelled d. On s = 0 the error follows the poles of the surface as long
-as d stays below the gain of the reaching law. An alarm shows that it does not: s leaves its layer or moves away. Under
-another law (integral sliding mode) s may leave its layer and come nearer again. Super-twisting has no such alarm.
+as d stays below the gain of the reaching law. If s leaves its layer or moves away, an alarm is raised.
+Super-twisting has no such alarm.
 """
 
 from __future__ import annotations
@@ -68,9 +68,7 @@ def surface_controller(
     coefficients: Sequence[Array],
     options: SlidingOptions,
 ) -> Controller:
-    """Return the controller that drives surfaces of output errors to zero, with c_0, ..., c_{r-2}, 1 of each
-    component.
-    """
+    """Return the controller that drives surfaces to zero; coefficients c_0, ..., c_{r-2}, 1."""
     switching = options.switching(errors.pair.model, errors.labels)
     _require_decay(errors.labels, coefficients, switching)
     inverse = guarded_inverse(errors, reference, options.guard)
@@ -109,7 +107,6 @@ def _command(
     """Return the memory and the command of the law."""
     n, dt = errors.size, switching.dt
     wanted, twist = switching.demand(s, drift)
-    # s of the last step, for the log
     memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.watch(s)]
     if observer is None:
         return memory, inverse(wanted)
@@ -122,10 +119,7 @@ def _command(
 
 
 def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
-    """Raise `DesignError` for steps over which large sampled errors grow.
-
-    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step; of rho only the linear term k s counts for large errors.
-    """
+    """Raise `DesignError` for steps over which large sampled errors grow."""
     if switching.dt is None:
         return
     k = switching.reaching.k if isinstance(switching.reaching, ExponentialRate) else 0.0
@@ -203,9 +197,7 @@ class SlidingOptions:
 
 @dataclass(frozen=True, eq=False)
 class Switching:
-    """The switching part of a law, its arguments checked: bounds (n_surfaces,) of the disturbances of ds/dt (for
-    `SuperTwisting` of their rates), control step (s) and limits (n_controls,).
-    """
+    """Switching part: bounds of the disturbances of ds/dt, control step (s), limits (n_controls,)."""
 
     reaching: Law
     boundary: Boundary
@@ -230,10 +222,7 @@ class Switching:
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
     def watch(self, s: Any, *, stays: bool = True) -> list[Memory]:
-        """Return the memory that raises the alarm of a disturbance that is stronger than the gain.
-
-        Without ``stays`` s begins at zero, and what another law commands may throw it out of its layer for a while.
-        """
+        """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_exceeded`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(_FULL_GAIN_SHARE)
         if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
@@ -264,9 +253,7 @@ class Switching:
 
 
 def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
-    """Return dt; raise `DesignError` where it is missing or, for s+ = (1 - dt slope) s in the layer, dt slope
-    >= 2.
-    """
+    """Return dt; `DesignError` if missing or, in the layer, dt slope >= 2 (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer, TanhLayer)):
         raise DesignError(
             f"the boundary is {boundary!r}: give Sign(), SaturationLayer(phi) or TanhLayer(phi)."
@@ -293,10 +280,7 @@ LAYER_EXIT_MIN_STEPS = 10
 
 
 def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
-    r"""Return the memory of the alarm for a relay that works with its full gain where \\|s\\| is beyond ``edge`` > 0.
-
-    ``first`` is s at the start. Unless s ``stays`` inside once sliding has begun, it is an alarm only if s grows.
-    """
+    r"""Return the alarm's memory for a relay with full gain beyond ``edge`` > 0; unless ``stays``: s grows."""
     if edge <= 0:
         return []
     n = s.shape[0]
@@ -315,8 +299,7 @@ def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memor
 
 
 Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
-"""lambda (1/s) for all outputs, a sequence with one lambda per output component, or a mapping from outputs to lambda
-or to the r - 1 poles of the surface."""
+"""lambda (1/s): one number, one per component, or a mapping from outputs to lambda or the r - 1 poles."""
 
 
 @one_thread()
@@ -354,8 +337,7 @@ def design_sliding_mode(
     bound : float or array (n_outputs,)
         Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
     observer : SuperTwistingObserver, optional
-        Estimates the disturbance, which the law then cancels; the reaching law has to cover only the
-        estimation error.
+        Estimates the disturbance, which the law then cancels.
     limits : (lower, upper), optional
         Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
         limited command for the one in force. The law itself does not limit its command.
@@ -366,7 +348,6 @@ def design_sliding_mode(
     growth : float
         Fastest growth of the zero dynamics that is accepted, 1/s; raise it for slow drifts that a mission survives.
     name : str
-        For messages and reports.
 
     Raises
     ------
@@ -376,8 +357,7 @@ def design_sliding_mode(
 
     Notes
     -----
-    ``reaching.reaching_time(s, bound)`` is the time to the surface with ideal switching. Simulate ``ClosedLoop(model,
-    controller, [Saturation("limit", lower, upper)])`` for the time within the actuator limits and for convergence.
+    ``reaching.reaching_time(s, bound)`` is the time to the surface with ideal switching.
 
     Examples
     --------

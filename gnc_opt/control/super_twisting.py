@@ -13,9 +13,8 @@ If :math:`A(\pm L)^T P + P A(\pm L) \le -Q`, then :math:`V = \zeta^T P \zeta` ob
 .. math:: T = \frac{2}{\gamma} V_0^{1/2}, \qquad
    \gamma = \frac{\lambda_{\min}(P)^{1/2}\, \lambda_{\min}(Q)}{\lambda_{\max}(P)}
 
-(J. Moreno, M. Osorio, IEEE Trans. Autom. Control 57(4), 2012, 1035-1040). The condition k2 > L, k1 > sqrt(k2 + L)
-(R. Seeber, M. Horn, Automatica 84, 2017, 241-243) is weaker: gains that satisfy it converge, though there may be no
-bound of this kind on the time.
+(J. Moreno, M. Osorio, IEEE Trans. Autom. Control 57(4), 2012, 1035-1040). k2 > L, k1 > sqrt(k2 + L)
+(R. Seeber, M. Horn, Automatica 84, 2017, 241-243) suffices for convergence, without this bound on the time.
 """
 
 from __future__ import annotations
@@ -46,10 +45,7 @@ def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
 
 
 def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: float = 0.0) -> float:
-    """Return a time (s) after which s and z stay at zero, or inf where Lyapunov's argument gives none.
-
-    z includes the disturbance, whose largest rate is ``bound``.
-    """
+    """Return a time (s) after which s and z (with the disturbance of rate ``bound``) stay at zero, or inf."""
     # In units of k1^2 the gain k1 is 1; time keeps its unit.
     p, decay = _lyapunov(k2 / k1**2, bound / k1**2)
     if decay <= 0:

@@ -7,9 +7,7 @@ Backward along the reference, with :math:`v = u - u_{ff}` and the errors e of `E
 and :math:`u = u_{ff} - K(t)\, e`: the least :math:`e^T S e + \int e^T Q e + v^T R v + 2 e^T N v \, dt` to first order.
 With dt, plant and cost are sampled along the reference and the recursion is the discrete one.
 
-References
-----------
-B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, Prentice Hall (1990), section 2.3.
+Source: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), section 2.3.
 """
 
 from __future__ import annotations
@@ -75,18 +73,15 @@ def design_tvlqr(
     terminal : weight, optional
         S of the errors at the end. By default the steady cost to go of the tail.
     dt : float, optional
-        Control step, s: gains for commands held that long from the reference's beginning on. Without it, the
-        continuous gains, for any step that is short compared with the closed loop's time constants.
+        Control step, s: gains for commands held that long. Without it, the continuous gains.
     limits : (lower, upper), optional
         Of the controls, for the statement of the reserve. Commands are not clipped.
     name : str
-        For messages and reports.
 
     Returns
     -------
     Controller
-        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K`` (row by row). ``controller.schedule.gains``
-        evaluates K and P at any time.
+        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K``; K and P: ``controller.schedule.gains``.
 
     Raises
     ------

@@ -91,10 +91,7 @@ def _interpolate(values: Array, points: Array) -> Array:
 
 
 class Gains(Protocol):
-    """Gains and costs to go of a tracking law, at any time from the beginning of the reference on.
-
-    ``tail`` is K after the end: that of the ``steady`` regulator, or the last one.
-    """
+    """Gains and costs to go of a tracking law at any time; ``tail`` is K after the end."""
 
     @property
     def tail(self) -> Array: ...

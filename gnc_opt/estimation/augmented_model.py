@@ -57,11 +57,7 @@ class Channel:
 
 
 class AugmentedModel:
-    """A model with the biases and delays of its sensors, for control steps of dt (s).
-
-    ``states``, ``errors`` and ``space`` are of all that is estimated, ``vehicle`` is the space of the model's own
-    states.
-    """
+    """A model with the biases and delays of its sensors for steps of dt (s); ``vehicle``: its own states."""
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
@@ -104,10 +100,7 @@ class AugmentedModel:
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
     def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
-        """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and two covariances of the noise in it.
-
-        P becomes ``F (P + early) F' + late`` for noise of ``density`` (n_errors, n_errors) per second.
-        """
+        """Return F (n_errors, n_errors) of a step h (s), early, late: P becomes F (P + early) F' + late."""
         n = self.model.states.size
         own, end = x[:n], after[:n]
         middle = 0.5 * (own + end)
@@ -175,9 +168,7 @@ class AugmentedModel:
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
     def spread(self, states: Array, bias: str) -> Array:
-        """Return the standard deviations (n_errors,): states as given, biases by ``"bias"`` or
-        ``"bias_walk"``, delay lines 0.
-        """
+        """Return the standard deviations (n_errors,): given ones of states and biases, delay lines 0."""
         sigma = np.zeros(self.errors.size)
         sigma[: states.size] = states
         for channel in self.channels:

@@ -1,6 +1,4 @@
-"""Design of Kalman filters, extended and unscented: their arguments read, and their properties before any
-run.
-"""
+"""Design of Kalman filters, extended and unscented: arguments and properties before any run."""
 
 from __future__ import annotations
 
@@ -122,9 +120,7 @@ _CONSISTENT = 1e-6
 
 
 class FilterDesign:
-    """The arguments of a filter's design, read: ``sigma0`` and ``noise`` (n_errors,) are the first standard deviations
-    and the noise densities of all that is estimated.
-    """
+    """Filter design; ``sigma0``, ``noise`` (n_errors,): first deviations and noise densities."""
 
     def __init__(
         self,
@@ -229,9 +225,7 @@ class FilterDesign:
         return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
     def _steady_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
-        """Return the unobservable states and the steady accuracy of the linear model at the first state
-        without command.
-        """
+        """Return the unobservable states and the steady accuracy of the linear model at the first state."""
         F, Q, H, R = self._linear()
         where = "by the linear model at the first state, no command"
         unseen = sorted(

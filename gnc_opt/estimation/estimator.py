@@ -22,8 +22,7 @@ from gnc_opt.model.variables import Layout, as_point
 class Estimator:
     """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
 
-    At a control step it gets the samples y and its memory z, the prediction for t; it returns the estimated states x,
-    and, once the command u is known, the prediction for the next step.
+    From samples y and its memory z, the prediction for t: estimated states x and the next prediction.
 
     Attributes
     ----------
@@ -106,9 +105,7 @@ class Estimator:
         return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
-        """Return the covariance of the errors of the states, (n_errors, n_errors) of a memory (n_memory,), or (n,
-        n_errors, n_errors) of many (n_memory, n).
-        """
+        """Return the covariance of the state errors, (n_errors, n_errors) per memory (n_memory,)."""
         column = self._memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
@@ -130,8 +127,7 @@ class Estimator:
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     """Return the controller that feeds back an estimate.
 
-    Without a sample for longer than the estimator's ``hold``, the controller gets NaN and its own provision
-    for lost samples acts, see `with_dropout_handling`.
+    Without a sample for longer than ``hold``, the controller gets NaN, see `with_dropout_handling`.
 
     Parameters
     ----------

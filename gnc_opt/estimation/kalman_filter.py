@@ -21,9 +21,7 @@ halfway, R and D of `space`,
 by Simpson's rule with the exponential up to its fourth power (that of the noise up to its second). The unscented filter
 carries its points in place of the first term.
 
-References
-----------
-R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Engineering 82 (1960).
+Sources: R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Eng. 82 (1960).
 R. S. Bucy, P. D. Joseph, Filtering for Stochastic Processes with Applications to Guidance (1968).
 Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.
 """
@@ -106,9 +104,7 @@ COVARIANCE = "covariance"
 
 @dataclass(frozen=True)
 class Filter:
-    """The functions ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z`` of a filter, its memory, and the sparsity of the
-    lower triangle of P in it.
-    """
+    """The functions update and predict of a filter, its memory, and the sparsity of P's lower triangle."""
 
     update: Any
     predict: Any
@@ -152,10 +148,7 @@ class _Builder:
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _pattern(self) -> Any:
-        """Return the sparsity of the lower triangle of P: the entries that can differ from zero.
-
-        Errors that neither the dynamics nor a measurement connects stay uncorrelated.
-        """
+        """Return the sparsity of the lower triangle of P: the entries that can differ from zero."""
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.keeps_zeros:
             return ca.Sparsity.lower(n)
@@ -273,10 +266,7 @@ class _View:
 
 
 def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
-    """Return the error and P updated by whitened components with slopes H (m, n) and innovations nu, and the NIS.
-
-    ``error`` is the correction by the previous measurements. Neither changes unless the components are ``taken``.
-    """
+    """Return the error and P updated by whitened components with slopes H (m, n), and the NIS."""
     nis = ca.SX(0)
     for i in range(H.shape[0]):
         h = ca.sparsify(H[i, :].T)

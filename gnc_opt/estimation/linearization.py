@@ -12,9 +12,7 @@ their images relative to :math:`f(\hat x)`, :math:`s_i = (f_i^+ + f_i^-) / 2` an
 .. math:: \bar f = \frac{1}{c^2} \sum_i s_i, \quad F = A L^{-1}, \quad A_i = \frac{f_i^+ - f_i^-}{2c}, \quad
    \Omega = \frac{c^2 - 1}{c^4} \sum_i s_i s_i^T .
 
-References
-----------
-S. Julier, J. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004).
+Sources: S. Julier, J. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004).
 M. Norgaard, N. Poulsen, O. Ravn, New developments in state estimation for nonlinear systems, Automatica 36 (2000):
 second-order divided differences with the interval sqrt(3).
 """
@@ -104,10 +102,7 @@ class Regression:
 
 
 def cholesky(P: Any) -> Any:
-    """Return L (n, n) with P = L L', lower, of a symmetric SX that may be singular; only its lower part is read.
-
-    If the remaining variance is at most rounding, the column is zero.
-    """
+    """Return L (n, n), lower, with P = L L' of a symmetric SX that may be singular; reads the lower part."""
     n = P.shape[0]
     root = ca.SX.zeros(n, n)
     for j in range(n):

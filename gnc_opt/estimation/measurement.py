@@ -26,14 +26,13 @@ class FilterOptions:
     limits : tuple of two arrays (n_controls,) or numbers, optional
         Lower and upper limits of the actuators: the prediction takes the command within them.
     t0 : float
-        Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
+        Time of the first control step, s.
     substeps : int
         Runge-Kutta steps of the prediction per control step.
     hold : int
-        Consecutive control steps with a missing sample for which the prediction is returned; after them NaN,
-        until the next sample is taken.
+        Consecutive control steps without a sample after which the estimate is NaN.
     name : str, optional
-        For messages and reports; default "EKF" or "UKF".
+        Default "EKF" or "UKF".
 
     Examples
     --------
@@ -67,11 +66,9 @@ class Measurement:
     of : str
         The state or the output of the model that is measured; the sensor's signal in a loop has the same name.
     sigma : float or one per component
-        Standard deviation of the white noise of a sample, unit of the measurement, > 0. Attitudes have as
-        many components as their difference.
+        Standard deviation of the white noise of a sample, unit of the measurement, > 0.
     period : float, optional
-        Time between two new samples, s, a multiple of the control step; default every control step. In between, the old
-        sample may be held (`ZeroOrderHold`) or there may be none.
+        Time between two new samples, s, a multiple of the control step; default every control step.
     delay : float
         Time by which samples arrive late, s, a multiple of the control step (`SensorDelay`, behind `ZeroOrderHold`).
     bias : float or one per component
@@ -79,11 +76,9 @@ class Measurement:
     bias_walk : float or one per component
         Standard deviation by which that error changes, unit per square root of a second (`RandomWalk`).
     gate : float, optional
-        Probability with which a valid sample passes, in (0, 1); samples outside are rejected as outliers.
-        Default: all samples are taken.
+        Probability with which a valid sample passes, in (0, 1); default: no gate.
     difference : callable, optional
-        ``difference(y, y_hat)`` of SX columns, where subtraction is not the answer (an angle that jumps by a turn);
-        default that of the state, see `Model.difference`.
+        ``difference(y, y_hat)`` of SX columns; default that of the state, see `Model.difference`.
 
     Examples
     --------

@@ -45,10 +45,7 @@ from gnc_opt.tolerances import AT_LIMIT, RANK, ROUNDING, magnitude
 
 @dataclass(frozen=True, eq=False)
 class SmoothPlan:
-    """A flight without active limits: which states (n_states,) are given at the end, and whether the end time is free.
-
-    After its end the reference holds the last control.
-    """
+    """A flight without active limits: states given at the end (n_states,), and whether its time is free."""
 
     solution: Solution
     problem: Problem
@@ -65,9 +62,7 @@ class SmoothPlan:
 
     @classmethod
     def of(cls, solution: Solution) -> SmoothPlan:
-        """Read a solution of one phase without boundary constraints, free parameters, norms as controls or
-        active limits.
-        """
+        """Read a solution of one phase; `DesignError` for active limits or other unsupported conditions."""
         problem, name = solution.need_problem("follow"), solution.problem_name
         if len(solution.phases) != 1:
             raise DesignError(f"the plan '{name}' has {len(solution.phases)} phases: plan in one.")
@@ -132,11 +127,7 @@ _CONVEX = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Variations of neighbouring extremals at increasing times (k,), s, after which the feedback is constant.
-
-    ``gain`` is K (k, n_controls, n_states); ``end_gain`` is g (k, n_states), s per unit of the state; ``cost`` is S
-    (k, n_states, n_states), the second derivative of the cost to go.
-    """
+    """Feedback at times (k,), s: ``gain`` K, ``end_gain`` g (s per unit), ``cost`` S (of cost to go)."""
 
     times: Array
     gain: Array
@@ -293,10 +284,7 @@ class _Accessory:
 
 
 def conjugate_time(times: Array, X: Array, Lam: Array) -> float | None:
-    """Return the last time (s) before the end at which X is singular, where it is not so all along; else ``None``.
-
-    X and Lam (k, n, n) are a Lagrangian plane at each of the times (k,), together orthonormal.
-    """
+    """Return the last time (s) before the end at which X (k, n, n) is singular; ``None`` if there is none."""
     unitary = X + 1j * Lam
     product = unitary @ unitary.transpose(0, 2, 1)
     angles = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)

@@ -29,9 +29,7 @@ from gnc_opt.planning.solution.solution import Solution
 
 @dataclass(frozen=True)
 class RegulatedEnd:
-    """The last part of a flight (length in s), in which a regulator follows the plan with a reserved share of
-    the controls.
-    """
+    """The last part of a flight (length in s), regulated with a reserved share of the controls."""
 
     length: float
     reserve: float
@@ -112,11 +110,7 @@ def _share(begin: Any, length: float, since: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class SwitchingPlan:
-    """Controls that jump between their limits, from a start to an end at which all states are given.
-
-    ``first`` (n_controls,) are the controls at the start; each switch is of the control ``channels`` and jumps by
-    ``jumps``; ``times`` (n_switches + 1,) are the switch times and the end, s.
-    """
+    """Bang-bang controls: ``first`` (n_controls,), ``jumps`` of ``channels``, ``times`` (s), the end last."""
 
     reference: Reference
     first: Array
@@ -155,9 +149,7 @@ class SwitchingPlan:
 
     @classmethod
     def of(cls, solution: Solution) -> SwitchingPlan:
-        """Read a bang-bang solution of one phase with a free end time, all final states given and no other
-        constraints.
-        """
+        """Read a bang-bang solution of one phase with free end time and all final states given."""
         reference = Reference(solution)
         name = solution.problem_name
         if len(solution.phases) != 1:

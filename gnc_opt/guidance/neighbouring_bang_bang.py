@@ -54,8 +54,7 @@ _NEWTON_STEP_TOLERANCE = 1e-8
 """Step at which Newton's method has ended, in shares of the duration."""
 
 _MET = 1e-6
-"""By how much the switch times that are found may miss the end, in shares of the duration by which they would have to
-move for it."""
+"""Largest miss of the end, as the move of switch times that corrects it, in shares of the duration."""
 
 _STATIONARY = 1e-3
 """Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
@@ -66,11 +65,7 @@ _CURVED = 1e-6
 
 @dataclass(frozen=True)
 class Optimum:
-    """Switch times of least time and the end, tau (n_unknowns,), s; multipliers nu (n_errors,) of the final state; S
-    and H.
-
-    ``curvature`` is the least eigenvalue of H where S vanishes, times the duration (inf: S vanishes nowhere).
-    """
+    """Switch times and end tau (s), nu (n_errors,), S, H; ``curvature``: least of H on S's null space."""
 
     tau: Array
     nu: Array
@@ -236,7 +231,6 @@ def design_neighbouring_optimal(
     dt : float, optional
         Control step, s; default the regulator's.
     name : str
-        For messages and reports.
     options : GuidanceOptions, optional
         Reserve of the last part, delay of the actuators, corrections per step.
 
@@ -398,7 +392,6 @@ class _Guidance:
         tau = planned
         for _ in range(self.options.corrections):
             tau, miss = self.correct(t, x, tau)
-        # the last part begins with the step that it begins in; from then on the plan stays
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.mean_controls(t + self.options.delay, self.dt, tau)

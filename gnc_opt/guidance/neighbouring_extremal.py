@@ -41,12 +41,10 @@ def design_neighbouring_extremal(
     solution : Solution
         Refined, of one phase in which no limit is active; states at the end are given, or free with a cost.
     last : float
-        Length of the last part, s, in which the gains are constant: a shorter part is closer to the optimum,
-        and amplifies measurement errors more.
+        Length of the last part, s, with constant gains: shorter is closer to the optimum, with more noise.
     dt : float, optional
         Control step, s; default: any that is short compared with ``last``.
     name : str
-        For messages and reports.
 
     Returns
     -------

@@ -41,10 +41,7 @@ _A_LITTLE = 0.02
 
 
 def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
-    """Return the remaining problem of one phase that began at ``began``, from ``begin`` (s) and the states by name.
-
-    States that are a little beyond a limit begin on it.
-    """
+    """Return the rest of a phase from ``begin`` (s); starts slightly beyond a limit are on it."""
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
@@ -90,9 +87,7 @@ def check_remaining(problem: Problem) -> None:
 
 
 def _additive(problem: Problem, leg: Phase) -> bool:
-    """Whether the optimal remainder is independent of the past: the cost's gradient by the rest keeps its
-    direction.
-    """
+    """Whether the optimal remainder is independent of the past: the cost's gradient keeps its direction."""
     rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
     before = ca.vertcat(leg.ends("initial"), leg.initial_time)
     gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])
@@ -131,10 +126,7 @@ class Solver(Protocol):
 
 
 def follow_plan(plan: Solution) -> Schedule:
-    """Return the schedule of a law with constant gains that follows a plan.
-
-    After its end come the controls that keep it at rest, or the last ones where none do.
-    """
+    """Return the schedule of a law with constant gains that follows a plan and then keeps it at rest."""
     with contextlib.suppress(ArgumentError):
         return ReferenceSchedule(Reference(plan))
     return ReferenceSchedule(Reference(plan, tail="hold"))
@@ -147,8 +139,7 @@ class Replanner:
     Parameters
     ----------
     resolver : callable
-        Without arguments, returns the `gnc_opt.Resolver` that knows the plan; called once in every process. For
-        campaigns on several processes a function at the top of a module.
+        Without arguments, returns the `gnc_opt.Resolver` of the plan; called once in every process.
     every : float
         Time between two re-plannings, s, a multiple of the control step.
     when : callable, optional
@@ -247,18 +238,7 @@ class Replanner:
         return leg.model
 
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
-        """Refuse a controller that does not follow the plan: layouts of its states and signals, its step (s), and the
-        row of its schedule (n_signals,) at a time.
-
-        Parameters
-        ----------
-        followed, signals : Layout
-            Of the controller.
-        dt : float
-            Control step, s.
-        row : callable
-            ``row(t)`` returns the controller's own row of its schedule (n_signals,).
-        """
+        """Raise `ArgumentError` if a controller does not follow the plan (``dt`` in s)."""
         for v in self.model.states.variables:
             if v.name not in followed or followed[v.name].size != v.size:
                 raise ArgumentError(

@@ -74,8 +74,7 @@ class Given:
 def declared(given: Any, what: str) -> list[Declared]:
     """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
-    Symbols without a mapping keep their names: ``SX.sym("r", 3)`` is one variable, whose elements CasADi calls r_0,
-    r_1, r_2; ``vertcat(q, v)`` are two. ``what`` is for the `ModelError` of anything else.
+    Symbols without a mapping keep their names. ``what`` is for the `ModelError` of anything else.
     """
     if isinstance(given, Mapping):
         return [_entry(name, value, what) for name, value in given.items()]
@@ -99,11 +98,8 @@ def derivative_in(
     Parameters
     ----------
     f : casadi.Function, or casadi.SX or casadi.MX (size, 1), or a list of their rows
-        A function of some of t, x, u, p (by the names of its inputs), or an expression.
-    arguments : mapping
-        The new SX symbols (n, 1) of t, x, u and p.
-    symbols : mapping
-        Those that an expression is written in, a list for each of t, x, u and p, stacked like the new ones.
+    arguments, symbols : mapping
+        The new SX symbols (n, 1) of t, x, u and p; those in ``f``.
     """
     function = f if isinstance(f, ca.Function) else _function(f, symbols, what)
     _check_inputs(function, arguments, what)

@@ -38,7 +38,7 @@ class ComposedControl:
 class SplitControl(ComposedControl):
     """The sum of controls >= 0 less another one; an optimum that pays for all fills one after the other.
 
-    ``corners`` says where each part but the last one begins, for each component; empty for two parts that meet at zero.
+    ``corners`` holds where each part but the last begins; empty for two parts that meet at zero.
     """
 
     corners: tuple[tuple[float, ...], ...] = ()

@@ -1,7 +1,7 @@
 """Numeric calls of CasADi functions of (t, x, ...).
 
-CasADi calls a function once per column. Where columns are many, one NumPy operation after another on all of them is
-quicker by a factor of 3 to 300; results differ by the rounding of transcendental functions at most.
+CasADi calls a function once per column. For many columns NumPy operations on all are quicker by a factor of 3
+to 300; results differ by the rounding of transcendental functions at most.
 """
 
 from __future__ import annotations
@@ -81,15 +81,7 @@ _OPERATIONS: dict[int, Operation] = {
 
 @dataclass(frozen=True)
 class Operations:
-    """The operations of a CasADi function of columns with one dense column as its first output.
-
-    Attributes
-    ----------
-    rows : int
-        Of the output.
-    steps : tuple of (operation, place of its result, what it is given)
-        A place is a register, or a row of the output; given are registers, a number, or an argument and its row.
-    """
+    """The operations of a CasADi function of columns with one dense column as its first output."""
 
     rows: int
     registers: int
@@ -158,8 +150,7 @@ def evaluate(
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 
-    One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis.
-    ``programme`` is the function as NumPy code, if available, for many times.
+    1-D arguments are constant in time; 2-D ones have time last. ``programme`` is the function as NumPy code.
     """
     times, *columns = checked(function, t, x, *others)
     if (
@@ -174,15 +165,7 @@ def evaluate(
 
 
 def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
-    """Return a CasADi function's first output at one point, without conversion overhead, for integrators.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        With dense arguments and output.
-    *constants : array
-        Its last arguments, once and for all; what is returned takes the others.
-    """
+    """Return a CasADi function's first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
     for argument, value in zip(arguments[free:], constants, strict=True):
@@ -205,10 +188,7 @@ def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
 
 
 def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
-    """Return a CasADi function's first output for n columns, (rows, n), by blocks and in place: ten times as fast.
-
-    Arguments (rows,) stay the same, those (rows, n) have one column each time; double precision.
-    """
+    """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     pattern = function.sparsity_out(0)
     if not pattern.nnz():
         return np.zeros((pattern.numel(), n))
@@ -243,10 +223,7 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
 
 
 def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
-    """Return the states (n_states, n + 1) of a CasADi function of (state, input), from the start (n_states,) on.
-
-    The inputs are (n_inputs, n); all columns are dense.
-    """
+    """Return the states (n_states, n + 1) of a CasADi function of (state, input) from a start (n_states,)."""
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])
     buffer, run = function.buffer()

@@ -1,8 +1,4 @@
-"""Expressions: their graph of operations, smooth functions, and nodes that depend on symbols by their norm alone.
-
-A norm can be written in many ways (``norm_2(T)``, ``sqrt(T.T @ T)``, ``sumsqr(T / m)``, ``hypot(T_x, T_y)``); all are
-invariant to rotations of the vector and scale with its length or the square of its length.
-"""
+"""Expressions: graph of operations, smooth functions, and nodes that depend on a vector's norm alone."""
 
 from __future__ import annotations
 
@@ -33,10 +29,7 @@ def nodes_of(expression: Any) -> Iterator[Any]:
 
 
 def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
-    """Return a column in which nodes are replaced; nodes that do not depend on these, such as tables, are unchanged.
-
-    ``replacement`` returns the replacement of a node, or None to visit its operands.
-    """
+    """Return a column in which ``replacement(node)`` replaces nodes; None visits the operands of a node."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
     waiting = list(elements)
@@ -84,8 +77,8 @@ def holds_nan(expression: Any) -> bool:
 def smooth_abs(x: Any, width: float) -> Any:
     """Return the absolute value of each component with its kink rounded off: ``sqrt(x^2 + width^2) - width``.
 
-    It is zero at zero, where its curvature is 1 / width, and less than the absolute value elsewhere, by ``width`` at
-    most: the pseudo-Huber function (R. Hartley and A. Zisserman, Multiple View Geometry, Cambridge 2003, A6.8).
+    The pseudo-Huber function (R. Hartley and A. Zisserman, Multiple View Geometry, Cambridge 2003, A6.8):
+    zero at zero with curvature 1 / width, and less than the absolute value by ``width`` at most.
 
     Parameters
     ----------
@@ -122,15 +115,7 @@ _DIRECTIONS, _PROBE_DRAWS, _SEED = 3, 3, 20
 
 @dataclass(frozen=True, eq=False)
 class NormNodes:
-    """Nodes that are homogeneous functions of the norm of a vector.
-
-    Attributes
-    ----------
-    vector : casadi.SX
-        (k, 1); of a single component, the norm is its absolute value.
-    degrees : dict of int
-        1 or 2 by the hash of each node.
-    """
+    """Nodes that are homogeneous functions of the norm of a vector."""
 
     vector: Any
     degrees: dict[int, int]

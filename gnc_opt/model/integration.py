@@ -1,8 +1,7 @@
 """Integration of dynamics with guaranteed termination, and the time and reason of an early end.
 
-Dormand and Prince's Runge-Kutta method of order 8 with all stages of a step in one call of CasADi; the method and its
-control of the step are those of SciPy's DOP853 (Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I,
-sections II.4 and II.5), which handles exceptional cases (`integrate`).
+Dormand and Prince's method of order 8, a step in one call of CasADi, with the step control of SciPy's DOP853
+(Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, II.4 and II.5).
 """
 
 from __future__ import annotations
@@ -31,11 +30,7 @@ Controls = Callable[[Array], Array]
 
 
 def step_function(rates: Any) -> Any:
-    """Return the CasADi function of a step, from rates of (t, x, u, ...).
-
-    Its arguments are t, h, x, dx/dt, the controls at the later stages one after another, ...; its result, in one
-    column, the new state, its rate, and the error estimates of order 5 and 3 per second.
-    """
+    """Return (t, h, x, dx/dt, later controls, ...) -> (x, dx/dt, errors of order 5 and 3 per second)."""
     method = scipy.integrate.DOP853
     size, channels = rates.size1_in(1), rates.size1_in(2)
     t, h, x, first = (
@@ -64,11 +59,7 @@ def carried(
     tolerance: Tolerance,
     budget: Budget,
 ) -> Array | None:
-    """Return the state (n,) at the end of a span, or None where numbers or steps do not stay ordinary.
-
-    ``step`` is `step_function` of its first five arguments, ``rate`` the dynamics under the controls; the end of
-    the span is the later one. `SpentError`: they take too many evaluations.
-    """
+    """Return the state (n,) at the end of a span, or None where numbers or steps do not stay ordinary."""
     t, end = span
     places = np.asarray(scipy.integrate.DOP853.C[1:STAGES])
     smallest, largest = tolerance.relative * tolerance.magnitude, GROWTH_LIMIT * tolerance.magnitude
@@ -126,8 +117,7 @@ GROWTH_LIMIT = 1e8
 """Growth beyond the trajectory's own magnitude at which integration is given up."""
 
 MOST_NOT_FINITE = 1000
-"""Rates that are not finite, after which integration is given up: an integrator that meets the edge of the dynamics'
-domain shortens its step without end."""
+"""Rates that are not finite, after which integration is given up."""
 
 MOST_RATES = 500_000
 """Evaluations of the dynamics; stiff dynamics would take an explicit integrator any number of them."""
@@ -170,7 +160,6 @@ class Budget:
 
     def _note(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
-        # A NaN step gives NaN states: the failure began before them.
         if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))
             self.earliest = t
@@ -186,11 +175,10 @@ class Tolerance:
     Attributes
     ----------
     relative : float
-        The absolute tolerance is this times each state's magnitude.
     magnitude : array (n_states,)
-        Of the states; `GROWTH_LIMIT` is measured in it.
+        The absolute tolerance is their product.
     stiff : bool
-        Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
+        Use Radau's implicit method of order 5.
     """
 
     relative: float

@@ -1,8 +1,8 @@
 """Interpolation along one axis of a table: piecewise polynomials, as weights of a window of coefficients.
 
 On the interval from break j to break j + 1, with u from 0 to 1, the value is the sum over a of
-``(M_j [1, u, u^2, ...])_a C[stride j + a]``. All methods have this form; they differ in their windows, in the matrices
-M_j and in what the coefficients C are.
+``(M_j [1, u, u^2, ...])_a C[stride j + a]``. Methods differ in their windows, matrices M_j and coefficients
+C.
 """
 
 from __future__ import annotations

@@ -147,12 +147,12 @@ class Model(Strict):
         ----------
         name : str
         x, u, p : symbols
-            Of states, controls and parameters: a column of SX or MX symbols, a sequence of columns, or a mapping
-            from names to columns or, if ``f`` is a Function, to sizes. Without a mapping symbols keep their names.
+            Columns of SX or MX symbols, or mappings from names to columns or, if ``f`` is a Function, to
+            sizes.
         f : casadi.SX, casadi.MX, list of these or casadi.Function
-            dx/dt (n_states, 1), or a function that returns it; its inputs are those it needs of t, x, u, p, by name.
+            dx/dt (n_states, 1), or a function of some of t, x, u, p by name.
         t : casadi symbol, optional
-            Time in the expression ``f``, s.
+            s.
         values : mapping, optional
             Value of each parameter by name.
         units : mapping, optional
@@ -223,9 +223,8 @@ class Model(Strict):
     ) -> tuple[Any, Any]:
         """Declare a control with a cost of its absolute value as the difference of two nonnegative controls.
 
-        The controls are ``name_plus`` and ``name_minus``, both >= 0; at an optimum with a cost of their sum at most
-        one of them is nonzero, so that the sum is the absolute value. ``Phase.bounds``, ``Phase.guess`` and
-        solutions take ``name``, which is also an output.
+        The controls ``name_plus`` and ``name_minus`` are >= 0; at an optimum at most one of them is nonzero.
+        ``Phase.bounds``, ``Phase.guess`` and solutions take ``name``, which is also an output.
 
         Parameters
         ----------
@@ -246,14 +245,12 @@ class Model(Strict):
     ) -> tuple[Any, Any]:
         """Declare a control whose Euclidean norm is limited or costs, without a kink where it is zero.
 
-        The controls are ``name_magnitude``, >= 0, and ``name_direction``; a phase keeps the direction within the
-        unit ball, or on the unit sphere where the norm has a lower limit > 0 or something is not affine in the
-        direction. ``Phase.norm_bounds`` takes the range of the norm, ``Phase.guess`` that of ``name``, which is
-        also an output.
+        The controls are ``name_magnitude``, >= 0, and ``name_direction``, in the unit ball, or on the unit
+        sphere if the norm has a lower limit > 0 or an expression is not affine in the direction.
+        ``Phase.norm_bounds`` limits the norm.
 
-        Within the ball the norm is at most the magnitude; if everything is affine in the vector, an optimum has the
-        two equal wherever the vector matters (B. Acikmese and S. R. Ploen, Convex programming approach to powered
-        descent guidance for Mars landing, J. Guidance 30 (2007) 1353). At zero the constraints are regular.
+        Within the ball the norm is at most the magnitude. In affine problems both are equal at an optimum
+        (Acikmese and Ploen, J. Guidance 30 (2007) 1353).
 
         Parameters
         ----------
@@ -284,21 +281,19 @@ class Model(Strict):
     ) -> Symbol:
         """Declare an algebraic variable z of a semi-explicit system of index 1: g(t, x, u, p, z) = 0 along a phase.
 
-        A phase has z among its controls, with bounds and a guess, and the path constraint ``equation of z``. If g
-        contains no control, `solve` follows z as a state; see `gnc_opt.planning.problem.reformulation.algebraic`.
-        The guess selects the solution, if g = 0 has several.
+        A phase has z among its controls and the path constraint ``equation of z``. The guess selects the
+        solution if g = 0 has several. See `gnc_opt.planning.problem.reformulation.algebraic`.
 
         Parameters
         ----------
         name, size, unit, nominal
             As in `state`.
-        residual : callable
-            ``residual(z)`` returns g, with as many rows as z, in the symbols that are declared so far.
+            ``residual(z)`` returns g (as many rows as z) in the symbols declared so far.
 
         Raises
         ------
         ModelError
-            As in `state`, or g has another size, or its derivative by z is singular for all values (a higher index).
+            As in `state`, or g has another size or a derivative by z that is singular for all values.
 
         Examples
         --------
@@ -363,22 +358,22 @@ class Model(Strict):
         function: Callable[[Any, Any], Any],
         retraction: Callable[[Any, Any], Any] | None = None,
     ) -> None:
-        """Declare how far a state is from a reference, where subtraction is not the answer (attitudes).
+        """Declare the error of a state relative to a reference that is not their difference (attitudes).
 
         Parameters
         ----------
         state : Symbol or str
         function : callable
-            ``function(x, x_ref)`` of two SX columns returns the error, an SX column: zero for equal attitudes,
-            first order in small differences. It may have fewer components than the state (3 for a quaternion).
+            ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a
+            quaternion.
         retraction : callable, optional
-            ``retraction(x_ref, e)`` returns the state x that is the error e away from x_ref, to first order at least:
-            the way back, which estimators need.
+            ``retraction(x_ref, e)`` returns the state that is the error e away from x_ref; estimators need
+            it.
 
         Raises
         ------
         ModelError
-            The result is not a column of SX, or it uses other symbols; or there is no way back with this size.
+            The result is not an SX column, uses other symbols, or the retraction has another size.
         """
         self._refuse_if_in_use("difference")
         name = self._variables.state_name(state)
@@ -404,8 +399,7 @@ class Model(Strict):
     ) -> Model:
         """Return the same dynamics in other controls.
 
-        ``composed`` are those that are stated no more, with their expressions in the new ``controls``; ``express``
-        returns an expression of the old ones in the new ones.
+        ``composed`` gives the replaced controls in the new ``controls``; ``express`` rewrites an expression.
         """
         twin = copy.copy(self)
         twin._functions = {}
@@ -429,8 +423,6 @@ class Model(Strict):
             **{s.variable.name: as_expression(r, "") for s, r in rates.items()},
         }
         return twin
-
-    # --- what it is -------------------------------------------------------------------------------
 
     @property
     def time(self) -> Any:
@@ -573,8 +565,6 @@ class Model(Strict):
         )
         a, b = jacobians(*checked(jacobians, t, x, u, self.parameter_values if p is None else p))
         return np.asarray(a.full()), np.asarray(b.full())
-
-    # --- internals --------------------------------------------------------------------------------
 
     def mark_in_use(self, user: str) -> None:
         """Freeze the declarations: a problem now rests on them."""

@@ -95,8 +95,7 @@ class Table(Strict):
         Returns
         -------
         casadi.SX or array
-            Expressions have continuous derivatives (none for "linear"), also outside the table; NaN gives
-            NaN.
+            Continuous derivatives in expressions (none for "linear"), also outside the table.
 
         Raises
         ------
@@ -123,8 +122,6 @@ class Table(Strict):
             ) from None
         found = self._function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
         return found if found.ndim else float(found)
-
-    # --- internals --------------------------------------------------------------------------------
 
     def _read_expression(self, argument: Any) -> Any:
         try:
@@ -195,11 +192,7 @@ class Table(Strict):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Where a number lies along an axis, SX.
-
-    ``inside`` (n_intervals, 1) is 1 for its interval, u its place there (0 to 1), ``beyond`` the distance outside
-    of the table in widths of the interval; the comparisons decide all that.
-    """
+    """Where a number lies along an axis, SX."""
 
     inside: Any
     u: Any
@@ -260,15 +253,12 @@ def table(
         The grid: one increasing array, or one per axis of ``values``. A DataArray brings its values and name along.
     values : array (n,) or (n_1, n_2, ...)
     method : {"bspline", "linear", "pchip"}
-        The cubic spline with two continuous derivatives, along each axis (the right one for optimisation: it may
-        overshoot where the data turn sharply); straight lines, with kinks at the points, which cost a
-        refinement dearly; cubics with one continuous derivative that never overshoot in one dimension.
+        Cubic spline with two continuous derivatives (for optimisation); straight lines, with kinks; cubics
+        with one continuous derivative that never overshoot in one dimension.
     outside : {"linear", "hold", "error"}
-        Beyond the grid: continued with the slope at its end; held at the value there; refused. A solver's iterates
-        may leave any table, hence expressions of one that refuses are continued linearly, while numbers and a guess
-        outside of it are errors. The summary of a solution names every table that it leaves.
+        Continued with the end slope, held, or an error. Expressions with "error" are continued linearly,
+        since iterates of a solver may leave the table.
     name : str, optional
-        For messages.
 
     Raises
     ------

@@ -109,8 +109,8 @@ class Records:
     def write(self, path: str | Path) -> Path:
         """Write a file of the kind that its suffix names, and return its path; raise `ArgumentError` for others.
 
-        ``.csv``: a column per component. ``.json``: columns, units and attributes. ``.mat``: a matrix (n, size) per
-        quantity, with underscores for dots in names, and the structure ``units``. NaN is an empty field or null.
+        ``.csv``: a column per component. ``.json``: with units and attributes. ``.mat``: a matrix (n, size)
+        per quantity.
         """
         target = Path(path)
         if target.suffix not in _WRITERS:
@@ -125,16 +125,7 @@ class Records:
 def named(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
-    """Yield the variables of a layout with their rows of stacked values.
-
-    Parameters
-    ----------
-    values : array (layout.size, n)
-    prefix : str
-        Put before each name.
-    length : int, optional
-        Of the axis; missing values at its end become NaN.
-    """
+    """Yield the variables of a layout with their rows of stacked values."""
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
     whole = np.hstack([values, missing])
     for variable in layout.variables:

@@ -21,7 +21,7 @@ class TrajectoryPhase:
     initial_time, final_time : float
         s.
     jumps : array (n_jumps,)
-        Times at which a control jumps, s, increasing.
+        Times at which a control jumps, s.
     x, u : callable
         Of times (n_times,) in s: states (n_states, n_times) and controls (n_controls, n_times).
     """

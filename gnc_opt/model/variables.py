@@ -28,7 +28,7 @@ class Variable:
     size : int
         Number of components.
     unit : str
-        For printing and plotting; gnc_opt computes in the units it is given (SI by convention).
+        For printing and plotting.
     nominal : tuple of float or None
         Typical magnitude of each component, used for scaling; ``None`` lets gnc_opt choose.
 
@@ -157,7 +157,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
     ----------
     variable : Variable
     table_uses : list
-        Calls of tables with expressions of this symbol: the only trace of a table in an expression.
+        Calls of tables with expressions of this symbol.
 
     Examples
     --------
@@ -184,7 +184,6 @@ class Symbol(ca.SX):  # type: ignore[misc]
         """Evaluate ``np.linalg.norm(v)`` and similar calls as CasADi does for plain SX."""
         return function(*map(_plain, args), **{name: _plain(value) for name, value in kwargs.items()})
 
-    # Keys are compared by identity: CasADi's == builds an expression instead of answering.
     __hash__ = object.__hash__
 
     def __repr__(self) -> str:

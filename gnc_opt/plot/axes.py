@@ -68,9 +68,9 @@ def sample(
     function : callable
         Returns (n, n_times), or (n_times,) for a scalar quantity.
     breaks : array (K + 1,)
-        Where the function may jump, ends included, s.
+        Where the function may jump, s.
     gaps : bool
-        Separate the pieces by NaN, so that a line is not drawn across a jump.
+        Separate the pieces by NaN.
 
     Returns
     -------
@@ -104,9 +104,7 @@ def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] 
 
 
 def zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
-    """Return the times at which samples (n_times,) change sign, by linear interpolation; ``negligible`` ones have no
-    sign.
-    """
+    """Return the times at which samples (n_times,) change sign; ``negligible`` ones have no sign."""
     clear = np.abs(values) > negligible
     t, values = t[clear], values[clear]
     k = np.flatnonzero(values[:-1] * values[1:] < 0)

@@ -33,12 +33,7 @@ SHOWN_RUN_SHARE = 0.95
 
 
 def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
-    """Return points of the tube at each instant, (3, n_times, 25).
-
-    Each section lies across the mean path and is the ellipse of the covariance of the runs' deviations there, enlarged
-    until it holds the share of the runs: no distribution is assumed. Deviations along the path do not show.
-    ``positions`` (n_runs, 3, n_times) are finite.
-    """
+    """Return points of the tube at each instant, (3, n_times, 25)."""
     mean = positions.mean(axis=0)
     least = 1e-6 * max(float(np.max(np.ptp(mean, axis=1))), np.finfo(float).tiny)
     angle = np.linspace(0.0, 2.0 * np.pi, 25)
@@ -105,15 +100,14 @@ _NOTE: dict[str, Any] = {
 }
 
 _LIMIT_MAX_DISTANCE = 2.0
-"""Limits farther from the values than so many times their range are named, not drawn, so that the values stay
-legible."""
+"""Limits farther from the values than so many times their range are named, not drawn."""
 
 
 def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     """Return a figure that shows where the runs end: the components of a state's error against each other.
 
-    Dots are runs that passed all limits, crosses those that did not; the circle is the limit on the length of the
-    error. Runs that ended with no finite number are counted in the legend.
+    Dots are runs that passed all limits, crosses the others; the circle is the limit on the length of the
+    error.
 
     Parameters
     ----------
@@ -184,8 +178,7 @@ def _dispersion_legend(campaign: Campaign, name: str, passed: Any, finite: Any, 
 def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
     """Return a figure that shows how measures are distributed: a histogram and the empirical distribution of each.
 
-    Percentiles are marked on the distribution, with bars for their confidence intervals. A distribution that ends
-    below 100 % has runs without a value.
+    Percentiles are marked with bars for their confidence intervals.
 
     Parameters
     ----------

@@ -58,9 +58,9 @@ def plot_controls(
 ) -> Figure:
     """Return a figure that shows every control component and, next to it, its switching function.
 
-    Left: the applied signal (bold), the collocation polynomial with its nodes (thin), bounds dashed. Right: the
-    switching function dH/du (not of a solution without its problem); a bounded control belongs on its upper bound
-    where this is negative; dotted lines mark its changes of sign. Composed controls follow, as applied.
+    Left: the applied signal (bold), the collocation polynomial with its nodes (thin), bounds dashed. Right:
+    the switching function dH/du; a bounded control is on its upper bound where it is negative; dotted lines
+    mark zeros.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def plot_controls(
     labels : mapping, optional
         Component labels by control name.
     hamiltonian_unit : str
-        Cost per second; none for minimum time. The switching function has this unit per unit of the control.
+        Cost per second; none for minimum time.
 
     Raises
     ------
@@ -125,9 +125,6 @@ def plot_controls(
             figure.align_ylabels([ax for ax in column if ax in figure.axes])
         legend_on_top(figure, _control_legend(columns == 2))
     return figure
-
-
-# --- pieces of figures --------------------------------------------------------------------------------
 
 
 def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:
@@ -202,10 +199,7 @@ def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
 
 
 def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
-    """Return the switching function that changes H by 1e-7 of its terms over the control's range.
-
-    An interior control holds it at zero; without this the figure would magnify the rounding errors.
-    """
+    """Return the switching function that changes H by 1e-7 of its terms over the control's range."""
     t, rows = leg.point_times, leg.controls.slice(name)
     row = rows.start + i
     terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))

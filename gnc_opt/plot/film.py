@@ -40,10 +40,10 @@ def save_film(
     moved : Solution or Run
         All phases that have the states of the view, one after the other.
     path : str or Path
-        ``.gif``, or ``.mp4`` where ffmpeg is installed; an existing file is replaced when the film is whole.
+        ``.gif``, or ``.mp4`` with ffmpeg.
     view : View
     others : sequence of Solution or Run
-        Their paths are drawn in grey, e.g. the runs of a campaign or the plan.
+        Their paths are drawn in grey.
     seconds : float
         Length of the film, s; the motion is shown at constant speed.
     rate : float
@@ -52,7 +52,7 @@ def save_film(
     Raises
     ------
     UnknownNameError, ArgumentError
-        A state, control or suffix that is none, or with wrong components.
+        An unknown state, control or suffix, or wrong components.
     GncOptError
         A film in mp4 and no ffmpeg.
 
@@ -92,9 +92,6 @@ def _writer(target: Path, rate: float) -> Any:
             raise GncOptError("no ffmpeg is found, which writes films in mp4: install it, or write a '.gif'.")
         return FFMpegWriter(fps=rate)
     raise ArgumentError(f"a film is written as '.gif' or '.mp4', not as '{target.suffix or target.name}'.")
-
-
-# --- pictures -------------------------------------------------------------------------------------------
 
 
 def _pictures(shown: Motion, paths: Sequence[Array], view: View) -> tuple[Figure, Callable[[int], None]]:

@@ -62,8 +62,8 @@ def plot_bode(response: LoopResponse, command: str | None = None) -> Figure:
 def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
     """Return a figure that shows the open loop of a command in the complex plane about -1, a line for each instant.
 
-    The disk holds the points that a change of gain and phase within the smallest disk margin moves to -1: the lines
-    stay outside of it (Seiler, Packard and Gahinet, An introduction to disk margins (2020), figure 6).
+    The lines stay outside of the disk of the smallest disk margin (Seiler, Packard and Gahinet, An
+    introduction to disk margins (2020), figure 6).
 
     Parameters
     ----------

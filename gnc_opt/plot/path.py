@@ -208,7 +208,6 @@ def frame_space(
     room = 0.04 * float(np.max(high - low))
     low, high = low - room, high + room
     ax.set_xlim(low[0], high[0])
-    # With z down, y runs towards the viewer: the frame stays right-handed.
     ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
     ax.set_box_aspect(high - low, zoom=zoom)

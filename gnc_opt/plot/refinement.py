@@ -28,8 +28,7 @@ _VERDICT_LEAST, _VERDICT_MOST = 1e-12, 1e12
 
 
 def plot_verdict(verdict: Verdict) -> Figure:
-    """Return a figure with one row per condition: its violation as a share of its tolerance, on a logarithmic
-    axis.
+    """Return a figure of the violation of each condition as a share of its tolerance, on a logarithmic axis.
 
     The violation of a condition with a margin (negative tolerance) is the missing part of the margin.
 
@@ -101,9 +100,8 @@ _NUMBER: dict[str, Any] = {
 def plot_refinement(history: History) -> Figure:
     """Return a figure that shows how a refinement went.
 
-    Above, the estimated error of each iteration over its collocation points, with the tolerance; failed solves are
-    crossed out. Below, for each phase, one row per iteration: its segments over time, coloured by their degrees; on
-    a logit axis where the first or last segments are too narrow to be seen.
+    Above, the estimated error of each iteration over its collocation points; failed solves are crossed out.
+    Below, one row of segments per iteration and phase, coloured by degree.
 
     Parameters
     ----------

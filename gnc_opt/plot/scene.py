@@ -1,6 +1,6 @@
 """Motion in three dimensions in a page: a vehicle, its path and its plumes over a slider of time.
 
-Plotly, of the extra ``report``, draws it; script and numbers are packed into the page, which needs no network.
+Plotly, of the extra ``report``, draws it; the page needs no network.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _DIGITS = 4
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
     """Return the scene as a piece of HTML, to be used once in a page; without Plotly, a line on how to get it.
 
-    Of ``shown``, by name, the first is shown first, and of ten or more the tube of dispersion; those that are not
-    ``regular`` do not count for the tube and may leave the picture.
+    Of ten or more in ``shown``, the tube of dispersion is drawn; those that are not ``regular`` do not count
+    for it.
     """
     data = _described(shown, view, regular or {})
     try:

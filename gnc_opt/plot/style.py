@@ -65,7 +65,7 @@ def new_figure(height: float, width: float = 9.0) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
-    """Return the path of a file to which a figure is written (its suffix is the format), making folders as needed.
+    """Return the path of a file to which a figure is written; its suffix is the format.
 
     Parameters
     ----------

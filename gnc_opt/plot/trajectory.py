@@ -139,7 +139,7 @@ def plot_hamiltonian(
     phase : str, optional
         Default all, one after the other.
     expected : float, optional
-        The value it ought to have, e.g. -1 for minimum time; drawn as a dashed line.
+        Expected value, e.g. -1 for minimum time; drawn dashed.
     unit : str
         Cost per second; none for minimum time.
 
@@ -172,9 +172,6 @@ def plot_hamiltonian(
         ax.set_ylabel(axis_label("Hamiltonian", unit))
         legend_on_top(figure, _hamiltonian_legend(low, high, expected), columns=2)
     return figure
-
-
-# --- pieces of figures --------------------------------------------------------------------------------
 
 
 def _draw_each(

@@ -34,12 +34,12 @@ class Thruster:
     Attributes
     ----------
     control : str
-        A control or a state of one component, or a component, such as ``"F_B[0]"``. One that takes both signs is a
-        pair of thrusters on opposite sides: where it is negative, nozzle and plume are mirrored through the origin.
+        A scalar control, state or component, such as ``"F_B[0]"``. If it takes both signs, the nozzle is
+        mirrored.
     direction : array (3,)
         Direction of the force for a positive control: in B if the view has an attitude, else in L.
     position : array (3,)
-        Of the nozzle in the same axes, in lengths of the axes as drawn: vehicles are drawn larger than they are.
+        Of the nozzle in the same axes, in lengths of the axes as drawn.
 
     Examples
     --------
@@ -61,8 +61,7 @@ class View:
     Attributes
     ----------
     position : str or sequence of str, optional
-        One to three components: x, y and z in the frame that is drawn, L; of two, the second is drawn upwards, as
-        is a single one. None leaves the body at the origin.
+        One to three components: x, y and z in the frame L. None leaves the body at the origin.
     attitude : str or sequence of str, optional
         Of the body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar part first).
     force : str, sequence of str, or mapping of str to Thruster, optional

@@ -1,8 +1,7 @@
 """Orbits and attitudes as CCSDS messages in key-value notation, which flight dynamics systems exchange.
 
-OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: attitude ephemeris message, CCSDS 504.0-B
-(version 1.0); the quaternion from frame A to frame B, that is our ``q_BA``, with its scalar part last. The clock runs
-evenly: in UTC no leap second may lie within a file.
+OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: attitude ephemeris message, CCSDS
+504.0-B (version 1.0); ``q_BA``, scalar part last. In UTC no leap second may lie within a file.
 """
 
 from __future__ import annotations
@@ -31,13 +30,11 @@ class MessageMetadata:
     Parameters
     ----------
     epoch : str
-        Date and time of day of t = 0, ``"2027-03-01T12:00:00"``, in the time system.
+        Date and time of day of t = 0 in the time system.
     time_system : str
         By its CCSDS name, ``"UTC"``.
-    object_name, object_id : str
-        Whose orbit or attitude; the id is the international designator, ``"2027-001A"``.
-    originator : str
-        Who writes.
+    object_name, object_id, originator : str
+        The id is the international designator, ``"2027-001A"``.
 
     Examples
     --------
@@ -84,7 +81,6 @@ def write_oem(
     frame, center : str
         By their CCSDS names: ``"EME2000"``, ``"EARTH"``.
     metadata : MessageMetadata
-        Object, epoch and time system, and who writes.
 
     Raises
     ------
@@ -127,12 +123,10 @@ def write_aem(
     times : array (n,)
         s since the epoch, increasing by a nanosecond at least.
     q_BA : array (4, n)
-        Unit quaternion of frame B relative to frame A, scalar part first, as in `gnc_opt.spacecraft`:
-        `mrp_to_quaternion` gives it.
+        Unit quaternion of frame B relative to frame A, scalar part first.
     frame_a, frame_b : str
         By their CCSDS names: ``"EME2000"``, ``"SC_BODY_1"``.
     metadata : MessageMetadata
-        As for `write_oem`.
 
     Raises
     ------

@@ -51,7 +51,7 @@ def write_run_report(
     view : gnc_opt.plot.View, optional
         What of the motion is shown in three dimensions, as in `write_report`.
     command : str, optional
-        What writes this report again, for the page.
+        Command that writes this report, for the page.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def write_campaign_report(
     runs : int
         At most so many are shown there, those that did not pass first.
     command : str, optional
-        What writes this report again, for the page.
+        As in `write_run_report`.
 
     Returns
     -------

@@ -45,11 +45,7 @@ _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠",
 
 @dataclass
 class Formulas:
-    """Writes scalar expressions; collects the auxiliary quantities that they use.
-
-    ``names`` is MathML by ``element_hash``; ``auxiliary`` name and formula of the auxiliary quantities, each after
-    those that it uses, of which so many have been ``shown`` to the reader.
-    """
+    """Writes scalar expressions; collects the auxiliary quantities that they use."""
 
     names: dict[int, str]
     auxiliary: list[tuple[str, str]] = field(default_factory=list)

@@ -1,8 +1,4 @@
-"""The page about one solution, for a design review.
-
-The first section holds the trajectory, the controls with their switching functions and the result of the optimality
-check; the others the problem, states, costates, Hamiltonian, arcs, refinement, conditions, multipliers and versions.
-"""
+"""The page about one solution, for a design review."""
 
 from __future__ import annotations
 
@@ -54,21 +50,7 @@ def page(
     motion: str = "",
     command: str | None = None,
 ) -> str:
-    """Return the page as HTML.
-
-    Parameters
-    ----------
-    solution : Solution
-    verdict : Verdict or None
-    files : mapping of str to Path
-        Figures by stem, which become part of the page.
-    own : sequence of Path
-        Figures of the user.
-    motion : str
-        The scene in three dimensions as HTML.
-    command : str, optional
-        What writes the page again.
-    """
+    """Return the page as HTML."""
 
     def shown(*stems: str) -> str:
         return "".join(picture(files, stem, CAPTIONS[stem]) for stem in stems)

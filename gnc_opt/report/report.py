@@ -30,31 +30,30 @@ def write_report(
 ) -> list[Path]:
     """Write a page for a design review, the solution, its summary as JSON, and the figures into a folder.
 
-    The page begins with the trajectory, the controls with their switching functions and the optimality check. It then
-    states the problem in full and shows states, costates, Hamiltonian, arcs, refinement, conditions and versions.
+    The page begins with the trajectory, the controls and the optimality check, then states the problem in
+    full.
 
     Parameters
     ----------
     solution : Solution
-        Joined to its problem; one without it gets no figure of the Hamiltonian.
+        Without its problem, there is no figure of the Hamiltonian.
     verdict : Verdict or None
         None writes no optimality check.
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
     figures : callable, optional
-        ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns
-        their path(s), or returns matplotlib figures: one, a list, or a dict by name.
+        ``figures(solution, directory)`` writes a problem's own figures and returns their path(s), or returns
+        matplotlib figures: one, a list, or a dict by name.
     view : gnc_opt.plot.View, optional
-        Vehicles and motion: a figure of the trajectory, and a scene over a slider of time (plotly of the extra
-        ``report``).
+        Vehicles and motion: a figure of the trajectory and a scene (plotly of the extra ``report``).
     command : str, optional
-        What writes this report again, for the page.
+        Command that writes this report, for the page.
 
     Returns
     -------
     list of Path
-        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page holds all figures
-        and needs no other file.
+        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page needs no other
+        file.
 
     Raises
     ------

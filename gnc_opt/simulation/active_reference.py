@@ -30,15 +30,14 @@ class Replan:
     effective : float
         When the new plan begins, s.
     solve_s : float
-        Wall time that it took here, s.
+        s.
     failure : str
-        Why there is no new plan and the old one stays; "" if there is one.
+        Why there is no new plan; "" if there is one.
     final_time : float
-        End of the new plan, s; not-a-number where there is none.
+        End of the new plan, s; NaN without one.
     objective : float
-        Its cost.
     way : str
-        How it was found, see `gnc_opt.planning.solver.SolveMethod`.
+        See `gnc_opt.planning.solver.SolveMethod`.
 
     Examples
     --------
@@ -66,9 +65,7 @@ class Replan:
 
 @runtime_checkable
 class PlanUpdater(Protocol):
-    """What plans again during a run, see `gnc_opt.guidance.Replanner`: ``every`` so many s, with a ``latency``, not
-    after ``last`` s before the end.
-    """
+    """Re-planning ``every`` so many s, with a ``latency``, not after ``last`` s before the end."""
 
     every: float
     latency: float
@@ -105,7 +102,7 @@ class PlanUpdater(Protocol):
 class ActiveReference:
     """The rows ``schedule`` (n_signals, n_steps + 1) of one run; re-planning changes a copy.
 
-    ``places`` are its rows (n_followed,) that are the reference of the states that the controller feeds back, or None.
+    ``places`` are the rows (n_followed,) of the reference, or None.
     """
 
     def __init__(

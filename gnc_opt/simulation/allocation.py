@@ -1,9 +1,8 @@
 r"""Allocation: which of many actuators does how much; arrays of reaction wheels.
 
-With the actuators' effects in the columns of B, a command w asks for outputs u with :math:`B u = w`. The
-pseudo-inverse gives the one of least length; with one actuator more than needed, :math:`u + \lambda n`, B n = 0, does
-as well, and "min-max" takes the :math:`\lambda` with the smallest peak :math:`\max_i |u_i + \lambda n_i|`: it lies
-where two components have equal size, so all pairs are tried.
+With the effects of the actuators in the columns of B, a command w requires outputs u with :math:`B u = w`.
+The pseudo-inverse gives the shortest u; "min-max" the smallest peak :math:`\max_i |u_i + \lambda n_i|`, B n =
+0, at a :math:`\lambda` that makes two components equal in size.
 """
 
 from __future__ import annotations
@@ -213,18 +212,16 @@ class WheelArray(Block):
     max_momentum : float or one per wheel
         Inertia of the wheel times its largest rate, N m s.
     balance : {"none", "torque", "momentum"}
-        Use of the null space: least length of T, smallest peak of the torques, or smallest peak of the momenta (as
-        far as the torque limits allow).
+        Least length of T, smallest peak of the torques, or smallest peak of the momenta.
     momenta : str, optional
-        State of the plant that holds the wheels' momenta (n). Without it the block keeps them, beginning at
-        ``"<name>.momentum"``.
+        State of the plant with the wheels' momenta (n); default: the block keeps them.
     to : str, optional
-        Control of the plant that takes the motor torques (n); without it the body torque :math:`A T` goes on under
-        the command's own name.
+        Control of the plant that takes the motor torques (n); default: the body torque under the command's
+        name.
     failed : sequence of int
-        Wheels known to be lost. (An unknown loss: ``"<name>.health"`` 0 of that wheel.)
+        Wheels known to be lost.
     initial : float or one per wheel
-        Momenta at the start where the block keeps them, N m s.
+        Momenta at the start if the block keeps them, N m s.
 
     Raises
     ------

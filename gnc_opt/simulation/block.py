@@ -28,15 +28,14 @@ POSITIVE = 1e-300
 
 @dataclass(frozen=True)
 class Tick:
-    """What a block may know of the moment.
+    """Time and state of the plant that a block can use.
 
     Attributes
     ----------
     t : SX
-        Beginning of the minor step, s (for sensors: of the control step).
-    h, dt : float
-        Length of a minor step and of a control step, s; for sensors both are the control step.
-    x : mapping
+    t, h, dt : SX, float, float
+        Beginning, length of the minor step and of the control step, s; for sensors both lengths are the
+        control step.
         State of the plant by name, SX columns.
     """
 
@@ -48,12 +47,12 @@ class Tick:
 
 @dataclass(frozen=True)
 class Step:
-    """What a block makes of a signal.
+    """Result of a block.
 
     Attributes
     ----------
     signal : SX
-        Mean over the minor step, so that impulses are right; a sensor's is the sample.
+        Mean over the minor step; a sample for sensors.
     state : SX
         Memory of the next step.
     saturated : SX or None
@@ -135,15 +134,15 @@ class Block:
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         """Return the memory at the beginning, SX.
 
-        ``signal`` is the first sample (sensors); zero, or the feedforward that arrives where actuators begin in trim.
+        ``signal`` is the first sample (sensors), or zero, or the feedforward for actuators that begin in
+        trim.
         """
         return ca.SX(0, 1)
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
         """Return what an actuator makes of a wave within a minor step, and its step.
 
-        Devices that work once per minor step take the mean and hold their output; blocks that are `memoryless` act at
-        every time. Arguments as in `step`.
+        Blocks that are `memoryless` act at every time; others take the mean and hold their output.
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
@@ -157,7 +156,7 @@ class Block:
         ----------
         tick : Tick
         signal, state, noise : SX column
-            What comes in (mean over the minor step, or a sample), the memory, and new normal random numbers.
+            Input (mean over the minor step, or a sample), memory, and normal random numbers.
         p : mapping of str to SX
             The block's parameters by name.
         """

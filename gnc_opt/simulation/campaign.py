@@ -45,9 +45,8 @@ class Campaign(Strict, Printed):
         Of the states at the end, relative to the reference or target, by the plant's own difference.
     target : array (n_states,)
         Reference of the errors; NaN without one.
-    effort, energy : array (n_controls, m)
-    saturation_time, variation : array (n_commands, m)
-        As in `Run`.
+    effort, energy, saturation_time, variation : arrays (n, m)
+        As in `FinalValues`.
     integration_error : array (m,)
     memory : array (n_memory, m)
         Of the controller at the end.
@@ -64,18 +63,12 @@ class Campaign(Strict, Printed):
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
-    limits : mapping
-        Largest permitted value by `measure`.
-    measured : mapping
-        Values (m,) of user-defined measures by name.
+    limits, measured : mapping
+        Largest permitted values by `measure`; values (m,) of user-defined measures by name.
     interrupted : bool
         Whether Ctrl-C ended the campaign early.
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
-    flight : CompiledLoop or None
-        Not stored in files.
-    fingerprint : str
-        That of the flight.
 
     Examples
     --------
@@ -126,8 +119,6 @@ class Campaign(Strict, Printed):
     def __repr__(self) -> str:
         return f"<{str(self).splitlines()[0]}>"
 
-    # --- values per run -----------------------------------------------------------------------------------
-
     def state(self, name: str) -> Array:
         """Return a state at the end, (size, m)."""
         return self.states[self.layouts["state"].slice(name)]
@@ -176,14 +167,10 @@ class Campaign(Strict, Printed):
     def envelope(
         self, quantity: str, levels: Sequence[float] = (0.05, 0.5, 0.95), confidence: float = CONFIDENCE
     ) -> Envelope:
-        """Return percentiles (``levels`` in (0, 1)) of a quantity of the loop over time, with their intervals at each
-        time.
-        """
+        """Return percentiles (``levels`` in (0, 1)) of a quantity over time, with confidence intervals."""
         place = self._measures.layout("quantity").slice(quantity).start
         unit = self._measures.layout("quantity")[quantity].unit
         return envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
-
-    # --- what passed --------------------------------------------------------------------------------------
 
     @cached_property
     def ok(self) -> Any:
@@ -243,8 +230,6 @@ class Campaign(Strict, Printed):
             changed.measure(name)
         return changed
 
-    # --- one run ------------------------------------------------------------------------------------------
-
     def rerun(self, index: int) -> Run:
         """Return one run again, with everything logged; it ends with the same bits.
 
@@ -267,10 +252,7 @@ class Campaign(Strict, Printed):
     # --- tables -------------------------------------------------------------------------------------------
 
     def to_pandas(self) -> Any:
-        """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
-
-        ``outcome``; what was drawn by its dotted name; ``final.q`` and ``error.q`` at the end; every measure.
-        """
+        """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units."""
         return self._records().to_pandas()
 
     def to_xarray(self) -> Any:

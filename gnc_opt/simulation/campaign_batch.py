@@ -1,8 +1,7 @@
 """Batches of a campaign: the task of a worker, files in which a campaign resumes, and their assembly.
 
-A batch is a range of run numbers. Everything is drawn from the seed and the number of each run, so that results do not
-depend on the executor. A checkpoint is a folder with one `Campaign` file per batch, written atomically; the compiled
-loop, the seed and one run of each file, with its parameters drawn again, identify the campaign.
+A batch is a range of run numbers; results depend on the seed and the number of a run alone. A checkpoint is a
+folder with one `Campaign` file per batch, identified by the compiled loop, the seed and one run drawn again.
 """
 
 from __future__ import annotations

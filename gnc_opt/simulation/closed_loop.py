@@ -42,38 +42,33 @@ _MAX_UNROLLED = 2000
 class ClosedLoop:
     """A plant under a discrete-time controller, with actuators, sensors and disturbances.
 
-    Every control step of ``dt`` begins with a measurement and a command, which is held; it has ``minor_steps``
-    equal parts, at which the actuators advance and between which the plant is integrated.
+    Every control step of ``dt`` begins with a measurement and a command, which is held over its
+    ``minor_steps``.
 
     Parameters
     ----------
     plant : Model
-        May differ from the one the controller was designed with, if it has the controller's measurements
-        (states, or outputs that depend on no control) and the applied controls by name; its other controls
-        are zero.
+        May differ from the design model if it has the controller's measurements and the applied controls by
+        name; its other controls are zero.
     controller : Controller
         Includes the estimator of `output_feedback`, if any.
     actuators, sensors : sequence of Block
         In the order in which the signal passes them.
     disturbances : sequence of Disturbance
     events : sequence of Event
-        Events that end a run, or change the plant's states, at their own instants.
     quantities : sequence of Quantity
-        Extremes, integrals and envelopes of expressions of the plant, stored by campaigns.
+        Extremes, integrals and envelopes of expressions, stored by campaigns.
     replanner : Replanner, optional
-        Solves the problem of the plan that the controller follows again in flight.
     dt : float, optional
         Control step, s; default the controller's own.
     minor_steps : int
     accuracy : float
-        Of the integration over a run, relative to max(1, \\|x\\|) per state: the number of integration steps per minor
-        step resolves the plant's modes at the start and keeps the nominal run's error estimate below a tenth of it.
-        Runs that exceed it are flagged.
+        Of the integration over a run, relative to max(1, \\|x\\|) per state. The integration steps keep the
+        nominal run's error estimate below a tenth of it; runs that exceed it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     divergence_limits : float or mapping
-        Size of the plant's states, one for all or by name, beyond which a run counts as *diverged* at the end of a
-        control step; default 1e15.
+        Size of the plant's states, one for all or by name, beyond which a run has *diverged*; default 1e15.
 
     Raises
     ------
@@ -211,8 +206,6 @@ class ClosedLoop:
             raise ArgumentError(f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give one.")
         return P
 
-    # --- runs ---------------------------------------------------------------------------------------------
-
     def compile(
         self,
         x0: ArrayLike | Mapping[str, ArrayLike],
@@ -286,18 +279,16 @@ class ClosedLoop:
 
         Parameters
         ----------
-        x0 : array (n_states,) or mapping by name
-            Initial state of the plant.
-        t0, tf : float
-            s; see `compile`.
+        x0, t0, tf
+            As in `compile`.
         seed : int or sequence of int
             Of the random numbers: the same seed gives the same bits.
         parameters : mapping
             Changes by dotted name, see `layout`.
         every : int
-            Of so many control steps one is logged; the end always is. Sums such as the effort include all.
+            Log every n-th control step, and the end. Sums such as the effort include all.
         folder : path, optional
-            Where the log is written during the run, as ``states.npy`` and so on, so that memory does not grow with it.
+            Stores the log as ``states.npy`` and so on instead of in memory.
         """
         flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)
@@ -312,8 +303,6 @@ class ClosedLoop:
         if substeps not in self._kernels:
             self._kernels[substeps] = build_kernel(self.wiring, substeps)
         return self._kernels[substeps]
-
-    # --- internals ----------------------------------------------------------------------------------------
 
     def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
         return CompiledLoop(

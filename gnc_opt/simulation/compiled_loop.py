@@ -38,39 +38,32 @@ class CompiledLoop:
     layout : Layout
         Of the columns P.
     nominal : array (n_parameters,)
-        The nominal P.
     ranges : tuple of two arrays (n_parameters,)
         Permitted values of P.
     times : array (n_steps + 1,)
-        Beginnings of the control steps and the end, s.
+        s.
     followed_rows : int array (n,) or None
         Rows of the schedule that are the reference of the states that the controller follows.
     substeps : int
         Integration steps per minor step.
     kernel, companion : Kernel
-        The loop as compiled functions, the companion with twice as many integration steps: it shows the error of a run.
+        The loop as compiled functions; the companion has half the step, for the error estimate.
     schedule : array (n_signals, n_steps + 1)
-        Rows r of the controller, as planned before the flight; the last row is for the errors at the end.
+        Rows r of the controller, as planned before the flight.
     dt : float
-        Control step, s.
+        s.
     states, measured, followed, commands, controls, memory : Layout
         Names, sizes and units; ``followed`` are the states that the reference is of.
     errors : casadi Function
         Errors of the states relative to the reference.
-    error_layout : Layout
+    error_layout, events, quantities : Layout
     judge : Judge
-        Of the runs.
     minor_steps : int
-        Per control step.
-    events : Layout
-        Names of the events.
     replanner : PlanUpdater or None
-    quantities : Layout
-        Names and units of the quantities along the run.
     estimates : int array (n,) or None
-        Entries of the memory that are the estimated states that the controller follows; None: it measures them.
+        Entries of the memory with the estimated states that the controller follows; None if it measures them.
     libraries : tuple of two str
-        Paths of the steps of both kernels as machine code, see `natively`; "" for the interpreter.
+        Paths of the compiled steps of both kernels; "" for the interpreter.
 
     Examples
     --------
@@ -250,7 +243,6 @@ class CompiledLoop:
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
                 events += occurrences(told, flown, self.events.names, self.states.size)
-            # the states at the beginnings of the steps; that at the end of the run follows
             at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
                 noted = {name: values[:, at] for name, values in told.items()}
@@ -312,7 +304,8 @@ class CompiledLoop:
     ) -> Iterator[tuple[int, Array]]:
         """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
-        The rows are written to ``known``; ``again``: they still hold those of an earlier run with the same schedule.
+        The rows are written to ``known``; ``again``: they hold those of an earlier run with the same
+        schedule.
         """
         planned = course is None or course.schedule is self.schedule
         followed = self._planned if course is None or planned else course.schedule.T
@@ -326,8 +319,6 @@ class CompiledLoop:
                 rows[:, 1:first_noise] = followed[first:last]
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
-
-    # --- internals ----------------------------------------------------------------------------------------
 
     def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return the standard normal numbers (n, size) from one control step to before another, in their order."""

@@ -1,8 +1,7 @@
 """Control steps, many in one call: by CasADi's interpreter, or as machine code where there is a C compiler.
 
-The machine code is CasADi's C of the step in a loop over the steps of a leg, without fused operations: its results have
-the same bits. A step that reports that it is not enough (a controller that solves a problem, which has no C) ends the
-loop before it. Libraries are in the user's cache under a hash of their content.
+The machine code is CasADi's C of the step in a loop, without fused operations: results have the same bits. A
+step that is not enough (a controller that solves a problem) ends the loop before it.
 """
 
 from __future__ import annotations
@@ -191,8 +190,7 @@ def native(step: Any) -> str:
 
 
 def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
-    """Return ``(X, rows, C, final)``, which writes the state after the first steps that were enough to ``final`` and
-    returns their number; ``None`` where there is no library."""
+    """Return ``(X, rows, C, final)``, which returns the number of steps done; ``None`` without a library."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg

@@ -53,7 +53,7 @@ class Percentile:
     value : float
         Of the sample: one of its members.
     low, high : float
-        Interval that holds the true percentile with at least ``confidence``; infinite where the sample is too small.
+        Interval that holds the true percentile with at least ``confidence``; infinite for small samples.
     """
 
     level: float
@@ -90,10 +90,8 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     Parameters
     ----------
     values : array (n,)
-        Not-a-number counts as infinite: what failed is worse than all that did not.
-    level : float
-        In (0, 1).
-    confidence : float
+        NaN counts as infinite.
+    level, confidence : float
         In (0, 1).
 
     References
@@ -104,7 +102,6 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     p = read_probability(level, "the level of a percentile")
     alpha = 1 - read_probability(confidence, "the confidence")
     n = ordered.size
-    # the largest l with P(fewer than l below) <= alpha / 2
     lower = int(scipy.stats.binom.ppf(alpha / 2, n, p))
     upper = int(scipy.stats.binom.ppf(1 - alpha / 2, n, p)) + 1
     return Percentile(
@@ -133,6 +130,5 @@ def _ordered(values: ArrayLike) -> Array:
 
 
 def _percent(share: float) -> str:
-    # three digits of what is missing from 100 %: 99.97 % must not print as 100 %
     digits = 1 if share in (0, 1) else int(np.clip(1 - np.floor(np.log10(100 * min(share, 1 - share))), 1, 4))
     return f"{100 * share:.{digits}f} %"

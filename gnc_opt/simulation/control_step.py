@@ -84,8 +84,6 @@ class ControlStep:
             )
         )
 
-    # --- pieces -------------------------------------------------------------------------------------------
-
     def _if_events(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
@@ -196,11 +194,7 @@ class ControlStep:
         span: tuple[Any, Any] | None = None,
         watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
-        """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
-
-        ``span`` is the part of it that is flown, two times (s) since it began. ``watches`` are called with each
-        integration step and with what is applied at a share (0 to 1) of it.
-        """
+        """Integrate the plant over a minor step from t, anew wherever an actuator bends or jumps."""
         f, n, held = self._rate(state), self.substeps, all(wave.held for wave in waves)
         first, last = span or (ca.SX(0), ca.SX(self.h))
         breaks = in_order(_distinct([b for wave in waves for b in wave.breaks]))

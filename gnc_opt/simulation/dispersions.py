@@ -310,8 +310,7 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
 def dispersed(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
     """Return the column P (n_parameters,) of one run.
 
-    The random numbers of a name depend on the seed, the run and the name alone: campaigns of one seed with other
-    controllers or more dispersions share them.
+    The random numbers of a name depend on the seed, the run and the name alone.
     """
     P = nominal.copy()
     for name, dispersion in dispersions.items():

@@ -1,7 +1,6 @@
 """Disturbances: what acts on the plant besides its controls.
 
-``on`` names a state (the disturbance adds to its rate, unit of the state per s) or a control (it adds to what the
-actuators apply, unit of the control).
+``on`` names a state (added to its rate) or a control (added to what the actuators apply).
 """
 
 from __future__ import annotations

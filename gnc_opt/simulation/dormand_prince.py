@@ -56,7 +56,6 @@ class Taken(NamedTuple):
         mean = _combine(STAGES[-1], k[:-1])
         first = k[0] - mean
         last = mean - k[-1] - first
-        # x + h nu (mean + (1 - nu) (first + nu (last + (1 - nu) bubble))), and its derivative
         bubble = _combine(DENSE_WEIGHTS, k)
         inner = last + rest * bubble
         middle, middle_slope = first + nu * inner, inner - nu * bubble
@@ -76,17 +75,7 @@ def dormand_prince(
     u: Input | None = None,
     stepped: Stepped | None = None,
 ) -> Any:
-    """Return the state (column) after ``length`` (s) of ``dx/dt = f(t, x, u)``, in equal steps.
-
-    Parameters
-    ----------
-    f : callable
-        Of a scalar and two columns, SX or numbers.
-    u : callable, optional
-        See `Input`; it may jump between steps.
-    stepped : callable, optional
-        Called with each step.
-    """
+    """Return the state (column) after ``length`` (s) of ``dx/dt = f(t, x, u)``, in equal steps."""
     h = length / steps
     rate = None
     for i in range(steps):
@@ -97,7 +86,6 @@ def dormand_prince(
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         if stepped is not None:
             stepped(Taken(i, h, start, x, after, k))
-        # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x
 

@@ -1,15 +1,14 @@
 r"""Location of events within a minor step, and integration through them.
 
-Every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has been at zero or above since its
-event last happened. Armed rows that end the step below zero have crossed it; those that are above zero at both ends and
-sink to it in between, by the cubic through values and slopes or by the tangents of both ends, may have. Only then is
-the minor step taken again (`passage`): to the crossing, found by Newton's method inside a bracket with the plant
-integrated anew to each instant tried; then the resets; then on from there.
+A row (see `Events`) is *armed* if it has been at zero or above since its event last happened. An armed row
+may cross in an integration step (`Watch`) if it ends below zero, or sinks to it in between by the cubic
+through values and slopes or by the tangents of both ends. Then the minor step is repeated (`passage`) to the
+crossing, found by Newton's method inside a bracket; then the resets; then on from there.
 
-Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are
-evaluated before all resets, which follow in the order of declaration until one ends the run. The run also ends if a row
-rises after its reset but falls through zero again within that time (infinitely many events), or if a reset leaves its
-row at zero and the plant then drives it through zero (an unsupported contact).
+Events within `SAME_TIME` of the minor step are simultaneous: conditions are evaluated before all resets,
+which follow in the order of declaration until one ends the run. The run also ends if a row rises after its
+reset but falls through zero within that time (Zeno), or if a reset leaves its row at zero and the plant
+drives it through.
 """
 
 from __future__ import annotations
@@ -34,24 +33,7 @@ RATE_SHARE_OF_STEP = 1e-4
 
 
 class Watch:
-    """What the rows do while the plant is integrated; SX.
-
-    Parameters
-    ----------
-    armed : SX column
-        1 for rows that can cross.
-    begin, moment : SX, float
-        Where the leg begins in the minor step, and how long after it a row that rises stays unarmed, s.
-
-    Attributes
-    ----------
-    found, first, last : SX
-        Whether a row may have crossed, and the interval (s since the minor step began) of the first one.
-    y, slope : SX column
-        Rows at the end, and their rates (1/s).
-    lost, lost_inside : SX column
-        Events with an undefined expression at the end of a step, and of one before the last.
-    """
+    """What the rows do while the plant is integrated; SX."""
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
         self.events, self.armed, self.parameters = events, armed, parameters
@@ -66,7 +48,6 @@ class Watch:
         y0, d0 = self.events.rows(taken.time, taken.x, taken.stages[0], self.parameters)
         y1, d1 = self.events.rows(time, x, taken.stages[-1], self.parameters)
         a, b = length * d0, length * d1
-        # p(nu) = y0 + a nu + c nu^2 + d nu^3, nu from 0 to 1; its minimum by the root of p' without cancellation
         rise = y1 - y0
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
@@ -74,8 +55,6 @@ class Watch:
         # a fast row is no cubic; if it is convex, it stays above both tangents
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
-        # what is below zero a moment after the beginning is rounding of an event there
-        # what is below zero a moment after the beginning is what rounding has left of an event there
         later = self._now + length > self._heeded
         crosses = ca.logic_and(ca.logic_and(self.armed, later), y1 < 0)
         dips = ca.logic_and(ca.logic_and(self.armed, y1 >= 0), sinks)
@@ -88,7 +67,6 @@ class Watch:
         rises = ca.logic_and(y1 > 0, later)
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
-        # steps of no time end where others did
         self.lost_inside = ca.if_else(length > 0, self.lost, self.lost_inside)
         self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
 
@@ -105,23 +83,13 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
 
 
 def record_of(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
-    """Return what is kept of events over a run: counts, first times, which one ended it (or one more: Zeno), when, the
-    rates of the states there, and which events were undefined somewhere."""
+    """Return the layout of the record of events: counts, first times, the end of the run, undefined ones."""
     count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
-    """Return the function ``(q, t, p, *context) -> q`` through a minor step with events, and the layout of q.
-
-    Parameters
-    ----------
-    leg : casadi.Function
-        ``(x, armed, begin, end, *context) -> (x, armed, y, dy_dt, found, first, last, lost, lost_inside, quantities)``,
-        the plant between two times since the minor step began at t, with the parameters p.
-    h : float
-        Minor step, s.
-    """
+    """Return ``(q, t, p, *context) -> q`` through a minor step with events, and the layout of q."""
     way = _Passage(events, leg, h)
     return way.function(), way.places
 
@@ -233,7 +201,6 @@ class _Passage:
         v = self.places.split(q)
         moment = SAME_TIME * self.h
         improve = self._improve()
-        # where to look, its bracket, the last step and whether it is found
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
         for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
@@ -247,11 +214,9 @@ class _Passage:
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
         y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[2:4]
-        # a reset may put rows of other events on zero
         put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
         kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
         w["armed"] = ca.logic_or(kept, y_on > 0)
-        # within a moment, forever
         back = ca.logic_and(ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0)
         endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
         sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest

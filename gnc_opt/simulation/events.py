@@ -1,7 +1,7 @@
 """Event: what happens to a plant where an expression passes through zero.
 
-A mode of a hybrid plant is a state with the rate 0 that resets change: the equations choose by it
-(``ca.if_else(stage < 1.5, ..., ...)``), and ``where`` says in which modes an event can happen.
+A mode of a hybrid plant is a state with the rate 0 that resets change; ``where`` selects the modes of an
+event.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ class Event:
     ----------
     name : str
     expression : casadi.SX
-        Of the plant's symbols of time, states and parameters, (1, 1): ``altitude``, ``fuel``, ``ca.sumsqr(sigma) - 1``.
-        It should pass through zero with a slope: the instant of a mere touch has half the digits.
+        Of the plant's symbols of time, states and parameters, (1, 1). It should pass through zero with a
+        slope.
     direction : {"falling", "rising", "either"}
-        Of the passage. What begins at zero passes if it moves that way.
+        Of the passage.
     reset : mapping, optional
-        New values of states, ``{v: -0.8 * v}``, by symbol or name, expressions as above of the values before; other
-        states keep theirs. Without it, the event ends the run; with an empty one, it is only noted.
+        New values of states, ``{v: -0.8 * v}``, by symbol or name, from the values before. Default: the event
+        ends the run; an empty mapping only records it.
     where : casadi.SX, optional
-        Condition on the state at that instant, such as ``stage < 1.5``; where it does not hold, nothing happens.
+        Condition on the state at that instant, such as ``stage < 1.5``.
     failure : bool
         Whether a run that ends with this event has failed.
 
@@ -117,7 +117,7 @@ class EventOccurrence:
     time : float
         s.
     before, after : array (n_states,)
-        States of the plant on both sides of the reset; equal where there is none.
+        States of the plant on both sides of the reset.
 
     Examples
     --------
@@ -155,20 +155,7 @@ def occurrences(
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """The events of a loop as CasADi functions of its plant.
-
-    Each *row* is a function that an event makes of its expression, such that the event happens where the row falls
-    through zero: one for a direction, two for both.
-
-    Attributes
-    ----------
-    owners : tuple of int
-        The event of each row.
-    rows : casadi.Function
-        ``(t, x, dx_dt, p) -> (y, dy_dt)``, columns.
-    effects : casadi.Function
-        ``(t, x, p) -> (holds, X)``: whether conditions hold (n_events, 1), and the states left (n_states, n_events).
-    """
+    """The events of a loop as CasADi functions of its plant."""
 
     declared: tuple[Event, ...]
     owners: tuple[int, ...]

@@ -42,9 +42,8 @@ class ExternalPlantRun:
     commands : array (n_commands, n)
         Held over the steps.
     memory : array (n_memory, n)
-        Of the controller, after each step.
     alarms : tuple of str
-        Of the controller, raised at the end.
+        Of the controller, after each step and at the end.
 
     Examples
     --------
@@ -79,7 +78,7 @@ def simulate_external_plant(
     Raises
     ------
     ArgumentError
-        The plant lacks a method or measures another number of states; times that are no whole steps apart.
+        A method is missing, sizes do not fit, or times are no whole steps apart.
 
     Examples
     --------

@@ -1,12 +1,10 @@
 r"""Final values of runs, and their error from companion runs with integration steps half as long.
 
-Both runs get the same parameters, random numbers and plans; the companion has its own measurements, commands and
-events. Its error is a share :math:`2^{-p}` of that of the run, p the order of the steps (5 along smooth rates and held
-inputs, 2 at kinks of a rate), so that the final states x and :math:`\hat x` of both show the error
+Both runs get the same parameters, random numbers and plans. With the order p of the steps (5 along smooth
+rates and held inputs, 2 at kinks of a rate), the final states x and :math:`\hat x` of the run and its
+companion obey
 
 .. math:: |x - x^*| \le \frac{|x - \hat x|}{1 - 2^{-p}} .
-
-Errors that the run has forgotten at its end are not included.
 
 Source of the estimate: Richardson, "The deferred approach to the limit", Phil. Trans. R. Soc. A 226, 1927.
 """
@@ -40,16 +38,14 @@ class FinalValues:
     variation : array (n_commands, n)
         Sum of the changes of the commands: chattering.
     integration_error, state_error : array (n,)
-        See `integration_errors`; ``accuracy`` is asked of the latter.
+        See `integration_errors`.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         Number of occurrences of each event, and the first time (s), NaN without an occurrence.
     replans : array (2, n)
         Numbers of successful and of failed re-plans.
-    sums : array (3 n_quantities, n) or None
-        Largest values, least values and integrals of the loop's quantities.
-    samples : array (n_quantities, n_samples, n) or None
-        Of them, at some control steps.
+    sums, samples : arrays (3 n_quantities, n), (n_quantities, n_samples, n) or None
+        Maxima, minima, integrals and samples of the quantities.
 
     Examples
     --------
@@ -81,18 +77,7 @@ RICHARDSON_FACTOR = 4 / 3
 
 
 def integration_errors(places: Places, final: Array, companions: Array, end: float) -> tuple[Array, Array]:
-    """Return the estimated errors (n,) of runs, relative to max(1, \\|x\\|): of all, and of the states alone.
-
-    The first includes the instants of events that end runs; the second compares the states at the same time, by the
-    rates of the companions, since a soft touchdown has half the digits in its instant.
-
-    Parameters
-    ----------
-    final, companions : array (n_state, n)
-        Kernels' states at the ends of the runs and of their companions.
-    end : float
-        When runs end that no event does, s.
-    """
+    """Return the errors (n,) of runs, relative to max(1, \\|x\\|): of all, and of the states alone."""
     one, two = places.split(final), places.split(companions)
     x, other = one["plant"], two["plant"]
     if "stop" not in one:

@@ -4,15 +4,15 @@ On each of its parts a component is
 
 .. math:: y(s) = v + g\,(s - b) + c\, e^{-(s - b)/\tau},
 
-with s the time since the minor step began and b the beginning of the part: what lags, rate limits and delays make of
-held commands. Where a component changes its part, the integration of the plant begins anew. Within an integration step
-of length :math:`\sigma` the exponential is replaced by its projection on parabolas,
+with s the time since the minor step began and b the beginning of the part. Where a part begins, the
+integration begins anew. Within an integration step of length :math:`\sigma` the exponential is projected on
+parabolas,
 
 .. math:: e^{-\sigma \nu / \tau} \approx \sum_{j=0}^{2} (2j + 1) (-1)^j e^{-\xi} i_j(\xi) P_j(2\nu - 1), \qquad
    \xi = \frac{\sigma}{2\tau},
 
-P_j Legendre's polynomials and i_j the modified spherical Bessel functions of the first kind: its impulse and the next
-two moments are kept whatever :math:`\tau` is, also far below the step.
+P_j Legendre's polynomials and i_j the modified spherical Bessel functions of the first kind: the first three
+moments are exact for any :math:`\tau`.
 
 Source: NIST Digital Library of Mathematical Functions, 10.47.7 (i_j), 10.53.3 (its series), 18.18.19 with an imaginary
 argument (the expansion).

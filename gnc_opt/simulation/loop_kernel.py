@@ -1,12 +1,9 @@
 r"""Kernel: one control step of the closed loop as a CasADi function.
 
-At a control step the sensors sample the plant and the controller computes the command, which is held; m minor steps
-follow, in each of which the actuators advance and the plant is integrated. Everything that changes is in one column X
-(`Places`), everything that can be dispersed in one column P (`ClosedLoop.layout`), everything known or drawn beforehand
-in one column w: time, schedule, random numbers.
-
-Where the loop has events, the plant is watched meanwhile; a control step in which one may happen is taken again, minor
-step by minor step, through its events (`gnc_opt.simulation.event_location`).
+The sensors sample the plant and the controller computes the command, which is held; in each of m minor steps
+the actuators advance and the plant is integrated. Column X (`Places`) is the state, P what can be dispersed
+(`ClosedLoop.layout`), w what is known or drawn beforehand: time, schedule, random numbers. A control step in
+which an event may happen is repeated through its events (`gnc_opt.simulation.event_location`).
 """
 
 from __future__ import annotations
@@ -26,10 +23,7 @@ from gnc_opt.simulation.wiring import Wiring
 
 
 def with_events(step: ControlStep, act: Any) -> Any:
-    """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``, the minor steps through their events.
-
-    ``act`` returns a third result: whether a row may have crossed zero.
-    """
+    """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``, the minor steps through their events."""
     return _EventfulStep(step).function(act)
 
 
@@ -95,7 +89,6 @@ class _EventfulStep:
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
         way, places = passage(wiring.events, leg, h)
-        # the book-keeping
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.notes.size)
         v, n = places.split(q), self.notes.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
@@ -104,7 +97,6 @@ class _EventfulStep:
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in notes_of(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])
-        # all together
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
         a, b = self.state.split(column_), self.notes.split(notes_)
@@ -147,15 +139,11 @@ class Kernel:
     Attributes
     ----------
     constants : casadi.Function
-        ``P -> C``: P, and below it what a step needs that follows from P alone.
-    start : casadi.Function
-        ``(w, P) -> X`` at the first control step.
-    step : casadi.Function
-        ``(X, w, C) -> (X_next, log)``.
+        ``P -> C``: P, and what follows from P alone.
+    start, step, measure : casadi.Function
+        ``(w, P) -> X``; ``(X, w, C) -> (X_next, log)``; ``(X, w, C) -> y``, the controller's input.
     easy : casadi.Function or None
-        ``(X, w, C) -> (X_next, enough)`` of controllers that solve a problem at some steps, where enough is not 1.
-    measure : casadi.Function
-        ``(X, w, C) -> y``: what the controller gets to see in that step.
+        ``(X, w, C) -> (X_next, enough)`` of controllers that solve a problem where enough is not 1.
     """
 
     constants: Any

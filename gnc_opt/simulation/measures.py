@@ -30,8 +30,7 @@ class Envelope:
     values : array (n_levels, n_times)
         That a share ``level`` of the runs still flying does not exceed.
     low, high : array (n_levels, n_times)
-        Intervals of order statistics that hold the true percentile with ``confidence``, at each time; infinite where
-        the runs are too few.
+        Intervals that hold the true percentile with ``confidence``; infinite for few runs.
     runs : int array (n_times,)
         That are still flying.
     confidence : float

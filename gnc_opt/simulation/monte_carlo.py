@@ -131,8 +131,6 @@ def monte_carlo(
 ) -> Campaign:
     """Return n runs of a closed loop with dispersed parameters and initial states, and fresh random numbers.
 
-    Runs that failed are in the campaign and count as not passed. Ctrl-C ends it and returns what has ended.
-
     Parameters
     ----------
     loop : ClosedLoop
@@ -157,7 +155,7 @@ def monte_carlo(
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
     checkpoint : path, optional
-        A folder that stores every batch of runs when it ends; a repeated call with it simulates only the missing runs.
+        A folder that stores every batch of runs; a repeated call simulates only the missing runs.
     progress : bool
         Show how many runs have ended and how many of them failed.
 
@@ -213,9 +211,6 @@ def monte_carlo(
     return criteria.applied(replace(campaign, interrupted=pool.interrupted))
 
 
-# --- before -----------------------------------------------------------------------------------------------
-
-
 def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
@@ -239,15 +234,11 @@ def _tally(parts: Sequence[Flown]) -> tuple[int, int]:
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
-# --- after ------------------------------------------------------------------------------------------------
-
-
 def _refuse_total_loss(flown: Sequence[Flown]) -> None:
     if not flown or any(part.ending is not None for part in flown):
         return
     remedy = "simulate() one of them to see why"
     if all(part.died for part in flown):
-        # processes that are not forked import the script that started them
         remedy = (
             "call monte_carlo() below 'if __name__ == \"__main__\":' of the script, without which new processes begin "
             f'the campaign again; or {remedy}, or use executor="serial"'

@@ -28,12 +28,12 @@ _UNKEPT = (
 
 @dataclass(frozen=True, eq=False)
 class OutcomeClassifier:
-    """What a run has to keep.
+    """Conditions that a run must satisfy.
 
     Attributes
     ----------
     watched, alarms : tuple of str
-        Quantities that must stay finite, and entries of the memory that must stay 0, by code, code 1 first.
+        Quantities that must stay finite, and entries of the memory that must stay 0.
     divergence_limits : array (n_states,)
         Size of the states beyond which a run has diverged.
     events, failures : tuple of str
@@ -84,13 +84,12 @@ class RunStatus(Enum):
     Members
     -------
     OK : everything stayed finite, no alarm, the integration within the required accuracy.
-    INACCURATE : the integration's own error estimate exceeds the required accuracy.
-    ALARM : the controller reported that it could not meet its guarantees.
+    INACCURATE : the error estimate of the integration exceeds the required accuracy.
+    ALARM : the controller could not meet its guarantees.
     DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
-    NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
-        condition of an event, or a quantity, is NaN.
-    STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno),
-        or a reset left its event at rest on zero and the plant would have gone on through.
+    NOT_FINITE : a signal, state or quantity is not finite, or an event is NaN.
+    STOPPED : an event that is a failure ended the run, events accumulated (Zeno), or a reset left its event
+    at zero.
     REFUSED : a parameter is outside its permitted range; the run was not simulated.
     LOST : its process died, or the run raised an exception.
     """

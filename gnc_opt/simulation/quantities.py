@@ -1,9 +1,8 @@
 """Quantities along a run: extremes, integrals and samples of expressions, accumulated while the plant is integrated.
 
-Every integration step is evaluated at evenly spaced nodes on its dense output, with what the actuators apply there. A
-parabola through three neighbouring nodes gives the height of a peak between them where the curvature hardly changes
-from one triple to the next; near kinks and jumps the largest node counts. The integral is Boole's rule. Behind a lag
-that decays within an integration step, states between its ends have fewer digits than at its ends.
+Every integration step is evaluated at evenly spaced nodes on its dense output. Peaks between nodes follow
+from the parabola through three of them if the curvature hardly changes; near kinks the largest node counts.
+The integral is Boole's rule.
 """
 
 from __future__ import annotations
@@ -35,18 +34,16 @@ BOOLE_WEIGHTS = tuple(w / 90 for w in (7, 32, 12, 32, 7))
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel, a plume.
+    """A number that is followed over a run: a distance, a tilt, fuel.
 
-    Campaigns then have the measures ``max(name)``, ``min(name)`` and ``integral(name)`` (over time), and
-    `Campaign.envelope`. Extremes of smooth expressions have about the accuracy of the run; what is shorter than a third
-    of an integration step may be missed: give more ``minor_steps``.
+    Campaigns have the measures ``max(name)``, ``min(name)``, ``integral(name)`` and `Campaign.envelope`.
+    Peaks shorter than a third of an integration step may be missed: raise ``minor_steps``.
 
     Parameters
     ----------
     name : str
     expression : casadi.SX
-        Of the plant's symbols of time, states, controls and parameters, (1, 1). Controls are what the actuators apply
-        at that instant, without disturbances.
+        Of the plant's symbols of time, states, parameters and (applied) controls, (1, 1).
     unit : str
 
     Examples
@@ -64,15 +61,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class Quantities:
-    """The quantities of a loop.
-
-    Attributes
-    ----------
-    layout : Layout
-        Names and units.
-    rows : casadi.Function
-        ``(t, x, u, p) -> y``.
-    """
+    """The quantities of a loop."""
 
     layout: Layout
     rows: Any

@@ -26,10 +26,7 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
 def settling_time(times: Array, distance: Array, band: float) -> float:
-    """Return the time from ``times[0]`` (s) from which on ``distance`` (n_times,) stays within ``band``.
-
-    Infinite if the last sample is outside, or not a number.
-    """
+    """Return the time (s) from ``times[0]`` until ``distance`` stays within ``band``, or infinity."""
     band = read_positive(band, "the band of a settling time")
     outside = np.flatnonzero(~(distance <= band))
     if not outside.size:
@@ -51,14 +48,7 @@ def rotation_angle(attitude: Array, reference: Array) -> float:
 
 
 class Log:
-    """Arrays (size, n_times) that are filled column by column; unused columns are removed at the end.
-
-    Parameters
-    ----------
-    shapes : mapping of str to (int, int)
-    folder : path, optional
-        Made if it is not there; each array is ``<name>.npy`` in it, and none is kept in memory.
-    """
+    """Arrays (size, n_times) filled column by column, in memory or as ``<name>.npy`` in a ``folder``."""
 
     def __init__(self, shapes: Mapping[str, tuple[int, int]], folder: str | Path | None = None) -> None:
         self._filled = dict.fromkeys(shapes, 0)
@@ -145,20 +135,17 @@ class Run(Strict, Printed):
     errors : array (n_errors, N + 1) or None
         States relative to the reference, by the plant's own difference; not-a-number for states without one.
     parameters : array (n_parameters,)
-    effort, energy : array (n_controls,)
-        Integrals of \\|u\\| and u^2, u what was applied on average in each minor step.
-    saturation, variation : array (n_commands,)
+    effort, energy, saturation, variation : array (n_controls,), array (n_commands,)
+        As in `FinalValues`, of the mean applied controls.
     integration_error : float
         Estimated error of the integration, relative to max(1, \\|x\\|).
     outcome : Outcome
-        Whether all is well; otherwise what went wrong first, and when.
+        The first failure and its time, or ok.
     seed : str
     layouts : dict
         Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter, event.
-    events : tuple of EventOccurrence
-        What happened between the control steps, in the order of time.
-    replans : tuple of Replan
-        What became of the re-plannings in flight, in the order of time.
+    events, replans : tuples of EventOccurrence, Replan
+        In the order of time.
 
     Examples
     --------
@@ -276,11 +263,7 @@ class Run(Strict, Printed):
         return float(np.linalg.norm(self._deviation(name, target)[:, -1]))
 
     def attitude_error(self, name: str, at: float | None = None) -> float:
-        """Return the angle (rad, 0 to pi) between an attitude and its reference at the end, or ``at`` a logged time
-        (s).
-
-        The attitude is a unit quaternion (scalar anywhere) or modified Rodrigues parameters.
-        """
+        """Return the angle (rad, 0 to pi) between an attitude and its reference at the end or ``at`` (s)."""
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._need_errors()
         assert self.reference is not None
@@ -288,10 +271,7 @@ class Run(Strict, Printed):
         return rotation_angle(self.state(name).values[:, index], self.reference[place, index])
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
-        """Return how long (s) after the start the norm of a state's error enters the band (unit of the state) for good.
-
-        Infinite if it is outside at the end; resolved to control steps.
-        """
+        """Return the time (s) until the norm of a state's error stays within the band, or infinity."""
         return settling_time(self.times, np.linalg.norm(self._deviation(name, target), axis=0), band)
 
     def control_effort(self, name: str) -> Array:
@@ -303,10 +283,7 @@ class Run(Strict, Printed):
         return self.energy[self.layouts["applied"].slice(name)]
 
     def delta_v(self, name: str, mass: float) -> float:
-        """Return the sum over the axes of the integral of \\|F\\| of an applied force, over the mass (kg): m/s.
-
-        One thruster pair per axis spends this much.
-        """
+        """Return the sum over the axes of the integral of \\|F\\| of an applied force, over the mass (kg): m/s."""
         return float(np.sum(self.control_effort(name)) / mass)
 
     def saturation_time(self, name: str) -> Array:
@@ -323,8 +300,7 @@ class Run(Strict, Printed):
         """Return all that was logged as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
 
         States have their names, the rest a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
-        ``error.q``, ``reference.q``. What belongs to a control step stands at its beginning; there is none at the
-        end.
+        ``error.q``, ``reference.q``. Values of a control step stand at its beginning.
         """
         return self._records().to_pandas()
 

@@ -35,8 +35,7 @@ class Noise(Block):
     ----------
     sigma : float or one per component
     retraction : callable, optional
-        ``retraction(x, e)`` of SX columns returns the state x moved by the error e, where addition is not the answer
-        (attitudes); ``sigma`` then has the components of e.
+        ``retraction(x, e)`` of SX columns returns the state x moved by the error e (attitudes).
 
     Examples
     --------
@@ -172,8 +171,7 @@ class SensorOutage(Block):
     begin, end : float
         s; without them, from the start and for good.
     where : callable, optional
-        ``where(t, x)`` of SX, with the time (s) and the plant's states x by name; returns an SX (1, 1), and the sensor
-        fails where that is above zero or NaN.
+        ``where(t, x)`` of SX returns an SX (1, 1); the sensor fails where it is above zero or NaN.
 
     Examples
     --------

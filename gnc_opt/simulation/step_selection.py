@@ -1,8 +1,8 @@
 r"""Number of integration steps of a loop, from the error of its nominal run and from its modes.
 
-The error of the nominal run is estimated with a companion run with half the step. A run at rest has no error
-s. The modes of the plant at the start therefore count too. n steps of the Runge-Kutta method in a time h
-replace :math:`e^{\lambda h}` by the power :math:`R(\lambda h / n)^n`,
+The error of the nominal run is estimated with a companion run with half the step. A run at rest has none,
+therefore the modes of the plant count too. n Runge-Kutta steps in a time h replace :math:`e^{\lambda h}` by
+:math:`R(\lambda h / n)^n`,
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} ,
 
@@ -40,10 +40,7 @@ def steps_to_be_stable(modes: Any, length: float) -> int:
 
 
 def steps_for_modes(modes: Any, length: float, asked: float) -> int:
-    """Return how many steps in a length (s) modes (1/s, complex) need, `MAX_SUBSTEPS` at most.
-
-    ``asked`` is the error over the length, relative to max(1, size of the mode after it).
-    """
+    """Return how many steps in a length (s) modes (1/s, complex) need for the relative error ``asked``."""
     z = np.asarray(modes, dtype=complex) * length
     truth = np.exp(z)
     for n in range(1, MAX_SUBSTEPS):
@@ -55,11 +52,7 @@ def steps_for_modes(modes: Any, length: float, asked: float) -> int:
 
 
 def steps_for_run(modes: Any, length: float, duration: float, asked: float) -> int:
-    """Return how many steps in a length (s) a run needs in which modes (1/s, complex) of size 1 decay; 1 if none do.
-
-    ``asked`` is the sum of its errors over the duration (s). Modes that grow count as if they stayed, with the errors
-    relative to their growth in a step.
-    """
+    """Return the steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex)."""
     modes = np.asarray(modes, dtype=complex)
     for n in range(1, MAX_SUBSTEPS + 1):
         h, count = length / n, duration * n / length
@@ -94,15 +87,10 @@ class StepSelection:
     def modes(self, t: float, x: Array, p: Array) -> Array:
         """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
-        # the run itself names values that are not finite
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
     def reached(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
-        """Return the flight with as many integration steps as its accuracy needs.
-
-        First as many as its modes (1/s, n_states,) need; then twice as many until the nominal run and its companion
-        agree, or until twice as many bring no more.
-        """
+        """Return the flight with as many integration steps as its accuracy needs."""
         if self.substeps is not None:
             return flight_with(self.substeps)
         substeps = steps_to_be_stable(modes, self.step)
@@ -116,8 +104,6 @@ class StepSelection:
             flight = flight_with(substeps)
             ending = flight.final(flight.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
-            # dispersed runs have larger errors than the nominal one;
-            # a run that is refused or leaves the finite numbers becomes no more accurate by more steps
             if np.isnan(error) or outcome.not_finite or error <= 0.1 * self.asked:
                 return flight
             stalled = stalled + 1 if error > 0.5 * least else 0

@@ -1,6 +1,6 @@
 """Thrusters: they only push, so a command is distributed by non-negative thrusts.
 
-The cheapest thrusts of every unit command are found beforehand, by linear programming, and superposed.
+The cheapest thrusts of every unit command are found by linear programming and superposed.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from gnc_opt.simulation.block import Block, Parameters, Step, Tick
 class NonNegativeAllocation(Block):
     """Distributes a command over actuators that only push.
 
-    Each command is the sum of its positive and negative components; for every one of them the outputs >= 0 of least
-    sum that produce it alone are found by linear programming when the block is made. The sum of the outputs is least
-    for commands along one component, and feasible for all.
+    Each command is the sum of its positive and negative components; the outputs of least sum for each are
+    found by linear programming. The sum is least for commands along one component, and feasible for all.
 
     Parameters
     ----------

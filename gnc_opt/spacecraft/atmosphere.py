@@ -8,9 +8,9 @@ geopotential height :math:`H = r_0 z / (r_0 + z)`, with :math:`T_i, p_i` at the 
    p = p_i \left(\frac{T_i}{T}\right)^{g_0 M / (R L_i)} \text{ or } p_i\, e^{-g_0 M (H - H_i) / (R T_i)}, \qquad
    \rho = \frac{p M}{R T}, \qquad a = \sqrt{\gamma R T / M}.
 
-`us76` computes these. `air_temperature`, `air_density` and `speed_of_sound` are splines through them with two
-continuous derivatives (within 0.3 % of the density, 0.6 K). Above 86 km the density is that of the exponential model
-of Vallado (table 8-4), for mean solar activity, to 1000 km; it varies by a factor of ten with the sun.
+`us76` computes these; `air_temperature`, `air_density` and `speed_of_sound` are splines through them (within
+0.3 % of the density, 0.6 K). Above 86 km: exponential model of Vallado (table 8-4), mean solar activity, to
+1000 km.
 
 **Drag** of a body of cross-section A, drag coefficient C_D and mass m in air that turns with the planet:
 
@@ -153,9 +153,7 @@ def speed_of_sound(altitude: Any) -> Any:
 
 
 def air_density(altitude: Any) -> Any:
-    """Return the density of the air, smooth, kg/m^3.
-
-    The standard atmosphere up to 86 km, exponential from there to 1000 km and beyond.
+    """Return the density of the air, smooth, kg/m^3; exponential above 86 km.
 
     Parameters
     ----------

@@ -1,12 +1,10 @@
 r"""Attitude: modified Rodrigues parameters (MRP), direction cosine matrices, quaternions, Euler angles.
 
-Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e (which has
-the same components in both frames).
+Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e.
 
 **Direction cosine matrix.** ``dcm_BL`` takes the L components of a vector to its B components (passive):
-:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. The *active* rotation that carries the
-axes of L onto those of B is its transpose, and that is what `scipy.spatial.transform.Rotation` holds:
-``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
+:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. `scipy.spatial.transform.Rotation` holds
+the transpose (active): ``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
 
 **Modified Rodrigues parameters** (three, no constraint; singular at one full turn)
 
@@ -17,9 +15,8 @@ axes of L onto those of B is its transpose, and that is what `scipy.spatial.tran
 
 .. math:: \dot\sigma = \tfrac14 [ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T ]\, \omega_{BL,B} .
 
-**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude with the angle :math:`\Phi - 2\pi`;
-one of the two has :math:`|\sigma| \le 1`. Bound :math:`\sigma` in trajectories of less than half a turn: the other
-set leads to the singularity.
+**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` is the same attitude with the angle :math:`\Phi - 2\pi`;
+one of the two has :math:`|\sigma| \le 1`. Bound :math:`\sigma` in trajectories of less than half a turn.
 
 **Quaternion**, scalar part first:
 
@@ -53,7 +50,6 @@ def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
         MRP of B relative to L.
-
 
     Examples
     --------
@@ -115,8 +111,7 @@ def mrp_shadow(sigma_BL: Vector) -> Vector:
 def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     r"""Return four times the MRP from the reference to sigma: the turn (rad) between them, to first order.
 
-    For `Model.difference`: the error of attitudes by composition, by the short way round,
-
+    For `Model.difference`, by the short way round:
     .. math:: \delta\sigma = \frac{(1 - \sigma_r^2)\, \sigma - (1 - \sigma^2)\, \sigma_r + 2\, \sigma \times \sigma_r}
        {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r}
 
@@ -142,7 +137,6 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     numerator = stack(
         [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
     )
-    # (cosine, 2 numerator) is the error quaternion times the length; no cancellation near the shadow of the reference
     cosine = (1 - square) * (1 - square_ref) + 4 * dot(sigma, sigma_ref)
     length = (1 + square) * (1 + square_ref)
     if is_symbolic(numerator):
@@ -155,7 +149,6 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
 def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     """Return the MRP, of length <= 1, whose `mrp_difference` from the reference is ``error``.
 
-    The turn follows that of the reference.
     Parameters
     ----------
     sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
@@ -168,7 +161,6 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     >>> print(mrp_retraction([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]))
     [0.1 0.  0. ]
     """
-    # composition is the difference to the turn back
     return scale(0.25, mrp_difference(scale(0.25, error), scale(-1, sigma_ref)))
 
 
@@ -195,7 +187,6 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     Parameters
     ----------
     axis : array (3,)
-        Of any length but zero.
     angle : float
         rad.
 

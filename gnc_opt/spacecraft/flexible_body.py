@@ -8,9 +8,8 @@ one column per mode),
    J \dot\omega + C \ddot\eta + \omega \times (J \omega + C \dot\eta) &= T \\
    \ddot\eta + 2 \xi \Lambda \dot\eta + \Lambda^2 \eta + C^T \dot\omega &= 0 .
 
-The accelerations follow from the symmetric mass matrix
-:math:`\begin{pmatrix} J & C \\ C^T & 1 \end{pmatrix}`, positive definite if and only if :math:`J - C C^T`
-is: the appendages must not carry more inertia than there is. Energy and momentum,
+The mass matrix :math:`\begin{pmatrix} J & C \\ C^T & 1 \end{pmatrix}` is positive definite if and only if
+:math:`J - C C^T` is. Energy and momentum,
 
 .. math::
    E = \tfrac12 \omega^T J \omega + \omega^T C \dot\eta + \tfrac12 |\dot\eta|^2 + \tfrac12 |\Lambda \eta|^2,
@@ -60,8 +59,7 @@ class FlexibleBody:
     Raises
     ------
     ModelError
-        Sizes that do not fit, frequencies that are not positive, or appendages with more inertia than the
-        whole.
+        Sizes that do not fit, frequencies <= 0, or appendages with more inertia than the whole.
 
     Examples
     --------

@@ -11,8 +11,7 @@ Both have a potential, :math:`a = -\nabla U`,
 
 .. math:: U = -\frac{\mu}{|r|} \left[ 1 - \frac{J_2 R^2}{2 |r|^2} \left( \frac{3 Z^2}{|r|^2} - 1 \right) \right],
 
-so the energy :math:`\tfrac12 |v|^2 + U` of a free orbit is constant, and so is the component of
-:math:`r \times v` along Z.
+so the energy :math:`\tfrac12 |v|^2 + U` and the component of :math:`r \times v` along Z are constant.
 
 **Gravity gradient** torque on a body at ``r_B`` from the planet's centre (B components), to first order in
 size over distance: :math:`T = 3 \mu\, |r|^{-5}\, r \times J r`.

@@ -17,9 +17,8 @@ turns about the axes of the *moving* frame compose from left to right: ``q_CA = 
 
 .. math:: \dot q_0 = -\tfrac12 q_v \cdot \omega, \qquad \dot q_v = \tfrac12 (q_0\, \omega + q_v \times \omega) .
 
-**Error** of q relative to a reference: :math:`\delta q = q_r^{-1} \otimes q`, the turn from the reference
-frame R to B with the same components in both; the sign is chosen so that :math:`\delta q_0 \ge 0`, the
-short way round.
+**Error** of q relative to a reference: :math:`\delta q = q_r^{-1} \otimes q`, with the same components in R
+and B; the sign is chosen so that :math:`\delta q_0 \ge 0`, the short way round.
 
 Every function takes CasADi columns or arrays (n,) and (n, n_times), time last, unless it says "numeric".
 """
@@ -141,8 +140,6 @@ def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
 def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     """Return twice the vector part of the error, (3,): the turn (rad) from the reference to q, to first order.
 
-    For `Model.difference`.
-
     Parameters
     ----------
     q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
@@ -160,7 +157,7 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
 def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """Return the unit quaternion whose `quaternion_difference` from the reference is ``error``.
 
-    The turn follows that of the reference. Errors of more than 2 (half a turn) count as half a turn.
+    Errors of more than 2 count as half a turn.
 
     Parameters
     ----------

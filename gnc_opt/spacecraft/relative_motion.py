@@ -13,7 +13,7 @@ both in L, with :math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
    \ddot y &= -n^2 y + f_y \\
    \ddot z &= -2 n \dot x + 3 n^2 z + f_z ,
 
-the first-order difference of two Kepler orbits; the error is of the order :math:`3 n^2 |r|^2 / a`.
+with an error of the order :math:`3 n^2 |r|^2 / a`.
 
 **Frame R** sits in the leader: x radial outward, y along the motion, z along the orbit normal:
 :math:`(x, y, z)_L = (y, -z, -x)_R`.
@@ -97,10 +97,8 @@ def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
 
     Parameters
     ----------
-    r_L : casadi (3, 1), array (3,) or (3, n_times)
-        Position relative to the target in L, m.
-    v_L : like ``r_L``
-        Its rate of change seen in L, m/s.
+    r_L, v_L : casadi (3, 1), array (3,) or (3, n_times)
+        Position (m) relative to the target and its rate of change (m/s) seen in L.
     n : float or casadi scalar
         Mean motion of the target, rad/s.
 
@@ -121,10 +119,8 @@ def relative_acceleration(
     ----------
     rho_R, rho_rate_R : casadi (3, 1), array (3,) or (3, n_times)
         Position (m) relative to the leader and its rate of change seen in R (m/s).
-    leader_radius, n : float or casadi scalar
-        Radius (m) and mean motion (rad/s) of the leader's orbit.
-    mu : float or casadi scalar
-        m^3/s^2.
+    leader_radius, n, mu : float or casadi scalar
+        m, rad/s, m^3/s^2.
 
     Examples
     --------
@@ -160,8 +156,7 @@ def differential_j2(
     leader_radius : float or casadi scalar
         Of the leader, m.
     dcm_RI : casadi (3, 3), array (3, 3) or (3, 3, n_times)
-        Takes inertial components (z along the planet's axis) to R. For an equatorial leader any turn about
-        z will do, the identity included.
+        Takes inertial components (z along the planet's axis) to R.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
 
@@ -178,12 +173,12 @@ def differential_j2(
 
 
 def radial_frame(r: Vector, v: Vector) -> Matrix:
-    """Return ``dcm_RI`` of the radial frame of an orbit, from the inertial position (m) and velocity (m/s).
+    """Return ``dcm_RI`` of the radial frame of an orbit.
 
     Parameters
     ----------
     r, v : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position and velocity.
+        Inertial position (m) and velocity (m/s).
 
     Examples
     --------
@@ -228,7 +223,7 @@ def relative_from_inertial(
     r_leader, v_leader, r_follower, v_follower : casadi (3, 1), array (3,) or (3, n_times)
         Inertial, m and m/s.
     acceleration : like the others
-        Total acceleration of the leader, m/s^2: it turns the frame.
+        Total acceleration of the leader, m/s^2.
 
     Examples
     --------
@@ -254,12 +249,9 @@ def inertial_from_relative(
 
     Parameters
     ----------
-    r_leader, v_leader : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial, m and m/s.
-    rho_R, rho_rate_R : like the others
-        Position of the follower and its rate of change as seen in the leader's true radial frame, m and m/s.
-    acceleration : like the others
-        Total acceleration of the leader, m/s^2: it turns the frame.
+    r_leader, v_leader, rho_R, rho_rate_R, acceleration : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial state of the leader, state of the follower seen in its radial frame (m, m/s), acceleration
+        (m/s^2).
 
     Examples
     --------

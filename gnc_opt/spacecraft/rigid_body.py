@@ -5,28 +5,24 @@ inertial space I, and the torque T, all in B components:
 
 .. math:: J \dot\omega_{BI} = T - \omega_{BI} \times (J \omega_{BI}) .
 
-**Relative to a frame L** that itself turns at ``omega_LI`` (constant in L, as for the LVLH frame of a
-circular orbit): write :math:`\omega = \omega_{BL}` and :math:`w = C_{BL}\,\omega_{LI}` (L's rate in B
-components), so that :math:`\omega_{BI} = \omega + w`. Seen from B the vector w turns: :math:`\dot w =
--\omega \times w`. Hence
+**Relative to a frame L** that turns at ``omega_LI`` (constant in L, as for the LVLH frame of a circular
+orbit): write :math:`\omega = \omega_{BL}` and :math:`w = C_{BL}\,\omega_{LI}`, so that :math:`\omega_{BI} =
+\omega + w`. With :math:`\dot w = -\omega \times w`,
 
 .. math:: J \dot\omega = T - (\omega + w) \times J (\omega + w) + J (\omega \times w) .
 
 The kinetic energy :math:`\tfrac12 \omega_{BI}^T J\, \omega_{BI}` and the length of the angular momentum
 :math:`J \omega_{BI}` are constant without torque.
 
-**Reaction wheels** trade angular momentum with the body.
-n wheels with spin axes in the columns of ``axes`` (3, n), body components, inertia :math:`I_w` about the
-axis each, spin rate :math:`\Omega` relative to the body and motor torque T (on the *body*; the wheels feel
--T):
+**Reaction wheels**, spin axes in the columns of ``axes`` (3, n), body components; inertia :math:`I_w` about
+the axis each, spin rate :math:`\Omega` relative to the body, motor torque T on the *body* (-T on the wheels):
 
 .. math::
    J \dot\omega &= -\omega \times (J \omega + A h) + A T + T_{ext} \\
    \dot h &= -T, \qquad h = I_w \Omega .
 
-J is the inertia with the wheels locked in all but spin; their momentum by the body's own rate is left out
-(:math:`I_w \ll J`). Without external torque the length of the total momentum :math:`J \omega + A h` is constant. The
-shaft power of wheel i is :math:`-T_i \Omega_i`: positive where the motor drives the wheel faster.
+J is the inertia with the wheels locked; their momentum by the body's own rate is neglected (:math:`I_w \ll
+J`). The shaft power of wheel i is :math:`-T_i \Omega_i`: positive if the motor drives the wheel faster.
 
 The inertia is three principal moments, (3,), or a symmetric matrix, (3, 3).
 SI units. Vectors are CasADi columns or arrays (n,) and (n, n_times), time last.
@@ -113,14 +109,10 @@ def wheel_body_acceleration(
         kg m^2.
     axes : array (3, n)
         Spin axes as columns.
-    omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
-        Rate of the body relative to inertial space in B components, rad/s.
-    momenta : casadi (n, 1), array (n,) or (n, n_times)
-        Of each wheel about its axis, N m s; their rates are ``-torques``.
-    torques : like ``momenta``
-        Of the motors on the body, N m.
-    external_B : like ``omega_BI_B``
-        N m.
+    omega_BI_B, external_B : casadi (3, 1), array (3,) or (3, n_times)
+        Rate relative to inertial space (rad/s) and external torque (N m) in B components.
+    momenta, torques : casadi (n, 1), array (n,) or (n, n_times)
+        Of each wheel about its axis (N m s), and of the motors on the body (N m).
 
     Examples
     --------
@@ -172,10 +164,8 @@ def angular_acceleration(inertia: Any, omega_BI_B: Vector, torque_B: Vector) -> 
     ----------
     inertia : casadi or array, (3,) principal moments or (3, 3)
         kg m^2.
-    omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
-        Rate relative to inertial space in B components, rad/s.
-    torque_B : like ``omega_BI_B``
-        N m.
+    omega_BI_B, torque_B : casadi (3, 1), array (3,) or (3, n_times)
+        Rate relative to inertial space (rad/s) and torque (N m) in B components.
 
     Examples
     --------
@@ -195,12 +185,9 @@ def relative_angular_acceleration(
     ----------
     inertia : casadi or array, (3,) principal moments or (3, 3)
         kg m^2.
-    omega_BL_B : casadi (3, 1), array (3,) or (3, n_times)
-        Rate of the body relative to L in B components, rad/s.
-    omega_LI_B : like ``omega_BL_B``
-        Rate of L relative to inertial space in B components, ``dcm_BL @ omega_LI_L``, rad/s.
-    torque_B : like ``omega_BL_B``
-        N m.
+    omega_BL_B, omega_LI_B, torque_B : casadi (3, 1), array (3,) or (3, n_times)
+        Rate of B relative to L, of L relative to inertial space (rad/s), and torque (N m), all in B
+        components.
 
     Examples
     --------

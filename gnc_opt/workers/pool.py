@@ -49,7 +49,7 @@ class WorkerDied(GncOptError):
 
 @dataclass(frozen=True, eq=False)
 class Done(Generic[Item, Answer]):
-    """An item with its answer, or with what prevented it.
+    """An item with its answer or its error.
 
     Attributes
     ----------
@@ -76,13 +76,13 @@ class Done(Generic[Item, Answer]):
 class WorkerPool(Generic[Object]):
     """Workers with one object that all of them share; a context manager.
 
-    Tasks are functions ``task(object, item)``. Items, answers and tasks must be picklable.
+    Tasks are functions ``task(object, item)``; all must be picklable.
 
     Parameters
     ----------
     shared : Shared
     executor : Executor, "serial" or None
-        None: one process per processor. Threads take turns, since compiled functions serve one at a time.
+        None: one process per processor.
     caller : str
         For messages, e.g. ``"monte_carlo()"``.
 
@@ -135,9 +135,8 @@ class WorkerPool(Generic[Object]):
     ) -> list[Done[Item, Answer]]:
         """Return the result of a task with every item, in order, without those that Ctrl-C prevented (`interrupted`).
 
-        When a process of the pool's own dies, what was lost with it is done again, each item in a new process; an
-        item that kills that one, too, is split. If a given executor breaks, the pool's own processes do the
-        remaining tasks.
+        Items lost with a process run again, each in a new process; an item that kills it, too, is split. If a
+        given executor breaks, the pool's own processes do the remaining tasks.
 
         Parameters
         ----------
@@ -146,7 +145,7 @@ class WorkerPool(Generic[Object]):
         show : callable
             Called with each result. An exception in it ends the run.
         split : callable, optional
-            Returns the parts of an item that together give the same result; none if it has no parts.
+            Returns the parts of an item that together give the same result.
         """
         items = list(items)
         ledger = _Ledger(items, show)
@@ -165,8 +164,6 @@ class WorkerPool(Generic[Object]):
                 self._own.end(at_once=True)
             ledger.collect()
         return ledger.in_order()
-
-    # --- internals ----------------------------------------------------------------------------------------
 
     def _do_all(
         self,

@@ -32,11 +32,10 @@ class Shared(Generic[Object]):
     Attributes
     ----------
     value : object
-        For tasks in this process, and for processes that inherit its memory.
     name, remedy : str
-        For the error if it cannot be sent to another process: what it is, and what to do about it.
+        For the error if it cannot be sent to another process.
     maker : callable, optional
-        Makes it in another process; must be picklable. Without one it cannot be sent.
+        Makes it in another process; must be picklable.
 
     Examples
     --------
@@ -117,16 +116,12 @@ class OwnProcesses:
     """Processes that have a shared object; new ones take the place of those that died."""
 
     def __init__(self, shared: Shared[Any]) -> None:
-        # by forking where that is safe: what the processes inherit need not be sent
         self._context: Any = multiprocessing.get_context("fork" if processes_fork() else None)
         self._parcel: Here[Any] | Path = shared.here if processes_fork() else self._written(shared)
         self._executor: ProcessPoolExecutor | None = None
 
     def _written(self, shared: Shared[Any]) -> Path:
-        """Return a file with the packed object, deleted with this one.
-
-        A process that dies while it starts leaves the parent waiting if its arguments exceed a pipe's buffer (64 kB).
-        """
+        """Return a file with the packed object: an argument of more than 64 kB may block a process."""
         packed = shared.packed()
         try:
             folder = tempfile.mkdtemp(prefix="gnc_opt-")

@@ -21,12 +21,7 @@ _CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 
 @dataclass(frozen=True)
 class CNumbers:
-    """A floating-point type of C: ``"double"`` or ``"float"``, suffix of literals and <math.h> functions, type in
-    NumPy.
-
-    ``solved`` is the accepted violation of scaled rows of a quadratic programme, ``dependent`` the share of a row's
-    square below which it depends on others.
-    """
+    """A floating-point type: C name, suffix, NumPy type; tolerances ``solved``, ``dependent``."""
 
     type: str
     suffix: str
@@ -152,9 +147,7 @@ _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca
 def c_statements(
     function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
 ) -> list[str]:
-    """Return the body of a C function that evaluates an SXFunction; C names: a scalar for the first input,
-    else pointers.
-    """
+    """Return the body of a C function that evaluates an SXFunction; first input scalar, others pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
     read = _input_names(function, inputs)
     body, used_inputs, written = [], set(), set()

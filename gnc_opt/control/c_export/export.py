@@ -1,8 +1,7 @@
 """Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
 
-Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
-``<name>_main.c`` (a driver for tests). The code needs only the C mathematics and allocates no memory; operations keep
-the order of the symbolic law. No loop depends on data, except the bounded iterations of `design_mpc`.
+Files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (law), ``<name>_main.c`` (test driver).
+The code allocates no memory. No loop depends on data, except the bounded iterations of `design_mpc`.
 """
 
 from __future__ import annotations
@@ -49,7 +48,6 @@ class CCode:
     dt : float
         Control step, s.
     table_bytes : int
-        Of the schedule.
     command_error : array (n_commands,) or None
         Largest difference of the compiled code's commands from the law's over the given samples.
 
@@ -77,10 +75,10 @@ class CCodeOptions:
     Attributes
     ----------
     precision : {"float64", "float32"}
-        Of all numbers but times, which stay double: a clock in single precision would lose the row of the schedule.
+        Of all numbers but times, which stay double.
     samples : (times (n,), measured (n_states, n)), optional
-        Consecutive control steps of a flight: ``(run.times[:-1], run.measured)``. The code is compiled
-        (``cc``) and run on them, and the largest difference of its commands from the law's is reported.
+        Consecutive control steps, ``(run.times[:-1], run.measured)``, on which the compiled code (``cc``) is
+        compared with the law.
 
     Examples
     --------
@@ -206,7 +204,6 @@ def _elementary(function: Any, form: FlightLaw) -> Any:
         scalar = function if function.is_a("SXFunction") else function.expand()
     except RuntimeError as error:
         raise ArgumentError(f"{what}: {remedy}") from error
-    # CasADi may keep a solver as one call among scalar operations
     calls = any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions()))
     if calls and form.solver is None:
         raise ArgumentError(f"{what}: {remedy}")
@@ -224,9 +221,7 @@ _FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
 def command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
-    """Return the largest difference (n_commands,) of the compiled code's commands from the law's over samples
-    (times (n,), measured (n_states, n)) of consecutive control steps of dt (s).
-    """
+    """Return the largest difference (n_commands,) of the compiled code's commands from the law's."""
     times, measured = _read(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
@@ -275,9 +270,7 @@ _NEEDS_NAN = (
 
 @dataclass(frozen=True, eq=False)
 class FlightFiles:
-    """A law as text: start and step as scalar operations, prefix of the C identifiers, control step (s), type
-    of numbers.
-    """
+    """A law as text: start and step as scalar operations, prefix of identifiers, step (s), number type."""
 
     form: FlightLaw
     start: Any

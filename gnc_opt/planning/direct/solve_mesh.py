@@ -1,7 +1,6 @@
 """solve_mesh: one solve on one mesh, and everything that is tried when it fails.
 
-This is the whole list; nothing else in gnc_opt solves a program twice for want of a solution. In this order:
-
+The tries, in this order:
 ====================  ======================================  ====================================================
 try                   after                                   how
 ====================  ======================================  ====================================================
@@ -19,7 +18,7 @@ try                   after                                   how
 
 A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
 
-All tries of one solve share its limit on wall time, and their effort adds up in its statistics.
+All tries of one solve share its limit on wall time.
 """
 
 from __future__ import annotations
@@ -309,15 +308,7 @@ def _solve_point(
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityStart:
-    """Where to look for a point that meets the constraints.
-
-    Attributes
-    ----------
-    variables : array (n_variables,)
-        Physical.
-    held : int array
-        Places of variables to hold while the constraints are being met.
-    """
+    """Physical variables (n_variables,) to start from, and places of those to hold until the constraints are met."""
 
     variables: Array
     held: Indices

@@ -5,9 +5,8 @@ The rows r = (f, g) of the program, its objective and its constraints, have the 
 .. math:: r(x) = C x + \sum_b W_b \, \mathrm{vec}\, [F_b(Z_{b1} x, d_{b1}), F_b(Z_{b2} x, d_{b2}), \dots]
 
 with constant sparse matrices C and W and index maps Z. Collocation is of this form: F is the dynamics at a
-point, W holds step sizes and quadrature weights. Only F is differentiated, once and symbolically; the
-sparse Jacobian and Hessian of the whole program are linear in the nonzeros of the small derivatives,
-so building and evaluating them costs the same per point however many points there are.
+point, W holds step sizes and quadrature weights. Only F is differentiated, once and symbolically; Jacobian and
+Hessian of the program are linear in its derivatives.
 """
 
 from __future__ import annotations

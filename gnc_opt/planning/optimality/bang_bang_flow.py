@@ -8,15 +8,13 @@ integrals, the time and the free parameters, and the width h of a step. With the
           \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad
           p_j = \Big(\frac{\partial M_j}{\partial y_j}\Big)^T p_{j+1}, \quad p_N = p
 
-(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step in turn is a chain of stages, differentiated alike: only the
-rates are differentiated symbolically, once per problem; the rest is arithmetic on all steps at once, and exact for the
-discretised flow. Its gradient alone is a sweep backwards, and costs as much as a few flights.
+(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated alike. Only the
+rates are differentiated symbolically. The derivatives are exact for the discretised flow.
 
 Steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer. Anal.
 9(3), 1972).
 
-A piece may have zero length: it gives the effect of a control between two coinciding switches if they
-separate.
+A piece of zero length gives the effect of a control between two coinciding switches if they separate.
 """
 
 from __future__ import annotations
@@ -308,13 +306,7 @@ _SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The derivatives of steps by w = (z, h), from those of their stages; n_stages, then n_steps first.
-
-    Attributes
-    ----------
-    jacobians : array (n_steps, n, n + 1)
-        Of the steps.
-    """
+    """Derivatives of steps by w = (z, h); n_stages, then n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
 
     jacobians: Array
     _rates: _Rates

@@ -96,8 +96,7 @@ def path_gradients(
 def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return the jumps at inner segment boundaries with the parts that active constraints explain.
 
-    A jump of the wrong sign is explained as far as the adjacent multiplier density compensates it, see
-    `pushed_beside`.
+    Adjacent multiplier density may compensate a jump of the wrong sign, see `pushed_beside`.
 
     Returns
     -------
@@ -155,10 +154,7 @@ class EndPush:
 
 
 def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
-    """Explain a gap in the costate at the start (``at`` = 0) or the end (-1) of a phase by what is active there.
-
-    States that are on limits of their own push too.
-    """
+    """Explain a costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
     limits = intersect(given, leg.state_bounds)
@@ -181,13 +177,7 @@ def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
-    """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of inner segment
-    boundaries (n, K -
-    1).
-
-    A mesh does not resolve how a measure divides between an atom and the adjacent density: both give the same
-    costate elsewhere.
-    """
+    """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
     offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
     widths = np.minimum(np.diff(s.leg.breaks), near)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])

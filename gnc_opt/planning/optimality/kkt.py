@@ -42,13 +42,7 @@ _SINGULAR_SHIFT = 1e-9
 
 
 class SaddlePoint:
-    """A symmetric indefinite sparse system; redundant but consistent rows are borne, a free direction is not.
-
-    Attributes
-    ----------
-    redundant : bool
-        Whether the rows leave multipliers undetermined.
-    """
+    """A symmetric indefinite sparse system; redundant but consistent rows are allowed, a free direction is not."""
 
     def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
         self.labels, self._n, self._name = labels, n_primal, name
@@ -138,12 +132,7 @@ STRETCH = 60
 
 
 def factorised(matrix: Any) -> Callable[[Array], Array]:
-    """Return what solves a linear system with a symmetric matrix (n, n): right-hand sides (n,) to solutions.
-
-    Parameters
-    ----------
-    matrix : sparse (n, n)
-    """
+    """Return the solver of a sparse symmetric system (n, n): right-hand sides (n,) to solutions."""
     matrix = scipy.sparse.csr_array(matrix)
     many = np.diff(matrix.indptr) > DENSE
     dense, others = np.flatnonzero(many), np.flatnonzero(~many)
@@ -239,13 +228,7 @@ class NullSpace:
     def of(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
         """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
 
-        Parameters
-        ----------
-        held : bool array (n_variables + n_constraints,)
-        unit : sparse (n_variables, n_variations), optional
-            Instead of a variation for each variable.
-        further : sparse (n, n_variables), optional
-            What of the scaled variables is held beside rows of the program.
+        ``unit`` (n_variables, n_variations) replaces a variation for each variable; ``further`` are more rows to hold.
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
@@ -314,15 +297,7 @@ def quadratic(hessian: Any, direction: Array) -> tuple[float, float]:
 
 
 def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
-    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator.
-
-    With full reorthogonalisation; ends early where the ends of the spectrum have settled.
-
-    Parameters
-    ----------
-    operate : function of a vector (n,)
-    start : array (n,)
-    """
+    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator, from ``start`` (n,)."""
     size = float(np.linalg.norm(start))
     if not size > 0:
         return np.zeros(0), np.zeros((start.size, 0))

@@ -33,15 +33,7 @@ WEAKLY_ACTIVE_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class ProgramLimits:
-    """Limits of all variables or of all rows, and which of them are active (scaled).
-
-    Attributes
-    ----------
-    active : bool array (n,)
-        Those whose multiplier outweighs the distance to them, and what is fixed.
-    at : array (n,)
-        The active limits; 0 where none is.
-    """
+    """Scaled limits of variables or rows; ``active`` (n,) where the multiplier outweighs the distance, or fixed."""
 
     box: Interval
     active: Mask
@@ -110,16 +102,8 @@ class ProgramPoint:
     ) -> ProgramPoint:
         """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
 
-        Parameters
-        ----------
-        meshes : mapping of Mesh, optional
-        scaled_by : callable
-            The scales (n_variables,) from the program, its problem and the variables.
-        rounding : float
-            Costs below this are rounding, and not scaled to more than one: where the cost's gradient vanishes, as
-            where the least cost is zero, multipliers are rounding too.
-        held : callable
-            The problem with what is held of its state constraints.
+        ``scaled_by`` returns the scales (n_variables,); costs below ``rounding`` are rounding;
+        ``held`` returns the problem with the held state constraints.
         """
         problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}

@@ -21,9 +21,8 @@ add their own columns. Displacements d count as :math:`|C^{-1/2}(d/r)|`, gradien
 **Cost scale**: :math:`\int \sum_k |H_{u_k}| q_k + \tfrac12 \sum_{kl} |H_{u_k u_l}| q_k q_l\,dt` over all phases, the
 second difference of the end cost over the reach, and the duration times cost rates if it is free.
 
-Invariances (tests in `test_reference_scales.py`): measures do not depend on units and origins of states, controls, time
-and cost; on frames that move; on regular mixtures of the states; on declared ranges; on states without effect; on the
-order of statements. Neither do they on constants or total derivatives in the cost.
+Measures do not depend on units, origins, moving frames, mixtures of states or declared ranges, nor on constants or
+total derivatives in the cost (`test_reference_scales.py`).
 """
 
 from __future__ import annotations

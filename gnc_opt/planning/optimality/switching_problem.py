@@ -2,12 +2,9 @@ r"""The finite-dimensional problem that a bang-bang control induces.
 
 Its unknowns :math:`\theta` are, phase by phase, the start, one time for every switch of a control, the end and the
 start values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
-:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on the ends: limits of end values, times, durations and
-parameters, boundary constraints and linkages. Conditions at a limit are active, the others do not count. Everything is
-computed from the model by explicit integration from switch to switch (module `bang_bang_flow`).
-
-Unknowns and conditions are made dimensionless: unknowns by durations and magnitudes, conditions by what they change
-when the unknowns change by these.
+:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on end values, times, durations, parameters, boundary
+constraints and linkages. Only conditions at a limit count. Flows are integrated from switch to switch (module
+`bang_bang_flow`). Unknowns and conditions are dimensionless.
 """
 
 from __future__ import annotations
@@ -143,13 +140,7 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class InducedProblem:
-    """The induced problem at a solution, for one order of the switches.
-
-    Attributes
-    ----------
-    gradient : array (n,)
-        Of the minimised cost by the unknowns, each measured by its scale.
-    """
+    """The problem for one order of the switches; ``gradient`` (n,) of the cost by the scaled unknowns."""
 
     unknowns: Unknowns
     gradient: Array
@@ -170,15 +161,7 @@ class InducedProblem:
         pieces: Mapping[str, PiecewiseControl],
         refinement: int = 1,
     ) -> InducedProblem:
-        """Fly the solution's controls and differentiate cost and conditions.
-
-        Parameters
-        ----------
-        pieces : mapping from phase to PiecewiseControl
-            With the unknowns of `Switches.pieces`.
-        refinement : int
-            Of the steps of integration that resolve the dynamics, see `bang_bang_flow`.
-        """
+        """Integrate with the solution's controls (pieces by phase) and differentiate cost and conditions."""
         problem = solution.need_problem("verify")
         flows = {}
         for s in samples:
@@ -206,13 +189,7 @@ class InducedProblem:
         return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
 
     def hessian(self, multipliers: Array) -> tuple[Array, float]:
-        """Return the Hessian of the Lagrangian (n, n), and the size of the terms that it is the sum of.
-
-        Parameters
-        ----------
-        multipliers : array (k,)
-            Of the conditions: L = cost + multipliers @ values.
-        """
+        """Return the Hessian (n, n) of L = cost + multipliers @ values, and the size of its terms."""
         n_states = sum(s.leg.states.size for s in self._samples)
         # Only end values and boundary constraints curve.
         on_states, nu = np.split(multipliers[: n_states + self._n_constraints], [n_states])
@@ -335,10 +312,9 @@ def _stacked(boxes: list[Interval]) -> Interval:
 
 
 def end_derivatives(problem: Problem) -> Any:
-    """Gradient of the cost and the constraints with their multipliers, the constraints' Jacobian, and the Hessian.
+    """Gradient of cost and constraints with multipliers, the constraints' Jacobian, and the Hessian.
 
-    A CasADi Function of the start and the end of every phase (states, integrals, time), the model parameters of every
-    phase, q and nu; all derivatives are by the starts and ends in order, then q.
+    A CasADi Function of starts and ends of every phase, model parameters, q and nu; derivatives by the ends, then q.
     """
     ends = end_function(problem)
     starts, finals, arguments, parameters = [], [], [], []

@@ -21,16 +21,16 @@ ELSEWHERE = 0.37
 
 @dataclass(frozen=True)
 class Turns:
-    """Angular controls whose bounds leave out no direction, and the range in which their values are returned.
+    """Angular controls without excluded directions, and the range of their returned values.
 
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        Range of at least one turn, half a turn for the elevation of a pair; infinite for other controls.
+        One turn at least, half a turn for the elevation of a pair; infinite for other controls.
     periods : array (n_controls,)
         0 for controls that are not angles.
     pairs : tuple of (int, int)
-        Azimuths and elevations: half a turn of the first cancels a reflection of the second at an end of its range.
+        Azimuths and elevations.
     """
 
     lower: Array

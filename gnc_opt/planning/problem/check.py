@@ -262,10 +262,7 @@ def _check_unused_parameters(problem: Statement) -> None:
 
 
 def bounds_to_give(problem: Statement) -> str:
-    """Return which controls lack bounds in a problem that costs time alone; empty if none does.
-
-    Of controls that move states at rates proportional to them, and that no path constraint and no integral contains.
-    """
+    """Return which controls lack bounds in a problem that costs time alone; empty if none does."""
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):

@@ -166,10 +166,7 @@ def _argument_of_norm(root: Any) -> Any | None:
 
 
 def norms_by_hand(problem: Statement, leg: Phase) -> list[str]:
-    """Return the functions whose derivatives by controls fail or vanish at zero controls, and their replacements.
-
-    A norm has no derivative there; that of a limit such as ``T @ T <= d**2`` is zero; nor does one lead out of a hole.
-    """
+    """Return the functions whose derivatives fail or vanish at zero controls, and their replacements."""
     start = start_phase(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.guessed_parameters()

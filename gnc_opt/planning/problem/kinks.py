@@ -30,15 +30,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Kinks:
-    """Operations in dx/dt and integrands that switch with states or controls.
-
-    Attributes
-    ----------
-    words : tuple of str
-        What each of them is.
-    arguments : casadi.Function
-        ``(t, x, u, p, q)`` -> (n_operations,): what changes its sign when an operation switches.
-    """
+    """Operations that switch: their words, and ``(t, x, u, p, q)`` -> arguments that change sign."""
 
     words: tuple[str, ...]
     arguments: Any

@@ -1,10 +1,8 @@
-"""Bounds that need not be imposed: of vectors whose length the dynamics keep, and of states that only rise or fall.
+"""Redundant bounds: of vectors of constant length, and of states that only rise or fall.
 
-No vector of constant length exceeds a bound of that length, such as 1 of a unit quaternion, and at (1, 0, 0, 0) the
-gradient of the bound is that of the length: no step points to the interior. The bound of a budget (fuel, dose) at one
-end of a phase implies it in between, where its multiplier would not be unique once the budget is used up.
-
-Controls in roots, powers or logarithms have no second derivative at zero: arcs at such bounds are held a little inside.
+At a unit quaternion (1, 0, 0, 0) the gradient of the bound 1 is that of the length. The bound of a budget at
+one end of a phase implies it in between, where its multiplier would not be unique. Arcs at bounds of controls
+in roots, powers or logarithms are held a little inside.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Following: a variation of a problem from the refined solution of another one, by its arcs or on its mesh.
+"""Warm start of a variation of a problem from a refined solution, by its arcs or on its mesh.
 
-Where arcs are known, the variation is solved with them, their ends free as before, every piece as fine as it was; the
-structure loop mends what has changed. Otherwise it is solved on the mesh that was fine enough, which is made finer
-where it no longer is. What comes of it is taken if it came to rest within the tolerance.
+With known arcs the structure loop starts from them; otherwise the known mesh is refined where needed.
 """
 
 from __future__ import annotations
@@ -42,22 +40,14 @@ WARM_START_MIN_WORK = 1e4
 """What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
 
 WRONG = 0.1
-"""Arcs with a larger error are not those of the variation. Of 30 of these, those that settled began with 2e-3 at
-most, others with 0.3 or more."""
+"""Arcs with a larger error are not those of the variation (of 30, those that settled began below 2e-3)."""
 
 Judged: TypeAlias = Literal["always", "changed"]
 
 
 @dataclass(frozen=True, eq=False)
 class KnownArcs:
-    """What of a solution serves where variations of its problem are to be as accurate.
-
-    Attributes
-    ----------
-    solution : Solution
-    structures : mapping of PhaseStructure
-        By phase; empty if its mesh was refined without any.
-    """
+    """A solution and its structures by phase (empty if its mesh was refined without any)."""
 
     solution: Solution
     structures: Mapping[str, PhaseStructure]
@@ -137,20 +127,14 @@ class KnownArcs:
 
 
 def first_meshes(known: Solution) -> dict[str, Mesh]:
-    """Return the meshes that a solution was refined from; the default where that is not known.
-
-    Its history begins with them, or with boundaries that arcs had moved already.
-    """
+    """Return the meshes that a solution was refined from; the default where that is not known."""
     meshes = {} if known.history is None else known.history.passes[0].meshes
     given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
     return read_meshes(meshes if given else None, known.phases, known.problem_name)
 
 
 def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
-    """Return a detected structure without the pieces between rows that change at one time.
-
-    Samples show the ends of arcs of several rows a little apart.
-    """
+    """Return a detected structure without the pieces between rows that change at one time."""
     ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
     while structure.pieces > len(ends) - 1:
         shortest = int(np.argmin(structure.lengths))

@@ -1,9 +1,8 @@
-"""What a solve may cost: limits, and the count of work that is the same on every machine.
+"""Work limits of a solve, counted alike on every machine.
 
-Work is counted in iterations of one variable at one collocation point. A solve on N points with n states and m controls
-that takes k iterations costs N (n + m) (k + 15); the 15 stand for derivatives, the estimates of its errors and the next
-mesh. `WORK_PER_SECOND` converts it to CPU seconds, so that limits can be given in a familiar unit and still end a solve
-at the same place on every machine. Where a machine needs more CPU time than is counted, that ends the search.
+Work is counted in iterations of one variable at one collocation point. A solve on N points with n states and
+m controls that takes k iterations costs N (n + m) (k + 15); the 15 stand for derivatives, error estimates and
+the next mesh. `WORK_PER_SECOND` converts it to CPU seconds. CPU time beyond them ends the search.
 """
 
 from __future__ import annotations
@@ -19,12 +18,10 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 
 WORK_PER_SECOND = 1e5
-"""Work of one CPU second where iterations are costly (many states, programs with arcs) on a processor of 2023; small
-problems do five times as much."""
+"""Work of one CPU second for costly iterations on a processor of 2023."""
 
 FINISH_MIN_SECONDS = 10.0
-"""Once the estimated error of the objective is within the tolerance, so many seconds, or as many as have been spent if
-that is more, are left for the local errors and the check."""
+"""Least time for local errors and check after the objective's estimated error is within the tolerance."""
 
 
 @dataclass(frozen=True)

@@ -21,16 +21,13 @@ LOSS_MIN_SHARE = 1e-3
 """Loss of the minimum principle, in shares of the objective, from which an answer is taken for a false extremal."""
 
 LOCAL_ERROR_RATIO = 1e3
-"""The estimated error of the objective counts where local errors are at most so many tolerances: it is of first order
-in them."""
+"""The objective's estimated error counts if local errors are at most so many tolerances."""
 
 CANDIDATE_ERROR_MARGIN = 3.0
-"""Estimates within this factor of the true error are usual: an objective that is lower by more than so many estimates
-belongs to another minimum."""
+"""An objective that is lower by more than so many estimates belongs to another minimum."""
 
 OPEN_MAX_RATIO = 1e2
-"""No finer mesh meets a condition that misses its tolerance by a larger factor: with the tolerance of a mesh costates
-improve by its first power, errors by its square."""
+"""A condition that misses its tolerance by a larger factor is not met by a finer mesh."""
 
 NAMED_CONDITIONS = 3
 """So many open conditions are named in the message."""
@@ -44,16 +41,7 @@ _CHATTERING = (
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An answer with the record of how it was found.
-
-    Attributes
-    ----------
-    solution : Solution
-    history : History
-        Of the passes that led to it.
-    stage : str
-        Where in the sequence of meshes it was found.
-    """
+    """An answer, the history of the passes that led to it, and its stage in the sequence of meshes."""
 
     solution: Solution
     history: History
@@ -84,10 +72,7 @@ class Candidate:
 
     @property
     def estimate(self) -> float:
-        """Estimated error of the objective, in its unit; infinite without a solution.
-
-        The square of the local error stands for what the estimate, of first order in local errors, leaves out.
-        """
+        """Estimated error of the objective, in its unit; infinite without a solution."""
         if not self.solved:
             return math.inf
         found = self.solution.objective_error
@@ -143,20 +128,16 @@ class Candidate:
         return max(relative, tol), self.error
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
-        """Whether it belongs to another minimum with a lower cost, so many of both estimates considered.
-
-        One that is not known to pass the optimality check must be lower by far than one that does.
-        """
+        """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
         ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
         least = LOSS_MIN_SHARE * abs(other.cost) if other.passes and not self.passes else 0.0
         return self.cost + max(margin * ours, least) < other.cost - margin * theirs
 
 
 def best_of(candidates: Sequence[Candidate], tol: float) -> int:
-    """Return which candidate to keep: of those that pass the check, else of all, the one with the least estimate.
+    """Return which candidate to keep: of those that pass the check, else of all, the least estimate.
 
-    Of several whose estimates are within the tolerance, the one with the least local error: their objectives differ by
-    less than the tolerance, their trajectories may not. A clearly lower minimum wins in any case.
+    Of several within the tolerance, the least local error. A clearly lower minimum wins in any case.
     """
     solved = [k for k, c in enumerate(candidates) if c.solved]
     if not solved:

@@ -1,10 +1,7 @@
 """How far the costates are from their differential equation between the nodes.
 
-The residual of a segment is the integral of |d(lambda)/dt + dH_a/dx + z|, times the state's magnitude over the cost's:
-the share of the cost that the residual amounts to, as in `gnc_opt.planning.verification.costate_conditions`.
-
-It counts where it says something about the mesh. Where a constraint of the states alone is active, the multipliers of
-collocation converge in a weak sense only, and costates may jump: such segments are left out.
+The residual of a segment is the integral of |d(lambda)/dt + dH_a/dx + z|, times the state's magnitude over
+the cost's. Segments with an active constraint of the states alone are left out: costates may jump there.
 """
 
 from __future__ import annotations
@@ -15,8 +12,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 COSTATE_ERROR_WEIGHT = 20.0
-"""A residual r counts as an error of (20 r)^2: an error of the costates affects the cost in second order only. With
-errors below 1e-8 the residual is below 5e-6, half of what `verify` forgives."""
+"""A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
 
 ACTIVE_MULTIPLIER_SHARE = 1e-6
 """A multiplier of this share of H, or an impulse of this share of the cost, says that a constraint is active."""

@@ -1,18 +1,14 @@
 """How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
 
-Four errors, none of which the solver sees, each of them dimensionless:
+Four dimensionless errors, none of which the solver sees:
 
 * dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
-* integrals: a finer quadrature of each integrand along the polynomials minus the collocation rule's,
-  relative to the integral of its magnitude (the dynamics alone say nothing of an integrand);
-* overshoot: how far bounds and path constraints are left between the nodes, where collocation does not look.
-  What depends on the states alone counts with its largest value, relative to the constrained quantity's
-  magnitude. What depends on the controls counts with its mean over the phase, which is what it contributes to
-  the states and the cost: the peak beside a kink can be narrow without doing harm;
-* costates: the square of the residual of their differential equation (an error of theirs affects the cost in second
-  order only), where no state constraint sets in: see `gnc_opt.planning.refinement.costate_error`.
-
-The other conditions of optimality are not checked here but by `gnc_opt.verify`.
+* integrals: a finer quadrature of each integrand minus the collocation rule's, relative to the integral
+  of its magnitude;
+* overshoot: violation of bounds and path constraints between the nodes: the largest value for functions of
+  the states alone, the mean over the phase for those of the controls;
+* costates: the square of the residual of their differential equation
+  (`gnc_opt.planning.refinement.costate_error`).
 """
 
 from __future__ import annotations
@@ -36,24 +32,22 @@ ABSOLUTE_ERROR_MAGNITUDE = 1e-6
 
 
 PEAK = 1e-3
-"""What the peak of a control beyond its bounds counts, however narrow: with errors below 1e-8 it is below 1e-5, which
-is what `verify` forgives."""
+"""Weight of the peak of a control beyond its bounds: errors below 1e-8 keep it below 1e-5."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledPieces:
-    """Polynomial segments, sampled: those of a solution, or trial ones.
+    """Polynomial segments, sampled.
 
     Attributes
     ----------
     times, weights : array (n_samples,)
-        Quadrature in s, piece after piece; weights are zero at the ends of pieces.
+        Quadrature in s; weights are zero at the ends of pieces.
     starts : int array (n_pieces,)
         Each piece's first sample.
     x, x_rate, u : array (n, n_samples)
-        Polynomials of states, their derivatives and controls.
     integrals : array (n_integrals, n_pieces)
-        Each integrand's integral by the collocation points' own quadrature.
+        By the quadrature of the collocation points.
     """
 
     times: Array
@@ -95,19 +89,7 @@ class SampledPieces:
 
 @dataclass(frozen=True, eq=False)
 class ErrorScales:
-    """What the errors of a phase are relative to.
-
-    Attributes
-    ----------
-    leg : PhaseSolution
-    functions : PhaseFunctions
-    state, control, integral, path : array
-        Magnitude of each state, control, integral and path constraint along the phase.
-    path_has_control : bool array (n_paths,)
-        Whether a path constraint depends on the controls.
-    hamiltonian : float
-        Magnitude of H's terms.
-    """
+    """Magnitudes along a phase to which its errors are relative; ``hamiltonian`` is that of H's terms."""
 
     leg: PhaseSolution
     functions: PhaseFunctions
@@ -180,10 +162,7 @@ class ErrorScales:
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
     def stationarity(self, pieces: SampledPieces, lam: Array) -> Array:
-        """Return |dH/du|, path and bound multipliers included, in shares of H, (n_controls, n_samples).
-
-        With costates ``lam`` (n_states, n_samples).
-        """
+        """Return |dH/du| with multipliers, in shares of H, (n_controls, n_samples), for costates ``lam``."""
         leg, times = self.leg, pieces.times
         mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
         slope = self.functions.control_gradient(times, pieces.x, pieces.u, lam, mu)
@@ -198,11 +177,9 @@ class SegmentErrors:
 
     Attributes
     ----------
-    dynamics : array (n_states, K)
+    dynamics, costates : array (n_states, K)
     integrals : array (n_integrals, K)
     overshoot : array (n_states + n_controls + n_paths, K)
-        Of state bounds, control bounds and path constraints.
-    costates : array (n_states, K)
     """
 
     dynamics: Array
@@ -230,17 +207,7 @@ class SegmentErrors:
 
 @dataclass(frozen=True, eq=False)
 class PhaseError:
-    """The error estimate of one phase.
-
-    Attributes
-    ----------
-    samples : PhaseSamples
-    yardstick : Yardstick
-    pieces : SampledPieces
-    errors : SegmentErrors
-    adjoint : array (n_states, n_samples)
-        Residual of the costates' equation, per second.
-    """
+    """The error estimate of one phase; ``adjoint`` (n_states, n_samples): costate residual per second."""
 
     samples: PhaseSamples
     yardstick: ErrorScales

@@ -120,7 +120,7 @@ def pass_meter(
 
 
 def crawls(errors: Sequence[float], tol: float) -> bool:
-    """Whether it takes too many more passes if the error goes on to fall as fast as in the last ones.
+    """Whether the error falls too slowly, as in the last passes, to reach the tolerance.
 
     Parameters
     ----------

@@ -47,8 +47,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
 MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS = 60, 20
-"""Segments of the middle stage in all phases together, and in each at least: from the first mesh to the finest one in a
-single step takes ten times the iterations where the trajectory still moves."""
+"""Segments of the middle stage in all phases, and the least in each: one step to the finest is slow."""
 
 FINE_SEGMENTS, FINE_MIN_SEGMENTS = 200, 40
 """Segments of the fine stage in all phases together, and in each at least."""
@@ -69,15 +68,13 @@ PROGRAM_MAX_FAILURES = 4
 """Programs without a solution after which no other is tried."""
 
 RESTART_MAX_ITERATIONS = 100
-"""Of a solve that begins at controls of least H, and beyond those of the first solve, of one from an integrated
-trajectory."""
+"""Of a solve from controls of least H; of one from a trajectory, in addition to those of the first solve."""
 
 HP_FIRST_MAX_SHARE = 0.25
 """Share of the budget of hp refinement on the first stage."""
 
 TIGHTER = (1e-2, 1e-4)
-"""Shares of the tolerance to which a mesh is refined whose local errors are within it while the check is open, as long
-as the estimated error of the objective falls to half."""
+"""Mesh tolerances, in shares, while the check is open and the objective's estimated error halves."""
 
 STRATEGY = "ipopt.mu_strategy"
 

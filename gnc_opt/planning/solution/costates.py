@@ -28,18 +28,10 @@ the bound. LG has no such point. There a bound active at every node of a segment
 redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point to
 point by :math:`e_j` (the coefficients of the row). The costate without that oscillation continues the points.
 
-Costates along arcs on which a path constraint without controls is held.
-
-At the end of such an arc the measure of the constraint may have an atom. A programme of Gauss collocation holds the
-constraint at the points, and has no row at the end that could bear the atom, since it would say once more what those
-of the points say. There the atom is spread over the points' multipliers, which oscillate, while the costates at the
-points, which come from the rows of the dynamics, are those of the continuous problem. So they are what is kept:
-
-* the one-sided costates at both ends of the segment continue the points, as far as the gradient of the constraint
-  can explain the difference, which is then part of the jump there;
-* the density of the multiplier is what the adjoint equation leaves for it, along that gradient.
-
-For bounds of states `gnc_opt.planning.solution.costates` does the same from the rows.
+**Path constraints without controls.** Gauss collocation has no row at the end of an arc for the atom of the
+measure. The atom spreads over the multipliers of the points, which oscillate; the costates at the points are
+correct. One-sided costates at segment ends continue them as far as the gradient of the constraint explains the
+difference. The density is what the adjoint equation leaves along that gradient.
 """
 
 from __future__ import annotations
@@ -119,16 +111,7 @@ _HELD = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """The solver's vectors in physical units; multipliers belong to the minimised functional.
-
-    Attributes
-    ----------
-    x : array (n_variables,)
-    lam_x : array (n_variables,)
-        Multipliers of the variables' bounds.
-    lam_g : array (n_constraints,)
-        Multipliers of the rows.
-    """
+    """Physical x, lam_x (n_variables,) and lam_g (n_constraints,); multipliers of the minimised functional."""
 
     x: Array
     lam_x: Array
@@ -169,15 +152,7 @@ def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
 
 
 def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
-    """Invert the covector mapping: multipliers of each segment's rows for given costates.
-
-    Parameters
-    ----------
-    costates : array (n_states, N)
-        At the collocation points.
-    end_costates : array (n_states, K)
-        At the segment ends (used by LG only).
-    """
+    """Return multipliers of each segment's rows for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
         wanted = -costates[:, _points(collocation, k)] * rule.weights
@@ -223,9 +198,8 @@ def map_costates(
 def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
     """Share out the multipliers of path constraints that LGL states twice.
 
-    At a boundary between segments a constraint without controls has two equal rows, and only the sum of
-    their multipliers is determined. A side along which it is active takes all of it; two such sides have one
-    density.
+    At a boundary of segments only the sum of both multipliers is determined. An active side takes all of it; two
+    active sides have one density.
 
     Parameters
     ----------

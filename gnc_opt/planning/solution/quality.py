@@ -1,10 +1,7 @@
 r"""Accuracy of a trajectory between its nodes: three figures independent of the solver.
 
-The measure of a violated limit is a distance, since :math:`r^2 \ge b^2`, :math:`r \ge b` and :math:`b/r \le 1` are one
-limit: to first order along the constraint's gradient, with states and controls scaled by their sizes.
-
-A polynomial through controls on their bounds exceeds them between nodes, where the dynamics may be undefined: there
-functions are evaluated on the bound.
+A violation is a distance, to first order along the constraint's gradient, with states and controls scaled by
+their sizes. Controls beyond their bounds between nodes are put on the bound.
 """
 
 from __future__ import annotations
@@ -104,12 +101,7 @@ class Violations:
 
 
 def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
-    """Return the times and amounts by which the polynomials of a phase, or its applied controls, exceed limits.
-
-    A sample not exceeded by its neighbours brackets a local maximum, which is located by narrowing the
-    bracket between the neighbours, unless it cannot rise above the sample by much more than the samples
-    change.
-    """
+    """Return the times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
     if not limits.rows.size:
         leg, nothing = samples.leg, np.zeros(0)
         x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
@@ -272,10 +264,7 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
 
 
 def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
-    """Return the worst defect between nodes, along the control polynomial, or jump between segments.
-
-    It is looked for at ``samples``, or ``at`` others of the same phase.
-    """
+    """Return the worst defect at ``samples`` (or ``at`` others), or jump between segments."""
     at = samples if at is None else at
     rates = defined(at.functions.rates, at.times, at.x, at.u_polynomial, at.leg.control_bounds)
     errors = at.per_segment(at.x_rate - rates) / samples.state_scale[:, None]
@@ -304,10 +293,7 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
 
 
 def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
-    """Return the worst violation of a path constraint along the control polynomial, between samples too.
-
-    It is looked for from ``samples``, or from others of the same phase (``at``).
-    """
+    """Return the worst violation of a path constraint from ``samples`` (or ``at`` others), between them too."""
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING

@@ -31,14 +31,7 @@ _CURVATURE_MAX_RATIO = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Bending:
-    """H along a phase, with other controls.
-
-    Attributes
-    ----------
-    times, x, u, lam : array (n_samples,), (n_states, n_samples), (n_controls, n_samples), (n_states, n_samples)
-    curvature : array (n_controls, n_samples)
-        d2H/du2 of each control by itself.
-    """
+    """H along a phase, with other controls; arrays (n, n_samples), ``curvature`` d2H/du2 of each control."""
 
     functions: PhaseFunctions
     times: Array
@@ -82,21 +75,9 @@ turns."""
 def without_effect(
     functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array, scale: Array
 ) -> Mask:
-    """Return where a control changes neither rates nor paths nor integrands while others are on their bounds.
+    """Return where controls (m, N) change no rates, paths or integrands while others are on their bounds.
 
-    Whatever those do that are between theirs; relative to what it changes elsewhere along the phase.
-
-    Parameters
-    ----------
-    bounds : Interval
-        Of the controls (m,).
-    t, x, u : array (N,), (n, N), (m, N)
-    scale : array (m,)
-        Of the controls.
-
-    Returns
-    -------
-    bool array (m, N)
+    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls.
     """
     idle = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
@@ -141,13 +122,7 @@ RESOLUTION = 1e-7
 
 
 def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool) -> Array:
-    """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last.
-
-    Parameters
-    ----------
-    used : array (n_controls,)
-        Spans of the controls.
-    """
+    """Return how far each state moves along a phase (n_states,); ``used`` (n_controls,) are the controls' spans."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
@@ -161,15 +136,10 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
 
 
 def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
-    r"""Return what misses of the final state are measured against (n_states,): what controls move, at most the span.
+    r"""Return the reference magnitudes of misses of the final state (n_states,): what controls move.
 
-    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, at least the share `STEERED` of the span;
-    where controls do not reach, the span.
-
-    Parameters
-    ----------
-    moved, used : array (n_states,), (n_controls,)
-        Spans of the states and of the controls.
+    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `STEERED` of the span
+    and the span; where controls do not reach, the span.
     """
     middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
     x, u = leg.x(middles), leg.flown(middles)
@@ -224,11 +194,7 @@ def control_spans(
 
 
 def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
-    """Return what each control would have to be to do what the flight does (n_controls,), by the least moved state.
-
-    Zero where a control moves a state that stays, or none directly, and where so much of it would not do so, as no
-    azimuth of a thrust along the pole.
-    """
+    """Return the controls (n_controls,) that the motion needs, by the least moved state; zero without effect."""
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.flown(middles)

@@ -45,9 +45,7 @@ WORTHWHILE = 4
 """Growth of the mesh beyond which a minimum without an accepted structure of its switches is left unrefined."""
 
 MISS = 0.1
-"""A collocation solution is spurious if both its propagation error and its defect between nodes exceed this share of
-the states' magnitudes. On the rendezvous, 10 x 4 points, spurious solutions have at least 0.3 and 0.8.
-"""
+"""Relative propagation error and defect that both mark a spurious solution (rendezvous: from 0.3 and 0.8)."""
 
 
 @dataclass(frozen=True)
@@ -162,9 +160,7 @@ Answer = TypeVar("Answer")
 COARSE_MESH = "20x3"
 
 PLAIN_BARRIER, NEAR_BARRIER = 1e-3, 1e-5
-"""First barrier parameters of plain starts and of every second start, which keep the solver near the guess; the others
-have IPOPT's own, 0.1, which is the most likely to find the best minimum.
-"""
+"""First barrier parameters of plain starts and of every second start; others have IPOPT's 0.1."""
 
 COARSE_MAX_ITERATIONS = 200
 """Of a coarse solve."""

@@ -32,10 +32,7 @@ class Relaxation:
 
 
 def relaxations(problem: Problem) -> list[Relaxation]:
-    """Return the relaxed problem for each closed set of states that contains all states of the cost.
-
-    Left out is a set that another one contains, whose bound is as high at least, and that of all states.
-    """
+    """Return the relaxed problem of each largest closed set with all states of the cost."""
     found = (_restricted(problem, part) for part in _largest(list(_closed_sets(problem))))
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -47,10 +44,7 @@ def _largest(sets: list[Mask]) -> Iterator[Mask]:
 
 
 def _closed_sets(problem: Problem) -> Iterator[Mask]:
-    """Yield, per state, all that it needs: each set once, with at least a state in every phase.
-
-    First what hangs together by constraints as well, then what does when those are left out.
-    """
+    """Yield, per state, all that it needs: each set once, with at least a state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)

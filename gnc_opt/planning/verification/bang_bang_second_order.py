@@ -14,8 +14,7 @@ Where several controls switch at one time the Hessian has to be positive definit
 the directions that keep it (Poggiolini & Spadini, SIAM J. Control Optim. 49(1), 2011, for two of them). With several
 one-sided conditions positive everywhere is sufficient only: INCONCLUSIVE where it is not.
 
-Multipliers are those of least squares, nearest to the solution's. Derivatives are extrapolated from two grids, whose
-difference estimates their error.
+Multipliers are those of least squares. Derivatives are extrapolated from two grids, which estimates their error.
 """
 
 from __future__ import annotations
@@ -77,15 +76,7 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
 
 @dataclass(frozen=True, order=True)
 class _Crossing:
-    """How a switching function passes through zero at a switch; the worst one is the least.
-
-    Attributes
-    ----------
-    harmless : bool
-        Whether it has the wrong sign nowhere beside the switch by more than `GRAZES` of H.
-    slope : float
-        The smaller one of both sides, with the sign that it should have, in shares of H per phase.
-    """
+    """The worst zero crossing of a switching function at a switch; ``slope`` in shares of H per phase."""
 
     harmless: bool
     slope: float

@@ -51,11 +51,10 @@ def control_worth(s: PhaseSamples, scales: Scales) -> Array:
 
 
 def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
-    """Return what controls between their bounds gain in H to first order, or by which share they miss its minimum.
+    """Return the first-order gain in H of controls between their bounds, or the share by which they miss its minimum.
 
-    Root mean square over the phase of the means of segments, with their sign: the largest change of the cost by
-    deviations whose own root mean square is one (module `reference_scales`). Inside a segment, where deviations
-    change the cost to second order only, the root of the tolerance holds.
+    Root mean square over the phase of the means of segments, with their sign. Inside a segment deviations change the
+    cost to second order only: the root of the tolerance holds.
     """
     worst = NOTHING
     for s in samples:
@@ -118,11 +117,7 @@ def _worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
 
 
 def minimum(samples: list[PhaseSamples], scales: Scales, tolerance: float, unit: str = "") -> Condition:
-    """No other admissible control has a smaller H: by formulas where H is affine or convex in it, else by a search.
-
-    Its loss is the integral of H less its least value: what the cost changes to first order if the control is
-    replaced, in ``unit``.
-    """
+    """No other admissible control has a smaller H; the loss in ``unit`` is the integral of H less its least value."""
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
         "(share of H's scale that could be gained)."
@@ -166,19 +161,13 @@ def _gains(s: PhaseSamples, deviation: Array, cost: float, tolerance: float) -> 
 
 
 def minimum_loss(solution: Solution) -> float:
-    """Return the loss of the minimum principle, in the unit of the objective: the integral of H less its least value.
-
-    Not finite where H has no value.
-    """
+    """Return the integral of H less its least value, in the objective's unit; not finite where H has no value."""
     samples = [s for s in solution.samples().values() if s.has_length and s.leg.controls.size]
     return float(sum(s.weights @ _gains(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples))
 
 
 def least_controls(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return times (n_times,) and the controls (m, n_times) that minimise H there, as far as they are found.
-
-    Controls whose slope is within rounding stay as they are, as along singular arcs.
-    """
+    """Return times (n_times,) and minimising controls (m, n_times); those with a slope of rounding stay."""
     times, u = coupled_minima(s)
     apart = s.functions.separable_controls
     lower, upper = (limit[:, None] for limit in limits(s))
@@ -204,13 +193,7 @@ def _scattered_controls(s: PhaseSamples) -> Array:
 
 
 def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]) -> Condition:
-    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form).
-
-    Parameters
-    ----------
-    singular : sequence of bool array (m, n_samples)
-        Where controls are, phase by phase, as `undetermined` tells.
-    """
+    """The Hessian of H in the controls off their bounds is positive definite (strengthened form)."""
     name = "Legendre-Clebsch"
     meaning = (
         "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
@@ -258,15 +241,7 @@ def singular_arcs(
     singular: Sequence[Mask],
     told: Sequence[Mask] = (),
 ) -> Condition:
-    """Every control between its bounds is determined, by H or by the second derivative of its switching function.
-
-    Parameters
-    ----------
-    singular : sequence of bool array (m, n_samples)
-        Where controls are, phase by phase, as `undetermined` tells.
-    told : sequence of bool array (m, n_samples)
-        Where the second derivative of the switching function does; by default nowhere.
-    """
+    """H or the second derivative of its switching function (``told``) determines every control off its bounds."""
     meaning = (
         "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
         "second derivative of the switching function must determine it (value: share of the phase along which it does "

@@ -6,10 +6,8 @@ Optimization, 2006, theorems 12.5 and 12.6)
 .. math:: d^T \nabla^2 \mathcal L\, d \ge 0 \quad\text{for all } d \text{ in the critical cone}:
           \quad \nabla g_C\, d = 0, \quad d_P = 0,
 
-rows C and variables P being those on their limits; > 0 for all of them but zero is sufficient. A limit whose
-multiplier vanishes (weakly active) need only be kept from one side: the cone lies between the space where it binds
-and the one where it does not. All variables take part: controls, free parameters, free times, every phase, links and
-integrals.
+rows C and variables P being those on their limits; > 0 for all of them but zero is sufficient. The cone lies
+between the space where weakly active limits (multiplier zero) bind and the one where they do not.
 
 The least curvature is that of variations of size 1,
 
@@ -129,16 +127,8 @@ def critical_cone(
 ) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
-    Parameters
-    ----------
-    solution : Solution
-    samples : sequence of PhaseSamples
-        Of its phases.
-    rounding : float
-        Costs below this are rounding (`rounding_of_cost`).
-    sizes : callable, optional
-        Variations of 1 in the states (n,) and in the controls (m,) of a phase, as `flown_spans`; default: the
-        magnitudes of the program.
+    ``rounding`` is the cost below which differences are rounding; ``sizes`` returns variations of 1 in the states (n,)
+    and controls (m,) of a phase (default: the magnitudes of the program).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
@@ -276,14 +266,7 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
 
 
 def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
-    """Return the least curvature of the Lagrangian where some variables and rows do not vary.
-
-    Parameters
-    ----------
-    held : bool array (n_variables + n_constraints,)
-    unit, further : sparse, optional
-        As of `NullSpace`.
-    """
+    """Return the least curvature of the Lagrangian where ``held`` (n_variables + n_constraints,) do not vary."""
     space = NullSpace.of(point, held, unit, further)
     hessian = space.in_shares(point.hessian)
     plain = hessian if unit is None else NullSpace.of(point, held).in_shares(point.hessian)

@@ -8,8 +8,7 @@ controls :math:`\delta u \sim q^2 B^T \Phi(t_f, t)^T e_i` help to meet, the Lagr
 .. math:: J + \nu^T \psi + (\lambda - \Phi_x)^T \Delta x_f + \int \mu^T c + z^T x\,dt
           + \sum_k [\lambda]_k^T \Delta x(t_k)
 
-must not fall at second order. Its values at two steps tell a fall of second order from rounding and from one of other
-orders. Shifts are measured by :math:`1/\sqrt{L_{kk}}`, lest a steep one hides a flat one.
+must not fall at second order, by its values at two steps. Shifts are measured by :math:`1/\sqrt{L_{kk}}`.
 """
 
 from __future__ import annotations
@@ -52,15 +51,7 @@ WINDOW = 1.001
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of a control component.
-
-    Attributes
-    ----------
-    shorter_arc : float
-        Duration of the shorter of the two arcs that it separates, s.
-    beyond : str
-        The phase after it, of a jump at a boundary of phases; else empty.
-    """
+    """A jump of a control; ``shorter_arc`` (s) of both sides, ``beyond``: the phase after a jump at a boundary."""
 
     phase: str
     time: float
@@ -79,13 +70,7 @@ class Fall:
 
 @dataclass(frozen=True, eq=False)
 class ShiftedTrajectory:
-    """The trajectory as a function of shifts of jumps and of amounts of regular control variations.
-
-    Attributes
-    ----------
-    regular : list of (phase, times, array (m, n_times))
-        Control variations.
-    """
+    """The trajectory with shifted jumps and ``regular`` control variations (phase, times, (m, n_times))."""
 
     solution: Solution
     samples: list[PhaseSamples]
@@ -179,13 +164,7 @@ class ShiftedTrajectory:
         return f"phase {jump.phase}, {leg.controls.labels[jump.channel]}"
 
     def integrate(self, amounts: Array) -> tuple[Array, Array]:
-        """Return changes of the Lagrangian (n_columns,) and of active end conditions (rows, n_columns).
-
-        Parameters
-        ----------
-        amounts : array (n_jumps + n_regular, n_columns)
-            Shifts in steps, then amounts of the regular variations.
-        """
+        """Return changes of L (n_columns,) and active end conditions for amounts (n_jumps + n_regular, n_columns)."""
         count = amounts.shape[1] + 1
         amounts = np.hstack(
             [amounts, np.zeros((amounts.shape[0], 1))]

@@ -114,12 +114,7 @@ def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: floa
 
 
 def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
-    """Whether singular arcs of a control are of second order, whatever the trajectory.
-
-    Then they meet arcs on its bounds by ever faster switches, or without a jump (McDanell & Powers, SIAM J. Control
-    9(2), 1971), and a few bangs come close to both: what their switching function is wrong by falls with the fourth
-    power of their length.
-    """
+    """Whether singular arcs are of second order, hence chatter (McDanell & Powers, SIAM J. Control 9(2), 1971)."""
     key = ("derivatives of switching functions", s.leg.name, (channel,), ())
     alone = np.array([channel]), np.zeros(0, dtype=int)
     derivatives: Derivatives = problem.once(key, lambda: Derivatives(s, *alone))
@@ -130,13 +125,7 @@ def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
 def singular_arcs(
     problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
 ) -> list[SingularArc]:
-    """Judge the arcs of a phase along which controls are between their bounds without curvature of H.
-
-    Parameters
-    ----------
-    singular, inside : bool array (m, n_samples)
-        As `controls.undetermined` tells.
-    """
+    """Check arcs with controls between bounds without curvature of H; bool arrays (m, n_samples)."""
     singular = singular & inside
     kinds = np.vstack([singular, inside])
     changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
@@ -212,10 +201,7 @@ def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any)
 
 
 class Derivatives:
-    """Time derivatives of switching functions along an extremal, differentiated by their own controls.
-
-    ``coupled`` says that controls which H determines depend on singular ones, so that these are not the right ones.
-    """
+    """Time derivatives of switching functions; ``coupled``: controls set by H depend on singular ones."""
 
     def __init__(self, s: PhaseSamples, channels: Indices, regular: Indices) -> None:
         functions = s.functions.functions

@@ -52,13 +52,7 @@ _ANYWHERE = 0.73 + 0.41j
 
 
 def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
-    """Whether a problem is convex and cannot have two solutions, as far as constant matrices tell.
-
-    Parameters
-    ----------
-    determined : mapping from phase names to bool array (m,)
-        Controls that are the same in all solutions (`determined_by_slope`); by default none.
-    """
+    """Whether a problem is convex and has one solution; ``determined`` (m,) are controls common to all solutions."""
     if not is_convex(problem) or problem.parameters.size:
         return False
     legs = list(problem.phases.values())
@@ -235,19 +229,7 @@ def _least(problem: Problem, expressions: Sequence[Any]) -> Array:
 def reaches_least_cost(
     solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
 ) -> bool:
-    """Whether the cost is at its least possible value but for rounding, and so are its costates.
-
-    Parameters
-    ----------
-    solution : Solution
-        With all that its problem tells (`from_problem`).
-    cost : float
-        As the problem states it.
-    amount : float
-        Scale of the cost (`Magnitudes`).
-    tolerance : float
-        Largest first derivative in shares of that scale; the cost is then within its square.
-    """
+    """Whether cost and costates are at their least possible value, to ``tolerance`` of the scale ``amount``."""
     problem = solution.need_problem("verify")
     above = problem.sense * cost - least_cost(problem)
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]

@@ -115,10 +115,9 @@ Values = Any
 def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
 ) -> Verdict:
-    """Judge a trajectory from any tool, known at samples and without multipliers, by all that `verify` asks.
+    """Check a trajectory from any tool, known at samples and without multipliers, by all conditions of `verify`.
 
-    What rests on a kink of its cost or on a norm at zero, as a coast of least fuel does, is judged in the controls that
-    `solve` would use: parts, magnitudes and directions.
+    Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
 
     The samples are joined by polynomials (module `trajectory_fit`), costates and multipliers are those that explain
     the trajectory best (module `multipliers`): least squares of adjoint equation, stationarity, transversality. If

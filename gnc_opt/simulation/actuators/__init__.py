@@ -1,7 +1,7 @@
 """Actuators: what becomes of a command on its way to the plant.
 
-A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it, blocks
-without memory act at every time, and all others work once per minor step with the mean of what they get.
+A command is held over a minor step. `Delay`, `RateLimit` and `Lag` are followed within it in this order,
+blocks without memory act at every time, all others once per minor step with the mean.
 """
 
 from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold

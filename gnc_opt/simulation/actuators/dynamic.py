@@ -58,15 +58,14 @@ class _Following(Block):
 class Lag(_Following):
     r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
 
-    Solved in closed form for held commands and what `Delay` and `RateLimit` make of them; of other waves it takes
-    the mean.
+    Exact for held commands, `Delay` and `RateLimit`; of other waves it takes the mean.
 
     Parameters
     ----------
     tau : float or one per component
         s, >= 0.
     initial : float, one per component or "trim"; optional
-        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+        First output, unit of the command; default zero; ``"trim"``: the feedforward.
 
     Examples
     --------
@@ -100,15 +99,14 @@ class Lag(_Following):
 class RateLimit(_Following):
     """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
-    Ramp and plateau begin where they do, for held commands and what `Delay` makes of them; of other waves it takes the
-    mean.
+    Exact for held commands and `Delay`; of other waves it takes the mean.
 
     Parameters
     ----------
     rate : float or one per component
         Unit of the command per s, > 0.
     initial : float, one per component or "trim"; optional
-        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+        As in `Lag`.
 
     Examples
     --------
@@ -151,8 +149,7 @@ class RateLimit(_Following):
 class Delay(_Following):
     """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
 
-    Commands held over minor steps arrive when they do, also within a minor step; of waves the mean is taken. Put delays
-    before rate limits and lags.
+    Exact for held commands; of waves the mean is taken. Put delays before rate limits and lags.
 
     Parameters
     ----------
@@ -161,7 +158,7 @@ class Delay(_Following):
     maximum : float, optional
         Longest delay that a run may have, s; default the delay itself.
     initial : float, one per component or "trim"; optional
-        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+        As in `Lag`.
 
     Examples
     --------
@@ -194,7 +191,6 @@ class Delay(_Following):
         share = ca.fmax(0.0, steps - whole)  # of the minor step, in which the older command still acts
         newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
         for i in range(line.shape[0] // size):
-            # chosen, not weighted: a NaN command must not arrive early
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
             older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)

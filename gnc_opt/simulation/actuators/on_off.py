@@ -20,9 +20,8 @@ from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step
 class Pwm(Block):
     """On-off thrusters by pulse width: full ``thrust`` (unit of the command) for a share of every period.
 
-    The command at the beginning of a period sets the on-time, ``|u| / thrust`` of the period, rounded to minor steps
-    (with m of them per period the mean is right to ``thrust / (2 m)``); the pulse comes first. Pulses shorter than
-    ``minimum_on`` (s) are dropped.
+    The command at the beginning of a period sets the on-time, ``|u| / thrust`` of the period, rounded to
+    minor steps. The pulse comes first; pulses shorter than ``minimum_on`` (s) are dropped.
 
     Parameters
     ----------
@@ -70,7 +69,6 @@ class Pwm(Block):
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        # a command that is not a number goes on into the plant, where it is reported
         after = ca.vertcat(command, next_phase(phase, count))
         return Step(pulse + _finite_or_nan(command), after, saturated)
 
@@ -133,7 +131,7 @@ class Pwpf(Block):
     r"""Pulse-width pulse-frequency modulation: a lag and a Schmitt trigger with the output fed back.
 
     :math:`\tau \dot y = K (u - F) - y`; the thruster gives :math:`F = \pm` ``thrust`` from ``|y| > on_level`` until
-    ``|y| < off_level``. The lag is solved exactly over each minor step, the trigger acts once per minor step.
+    ``|y| < off_level``. The lag is exact over each minor step; the trigger acts once per minor step.
 
     Parameters
     ----------

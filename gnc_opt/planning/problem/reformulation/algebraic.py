@@ -42,19 +42,7 @@ P = TypeVar("P", bound=Statement)
 
 @dataclass(frozen=True, eq=False)
 class AlgebraicForm:
-    """A control of a phase that is an algebraic variable.
-
-    Attributes
-    ----------
-    symbol : Symbol
-        Of the control.
-    constraint : str
-        Name of the equality.
-    rate : casadi.SX
-        Time derivative of the variable.
-    ends : dict of str to dict
-        Symbols at both ends.
-    """
+    """An algebraic variable: its symbol, equality, rate and the symbols at both ends."""
 
     symbol: Symbol
     constraint: str
@@ -109,10 +97,7 @@ class AlgebraicForm:
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
     def _needed_bounds(self, leg: Phase, constraint: Constraint) -> tuple[Array, Array]:
-        """Bounds of the variable, infinite where g = c has no solution beyond them.
-
-        A bound that the equality implies would be active with it at once, which leaves multipliers undetermined.
-        """
+        """Bounds of the variable, infinite where g = c has no solution beyond them."""
         t, x, _, p = leg.model.arguments()
         controls = leg.model.controls.slice(self.symbol.variable.name)
         box = leg.numbers.controls

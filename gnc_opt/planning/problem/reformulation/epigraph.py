@@ -33,13 +33,7 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class Extremum:
-    """A kink that can be active at an optimum, as the maximum or minimum of its pieces.
-
-    Attributes
-    ----------
-    sense : int
-        1 if it is the largest of its pieces and less of it is better, -1 if it is the least and more is better.
-    """
+    """A kink as extremum of its pieces; sense 1: largest, less is better; -1: least, more is better."""
 
     node: Any
     sense: int

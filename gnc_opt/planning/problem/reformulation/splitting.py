@@ -42,18 +42,9 @@ from gnc_opt.tolerances import EQUAL
 
 @dataclass(frozen=True, eq=False)
 class Bend:
-    """A kink that is convex, or concave, and piecewise linear in a control.
+    """A convex (sense 1) or concave (-1) kink that is piecewise linear in the control ``place``.
 
-    Attributes
-    ----------
-    sense : int
-        1 if it is convex, -1 if it is concave.
-    base, factor : casadi.SX
-        Its value is ``base + factor (slope u + offset + sum of rise_k max(u - corner_k, 0))``.
-    place : int
-        Of the control.
-    corners, rises : tuple of float
-        In order; rises are positive.
+    Its value is ``base + factor (slope u + offset + sum of rise_k max(u - corner_k, 0))``, rises > 0.
     """
 
     node: Any

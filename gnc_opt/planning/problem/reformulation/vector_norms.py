@@ -402,18 +402,9 @@ def _values(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol |
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Return the limits of a norm by the path constraints of a phase.
+    """Limits of a norm by the path constraints of a phase: ``kept`` are the others.
 
-    Attributes
-    ----------
-    kept : list of Row
-        The others.
-    magnitude : Symbol or None
-        The control that is the norm's largest value and can take its place.
-    most_only : bool
-        Whether the norm may be less than that.
-    text : str
-        Which constraints are gone, for people.
+    ``magnitude`` is a control that can take the norm's place; ``text`` names the removed constraints.
     """
 
     kept: list[Row]

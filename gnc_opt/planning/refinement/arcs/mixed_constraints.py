@@ -26,22 +26,12 @@ NEARBY = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
 CONTROL_AT_END_SHARE, ALMOST = 0.01, 0.95
-"""A control this close to its end, in shares of its range, is at it; that along so much of the samples, all along: the
-mesh blurs what happens in a segment in which it jumps."""
+"""Distance from a control's end, in shares of its range, and share of samples for "all along"."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearLimits:
-    """The path constraints of a phase that limit one control each, and are linear in it.
-
-    Attributes
-    ----------
-    samples : PhaseSamples
-    rows : mapping of tuple of int
-        Path constraints by control.
-    slopes : array (n_paths, n_samples)
-        Of each constraint in its control; 0 for others.
-    """
+    """Path constraints linear in one control each: ``rows`` by control, ``slopes`` (n_paths, n_samples)."""
 
     samples: PhaseSamples
     rows: Mapping[int, tuple[int, ...]]

@@ -1,8 +1,4 @@
-"""How finely pieces are collocated along which the trajectory is known already.
-
-The slopes of states and costates along a segment, as Legendre series, tell what n collocation points leave of them: the
-terms from the n-th on.
-"""
+"""Collocation degree of pieces with a known trajectory, from the tails of its Legendre series."""
 
 from __future__ import annotations
 

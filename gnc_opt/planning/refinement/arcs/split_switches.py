@@ -1,12 +1,7 @@
 r"""Multipliers where several controls change at one time and not all of them go from bound to bound.
 
-A slew from rest with all torques on their limits fills all wheels at the same time, and empties them together: one
-boundary ends arcs of several controls, some of them on limits of states. The program has one unknown there for several
-times, so that its multipliers are not unique, and those that the solver returns need not make every switching function
-vanish (module `simultaneous` does it for controls that are on bounds all along). They are unique once the controls are
-free for an instant on both sides of the time, each to change when it likes. So that program is solved, from where the
-other one ended, and its multipliers are those of the trajectory, which stays what it is: the switching functions vanish
-there to the length of that instant.
+One unknown time for several changes leaves multipliers that are not unique. They are unique if the controls
+are free for an instant on both sides of the time; that program is solved from the other's solution.
 """
 
 from __future__ import annotations
@@ -30,8 +25,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 
 INSTANT = 3e-6
-"""Length of the instants, as a share of the phase. A switching function that vanishes within one is at its end as small
-as it is short; in shorter ones the multipliers, which are divided by the length, are rounding."""
+"""Length of the instants, as a share of the phase; multipliers of shorter ones are rounding."""
 
 POINTS = 2
 """Collocation points of each."""
@@ -105,14 +99,7 @@ def _freed(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
 
 @dataclass(frozen=True)
 class _Cuts:
-    """The segments of a mesh, and instants at some of its boundaries.
-
-    Attributes
-    ----------
-    segments : int
-    boundaries : tuple of int
-        Each gets an instant on either side.
-    """
+    """The segments of a mesh, and boundaries with an instant on either side."""
 
     segments: int
     boundaries: tuple[int, ...]

@@ -32,8 +32,7 @@ MOST_SEGMENTS = 2000
 MAX_STEPS = 40
 
 DONE, NEWTON_STEP_TOLERANCE = 1e-14, 1e-9
-"""Lengths of a relative Newton step: there is nothing left to gain; from here on steps are full, and end the iteration
-as soon as they no longer shrink."""
+"""Relative Newton step lengths at which the iteration ends, and from which steps are full."""
 
 LEAST_DAMPING = 1e-3
 """Newton's method that would have to be damped further has failed."""

@@ -42,13 +42,7 @@ HELD_LIMIT_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class PhaseLimits:
-    """Values at which the ends of a phase are held; NaN where they are free.
-
-    Attributes
-    ----------
-    initial, final : array (n_states,)
-    times : array (2,)
-    """
+    """Held end values (n_states,) and times (2,) of a phase; NaN where they are free."""
 
     initial: Array
     final: Array

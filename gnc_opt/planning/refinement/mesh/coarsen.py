@@ -1,8 +1,7 @@
-"""Too fine: neighbours merged and degrees lowered where a smaller mesh holds the same trajectory.
+"""Merge neighbours and lower degrees where a smaller mesh represents the same trajectory.
 
-A trial segment is what collocation would make of the known trajectory there: interpolate the rates and the
-controls at the trial's points, integrate, and check the result by the same errors as the solution itself.
-Dynamic programming then picks the cheapest way through the accurate segments.
+A trial segment interpolates rates and controls at its points, integrates them and is checked by the errors of
+the solution. Dynamic programming picks the cheapest accurate segments.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ MERGED_SEGMENTS_MAX = 8
 """At most so many neighbours are merged in one pass."""
 
 STEEPEST = 0.05
-"""Largest dH/du that merging and lowering may leave, in shares of H and of the tolerance's root: an error of the
-control affects the cost in second order only."""
+"""Largest dH/du of trials, in shares of H and of the tolerance's root (it affects cost in second order)."""
 
 SEGMENT_COST = 1.0
 """What a segment costs beyond its points, in points: its start state."""
@@ -90,11 +88,7 @@ def coarsened(
 def _smallest_degrees(
     error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> dict[Span, int]:
-    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points.
-
-    More points never make a trial worse, or hardly ever: what does not do with the most points that save any is given
-    up at once, and of the rest the smallest degree is found by bisection.
-    """
+    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
     left: dict[Span, tuple[int, int]] = {}  # places in the ladder where the smallest degree can be
     for i, j in _mergeable(error, run, tol, max_degree, departure):
@@ -118,10 +112,7 @@ def _smallest_degrees(
 def _mergeable(
     error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> list[Span]:
-    """Return the spans that one segment of the highest degree can hold: no others are worth trying.
-
-    What two neighbouring segments cannot be merged into is not part of a longer merger either.
-    """
+    """Return the spans that one segment of the highest degree can hold: no others are worth trying."""
     spans = [(i, i + 1) for i in range(len(run))]
     shorter = set(spans)
     beside = [a.end == b.start for a, b in itertools.pairwise(run)]
@@ -143,12 +134,7 @@ def _acceptable(error: PhaseError, trials: Sequence[Piece], tol: float, departur
 
 
 def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Array, Array]:
-    """Return what speaks against each trial, (n_trials,) each.
-
-    The largest error; the states' largest departure from the known ones (a trial could skip a transient that
-    neither residual nor cost notice); the largest dH/du (its control could be poor between the points where
-    neither dynamics nor cost tell).
-    """
+    """Return error, departure of the states and dH/du of each trial, (n_trials,) each."""
     yardstick, places = error.yardstick, _Places.of(error.samples.leg, trials)
     known = _Known.of(error.samples.leg, places)
     pieces = _trial_pieces(yardstick, places, known)
@@ -166,18 +152,7 @@ def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Arr
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where trials collocate and where they are sampled: those of the same degree behind each other, for one product.
-
-    Attributes
-    ----------
-    alike : tuple of (table, widths)
-        By degree; halves of the widths (n_alike,), s.
-    starts : array (n_trials,)
-    points, times : array
-        Collocation points and samples, trial after trial.
-    ranks : int array (n_trials,)
-        The place of each trial as given in this order.
-    """
+    """Collocation points and samples of trials, grouped by degree; ``ranks`` gives the original order."""
 
     alike: tuple[tuple[_Tables, Array], ...]
     starts: Array
@@ -233,10 +208,7 @@ class _Known:
 
 
 def _adjoint(error: PhaseError, places: _Places, known: _Known) -> Array:
-    """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples).
-
-    A trial's costates follow the interpolant of their known rates.
-    """
+    """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples)."""
     samples, leg, points = error.samples, error.samples.leg, places.points.size
     flown = np.clip(known.u, leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None])
     rates = costate_rates(samples, known.times, known.x, flown, known.lam)

@@ -15,8 +15,7 @@ UNSURE = 0.05
 """A switch is trusted to lie this close to its estimate, in shares of its segment."""
 
 SHARPENING = 2.0
-"""A kink that multipliers point at is trusted to lie closer the shorter the gap that it lies in, in shares of the gap's
-own share of the phase: the error of the estimate is of second order in its length."""
+"""Order by which a kink's estimate improves with the length of its gap, in shares of the phase."""
 
 LOCATED_KINK_TOLERANCE = 1e-6
 """A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
@@ -91,10 +90,7 @@ def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array
 
 
 def _crossings(values: Array, times: Array) -> list[float]:
-    """Return the zeros of a switching function, in shares of H, from a straight line between its samples.
-
-    These lie closer to each other than the collocation points, whose spacing limits what is known of a switch.
-    """
+    """Return the zeros of a switching function, in shares of H, from a straight line between its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
     if not before.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
         return []
@@ -118,12 +114,7 @@ def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
 
 
 def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
-    """Return between which times the pull of a constraint sets in, ends or changes sign, after point j.
-
-    At a kink the multiplier of a constraint on controls goes to zero, and where a control jumps from one limit to
-    the other it passes through zero, at most one point being caught between the limits. Either way the multipliers
-    beside it point at the time.
-    """
+    """Return between which times the pull of a constraint sets in, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
     across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
@@ -140,11 +131,7 @@ def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[floa
 
 
 def activity(error: PhaseError) -> Array:
-    """Return how hard each active bound or path constraint pulls at each collocation point, (rows, N); else zero.
-
-    In shares of H, with the sign of the multiplier. Of slack, in shares of the quantity's magnitude, and multiplier,
-    the larger one shows whether a constraint is active.
-    """
+    """Return the pull of active bounds and paths at the points, (rows, N), in shares of H."""
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = states_at_points(leg), np.hstack(leg.u.values)
     worth = error.samples.hamiltonian_scale

@@ -172,11 +172,7 @@ class Remesh:
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
     def _layers(self, k: int) -> list[float]:
-        """Return where to cut a hopelessly coarse segment at an end of the phase, where layers are thin, in shares.
-
-        The error of a segment that is many time constants long is about their number. So the smallest piece is to be
-        about one of them long, and the others grow by the same factor.
-        """
+        """Return where to cut a coarse segment at a phase end, in shares: a geometric sequence."""
         error = float(min(self._worst[k], STIFFEST))
         ends = (k == 0, k == self._leg.mesh.segments - 1)
         if error < UNRESOLVED or not any(ends):

@@ -18,12 +18,10 @@ DECAY_RATE_MIN, FASTEST = 0.02, 2.0
 
 
 def decay_rates(error: PhaseError) -> Array:
-    """Return how fast the Legendre coefficients of rates, integrands and controls fall, (K,).
+    """Return the decay of the Legendre coefficients of rates, integrands and controls, (K,).
 
-    In decades per degree. The coefficients of an analytic function fall geometrically, and so does the error
-    of its interpolant, at the same rate (Liu, Hager & Rao, "Adaptive mesh refinement method for optimal control
-    using decay rates of Legendre polynomial coefficients", IEEE Transactions on Control Systems Technology 26,
-    2018). Odd and even coefficients may differ wildly; the rate is that of their envelope.
+    In decades per degree, of their envelope (Liu, Hager & Rao, IEEE Transactions on Control Systems
+    Technology 26, 2018).
     """
     leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
     points, u = leg.point_times, np.hstack(leg.u.values)

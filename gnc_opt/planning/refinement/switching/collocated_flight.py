@@ -1,8 +1,7 @@
-"""A flight whose switches are at rest as a solution on a mesh: nothing is left to solve for.
+"""A converged flight as a solution on a mesh.
 
-States and costates are flown from collocation point to collocation point. Their polynomials have the slopes that the
-dynamics have at the points, as those of a collocated program, so that they are as good between the points and meet the
-ends of segments to twice the order. The flight knows nothing of limits between the ends: `keeps_limits` looks at them.
+States and costates are integrated between collocation points; their polynomials have the dynamics' slopes
+at the points. `keeps_limits` checks the limits between the ends.
 """
 
 from __future__ import annotations

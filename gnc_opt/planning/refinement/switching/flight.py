@@ -29,16 +29,7 @@ INSET = 0.25
 
 @dataclass(frozen=True, eq=False)
 class SwitchFlight:
-    """A phase flown with some switches on a grid `PARTS` times as fine as that of a step.
-
-    Attributes
-    ----------
-    s : PhaseSamples
-        Of the phase that the switches come from.
-    switches : Switches
-    step : SwitchStep
-        That is left at these switches on the finer grid; its multipliers make the costates.
-    """
+    """A phase flown on a grid `PARTS` times as fine as a step's; ``step`` is what is left on that grid."""
 
     s: PhaseSamples
     switches: Switches
@@ -122,10 +113,7 @@ class SwitchFlight:
 
     @cached_property
     def missing_arc(self) -> tuple[int, float, float] | None:
-        """The control, and from when to when it should be at its other bound; None if all signs agree.
-
-        It is where a switching function of the wrong sign is the largest.
-        """
+        """The control, start and end of the arc of the most severe wrong sign; None if all signs agree."""
         s, times = self.s, self.times
         controls = np.column_stack([self.flow.controls, self.flow.controls[:, -1]])
         values = s.functions.switching(times, self.x, controls, self.lam)
@@ -138,10 +126,7 @@ class SwitchFlight:
 
 
 def _nodes() -> tuple[Array, Array]:
-    """Nodes on [-1, 1], and the values there of the polynomials that are 1 in one of the values and rates given.
-
-    Given are values at -1, -1/3, 1/3, 1, then rates there.
-    """
+    """Nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
     n = 2 * (PARTS + 1)
     nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, PARTS + 1)
     chebyshev = np.polynomial.chebyshev
@@ -163,12 +148,7 @@ def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolyno
 
 
 def forgive(wrong: Array, switches: Indices) -> None:
-    """Zero the violations of switches that are not quite at rest, a little too late or early.
-
-    The sign is wrong from such a switch to the zero that it belongs to, and nowhere more so than at the switch. Where
-    the violation grows instead, the switching function has another zero, or the wrong slope at this one: a time of the
-    switch for which the cost is the largest, not the least.
-    """
+    """Zero the violations of switches that are not quite converged: largest at the switch itself."""
     for k in switches:
         most, wrong[k] = abs(wrong[k]) + SIGN_ERROR_MIN_SHARE, 0.0
         for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):

@@ -1,10 +1,9 @@
-r"""One step of Newton's method on switch times, with derivatives of its own or with those of an earlier step.
+r"""One step of Newton's method on switch times, with its own derivatives or with those of an earlier step.
 
-A step minimises the quadratic model of the Lagrangian on the linearised end conditions; where the model is not convex,
-its negative curvatures are reversed (Nocedal & Wright, Numerical Optimization, 2006, ch. 3.4, 18.3). Of its own, it
-takes multipliers of least squares. With the matrices of an earlier step (the simplified, or chord, method: Deuflhard,
-Newton Methods for Nonlinear Problems, 2004, ch. 2.1.2) it needs but a flight and a sweep back, and multipliers go on
-from the earlier ones: it is a fifth of the work, and gains as many digits each time as the matrices are right to.
+A step minimises the quadratic model of the Lagrangian on the linearised end conditions; negative curvatures
+are reversed (Nocedal & Wright, Numerical Optimization, 2006, ch. 3.4, 18.3). With the matrices of an earlier
+step (the simplified, or chord, method: Deuflhard, Newton Methods for Nonlinear Problems, 2004, ch. 2.1.2) it
+takes a fifth of the work.
 """
 
 from __future__ import annotations
@@ -37,13 +36,11 @@ class SwitchStep:
     adjoint : array
         Derivative of the cost by the final values of the flow.
     multipliers : array
-        Of the end values that are given, then of the boundary constraints.
-    cost : float
-        Before the step.
-    gain : float
-        By how much the step changes the cost, to first order and relative to its size.
+        Of the given end values, then of the boundary constraints.
+    cost, gain : float
+        Before the step, and its first-order change, relative to the cost's size.
     hessian, rows : array (n_free, n_free), (n_conditions, n_free)
-        Of the Lagrangian, and the gradients of the conditions, by the unknowns that are free.
+        Of the Lagrangian, and gradients of the conditions, by the free unknowns.
     steps : int
         Of the flow's grid.
     """
@@ -66,13 +63,12 @@ class SwitchStep:
 def newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
-    """Return the step, or None where the flow is no number or conditions depend on each other.
+    """Return the step; None if the flow is not finite or conditions depend on each other.
 
     Parameters
     ----------
     problem : Problem
     s : PhaseSamples
-        Of the phase.
     switches : Switches
     steps : int
         Of the grid.
@@ -153,19 +149,7 @@ def _flown(
 
 @dataclass(frozen=True, eq=False)
 class _Ends:
-    """A flow, and what is asked of its ends.
-
-    Attributes
-    ----------
-    given : int array
-        Rows of the final values that are given.
-    free : bool array (n_switches + 2,)
-        Which of start, switches and end are unknown.
-    misses : array (n_conditions,)
-        Of the given final values, then of the boundary constraints.
-    constraints : array
-        Values of these.
-    """
+    """A flow and its end conditions; ``misses``: given final values, then boundary constraints."""
 
     problem: Problem
     s: PhaseSamples

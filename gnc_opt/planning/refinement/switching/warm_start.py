@@ -28,18 +28,7 @@ FLOW_GRID_ACCURACY_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class KnownFlight:
-    """What of a known solution serves all variations of its problem.
-
-    Attributes
-    ----------
-    solution : Solution
-        Of one phase.
-    structure : PhaseStructure
-    state_scale : array (n_states,)
-        How far its states move: what those of its neighbours are measured against.
-    step : SwitchStep or None
-        At its optimum: its matrices are nearly those of its neighbours.
-    """
+    """Data of a known one-phase solution for variations of its problem; ``step`` is at its optimum."""
 
     solution: Solution
     structure: PhaseStructure
@@ -55,10 +44,7 @@ class KnownFlight:
         return cls(replace(solution, structure=()), detect(s), s.state_scale)
 
     def differentiated(self) -> KnownFlight | None:
-        """Return the same with its step, for many variations; None where switch times do not decide everything.
-
-        It is on half the usual grid, if that is accurate with something to spare.
-        """
+        """Return the same with its step; None if switch times do not decide everything."""
         found = settle_flow(self.solution, self.structure, ACCURACY)
         if found is None:
             return None
@@ -69,10 +55,7 @@ class KnownFlight:
         return replace(self, structure=structure, step=flight.step)
 
     def vary(self, problem: Problem) -> Solution | None:
-        """Fly a variation with its own switch times; None where that fails.
-
-        Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded; see `keeps_limits`.
-        """
+        """Fly a variation with its own switch times; None where that fails."""
         start = on_the_way(self.solution, problem)
         (leg,) = start.phases.values()
         left = self.structure.after(leg.initial_time)
