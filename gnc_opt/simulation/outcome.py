@@ -88,8 +88,7 @@ class RunStatus(Enum):
     ALARM : the controller could not meet its guarantees.
     DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
     NOT_FINITE : a signal, state or quantity is not finite, or an event is NaN.
-    STOPPED : an event that is a failure ended the run, events accumulated (Zeno), or a reset left its event
-    at zero.
+    STOPPED : an event that is a failure ended the run, events accumulated (Zeno), or a reset left its event at zero.
     REFUSED : a parameter is outside its permitted range; the run was not simulated.
     LOST : its process died, or the run raised an exception.
     """

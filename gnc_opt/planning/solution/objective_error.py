@@ -64,13 +64,7 @@ class PhaseObjectiveError:
 
 @dataclass(frozen=True, eq=False)
 class ObjectiveError:
-    """Estimated error of the objective of a solution; see the module for the formulas.
-
-    Attributes
-    ----------
-    scale : float
-        Magnitude of the objective.
-    """
+    """Estimated error of the objective of a solution; ``scale`` is the magnitude of the objective."""
 
     phases: Mapping[str, PhaseObjectiveError]
     scale: float
@@ -90,29 +84,9 @@ class ObjectiveError:
         """Sum of |g|: the part of A that controls contribute."""
         return _finite(float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values())))
 
-    def with_loss(self, loss: float) -> tuple[float, float]:
-        """Return the smaller and the larger estimate if the controls' part may be a loss of the minimum principle.
-
-        Parameters
-        ----------
-        loss : float
-            Integral of H less its least value over all admissible controls, path limits respected
-            (`gnc_opt.planning.verification.control_conditions.minimum`). Where controls are coupled by a
-            path limit it is far smaller than sum |g|; at a false extremal, whose other minimum of H no
-            Newton step reaches, it is far larger.
-        """
-        others = self.value - self.suboptimal if np.isfinite(self.value) else np.inf
-        return others + min(self.suboptimal, loss), others + max(self.suboptimal, loss)
-
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
-    """Estimate the error of an objective from a trajectory and its multipliers.
-
-    Parameters
-    ----------
-    samples : mapping of PhaseSamples
-        Of all phases.
-    """
+    """Estimate the error of an objective from a trajectory and its multipliers."""
     scale = max([abs(objective), *(OBJECTIVE_MIN_SHARE * s.cost_scale for s in samples.values())])
     return ObjectiveError({name: _of_phase(s) for name, s in samples.items()}, scale)
 

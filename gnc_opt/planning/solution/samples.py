@@ -404,19 +404,6 @@ class PhaseSamples:
         left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
         return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
 
-    def integral_from_start(self, values: Array) -> Array:
-        """Integrate values (n_samples,) over time from the phase's start to every sample."""
-        result, total = np.empty(self.times.size), 0.0
-        for k, degree in enumerate(self.leg.mesh.degrees):
-            rule, here = sampling_rule(degree), np.flatnonzero(self.segments == k)
-            half = 0.5 * (self.leg.breaks[k + 1] - self.leg.breaks[k])
-            inside = values[here[1:-1]]
-            result[here[0]] = total
-            result[here[1:-1]] = total + half * rule.integration @ inside
-            total += half * float(rule.weights @ inside)
-            result[here[-1]] = total
-        return result
-
     def per_segment(self, values: Array) -> Array:
         """Integrate |values| (n, n_samples) over each segment: (n, K)."""
         weighted = np.abs(values) * self.weights

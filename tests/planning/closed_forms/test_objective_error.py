@@ -151,10 +151,3 @@ def test_estimate_has_the_unit_of_the_objective() -> None:
     assert other.objective == pytest.approx(-1000.0 * one.objective)
     assert other.objective_error.value == pytest.approx(1000.0 * one.objective_error.value, rel=1e-4)
     assert other.objective_error.relative == pytest.approx(one.objective_error.relative, rel=1e-4)
-
-
-def test_loss_of_the_minimum_principle_replaces_the_controls_part() -> None:
-    """The smaller and the larger of both, beside what defects and limits contribute."""
-    found = ramp(0.3).objective_error
-    assert found.with_loss(1.0) == pytest.approx((0.015, 1.0), rel=1e-6)
-    assert found.with_loss(0.001) == pytest.approx((0.001, 0.015), rel=1e-6)

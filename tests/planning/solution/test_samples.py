@@ -103,9 +103,8 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
 # --- integrals --------------------------------------------------------------------------------------------
 
 
-def test_integrals_from_the_start_and_per_segment() -> None:
+def test_integrals_per_segment() -> None:
     uneven = samples(CART, breaks=(1.0, 1.5, 4.0))
-    assert uneven.integral_from_start(uneven.times**2) == pytest.approx((uneven.times**3 - 1) / 3, abs=1e-12)
     values = np.vstack([uneven.times, -2 + 0 * uneven.times])
     assert uneven.per_segment(values) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
 
