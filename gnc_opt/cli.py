@@ -1,4 +1,8 @@
-"""The command line."""
+"""The command line.
+
+``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``;
+``gnc-opt film FILE``.
+"""
 
 from __future__ import annotations
 

@@ -48,6 +48,10 @@ _RESAMPLED = 1000
 class IntervalEstimate:
     """A number with its interval.
 
+    Attributes
+    ----------
+    value, low, high : float
+
     Examples
     --------
     >>> print(IntervalEstimate(0.5, 0.4, 0.6))

@@ -21,7 +21,14 @@ REPORT_VALUE_WIDTH = 44
 class ReportEntry:
     """One statement about a design.
 
-    ``name`` is what it is, ``value`` a number, text or array, ``remark`` its meaning or source.
+    Attributes
+    ----------
+    name : str
+        What it is, e.g. ``"closed-loop poles"``.
+    value : float, complex, str, or an array of them
+    unit : str
+    remark : str
+        What it means, or where it comes from.
 
     Examples
     --------
@@ -45,6 +52,11 @@ class ReportEntry:
 @dataclass(frozen=True)
 class DesignReport(Strict):
     """The facts of one design; ``report["closed-loop poles"]`` returns a value, ``print`` shows a table.
+
+    Attributes
+    ----------
+    title : str
+    facts : tuple of ReportEntry
 
     Examples
     --------

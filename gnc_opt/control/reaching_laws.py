@@ -39,6 +39,11 @@ Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
 class Sign:
     """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``.
 
+    Parameters
+    ----------
+    slope : float
+        Infinite; for the same interface as the layers.
+
     Examples
     --------
     >>> print([float(Sign()(s)) for s in (-0.5, 0.0, 0.5)])
@@ -58,7 +63,13 @@ class Sign:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A soft sign in a boundary layer of half width ``phi`` (unit of s, > 0)."""
+    """A soft sign in a boundary layer.
+
+    Parameters
+    ----------
+    phi : float
+        Half width of the layer, unit of s, > 0.
+    """
 
     phi: float
 
@@ -111,7 +122,13 @@ class TanhLayer(_Layer):
 
 @dataclass(frozen=True)
 class _Relay:
-    """A law that switches by ``eta`` (unit of s per second, > 0) at every s."""
+    """A law that switches by eta at every s.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    """
 
     eta: float
 

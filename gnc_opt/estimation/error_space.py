@@ -21,7 +21,15 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Space:
-    """A space of columns (size, 1): ``difference(x, x_ref) -> e`` and ``retraction(x_ref, e) -> x``."""
+    """A space of columns (size, 1) with errors (errors, 1).
+
+    Attributes
+    ----------
+    difference : callable
+        ``difference(x, x_ref) -> e`` of SX columns.
+    retraction : callable
+        ``retraction(x_ref, e) -> x``.
+    """
 
     size: int
     errors: int

@@ -238,7 +238,18 @@ class Replanner:
         return leg.model
 
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
-        """Raise `ArgumentError` if a controller does not follow the plan (``dt`` in s)."""
+        """Refuse a controller that does not follow the plan: layouts of its states and signals, its step (s), and the
+        row of its schedule (n_signals,) at a time.
+
+        Parameters
+        ----------
+        followed, signals : Layout
+            Of the controller.
+        dt : float
+            Control step, s.
+        row : callable
+            ``row(t)`` returns the controller's own row of its schedule (n_signals,).
+        """
         for v in self.model.states.variables:
             if v.name not in followed or followed[v.name].size != v.size:
                 raise ArgumentError(

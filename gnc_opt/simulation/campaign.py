@@ -45,8 +45,9 @@ class Campaign(Strict, Printed):
         Of the states at the end, relative to the reference or target, by the plant's own difference.
     target : array (n_states,)
         Reference of the errors; NaN without one.
-    effort, energy, saturation_time, variation : arrays (n, m)
-        As in `FinalValues`.
+    effort, energy : array (n_controls, m)
+    saturation_time, variation : array (n_commands, m)
+        As in `Run`.
     integration_error : array (m,)
     memory : array (n_memory, m)
         Of the controller at the end.
@@ -63,12 +64,18 @@ class Campaign(Strict, Printed):
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
-    limits, measured : mapping
-        Largest permitted values by `measure`; values (m,) of user-defined measures by name.
+    limits : mapping
+        Largest permitted value by `measure`.
+    measured : mapping
+        Values (m,) of user-defined measures by name.
     interrupted : bool
         Whether Ctrl-C ended the campaign early.
     layouts : mapping
         Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
+    flight : CompiledLoop or None
+        Not stored in files.
+    fingerprint : str
+        That of the flight.
 
     Examples
     --------
