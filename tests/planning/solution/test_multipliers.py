@@ -121,7 +121,7 @@ def test_a_single_unknown() -> None:
 
 
 def test_scale_factors_bring_the_largest_entry_of_every_row_to_one() -> None:
-    rough = RNG.standard_normal((6, 6))
+    rough = np.random.default_rng(0).standard_normal((6, 6))
     size = 10.0 ** np.array([0, 6, -6, 3, -3, 1])
     matrix = (rough + rough.T) * np.outer(size, size)
     matrix[2] = matrix[:, 2] = 0.0
