@@ -16,6 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, shown
+from gnc_opt.renamed import RENAMED_PARAMETERS
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -34,8 +35,9 @@ def suggesting_keywords(function: Callable[P, T]) -> Callable[P, T]:
                 raise
             known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
             unknown = next(name for name in keywords if name not in known)
-            text = str(error).split(". Did you mean")[0]
-            raise TypeError(f"{text}: {did_you_mean(unknown, known)}") from None
+            text, now = str(error).split(". Did you mean")[0], RENAMED_PARAMETERS.get(unknown)
+            remedy = f"it is now {now!r}." if now in known else did_you_mean(unknown, known)
+            raise TypeError(f"{text}: {remedy}") from None
 
     return call
 

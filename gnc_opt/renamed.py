@@ -55,6 +55,9 @@ RENAMED = {
 }
 """From the full former name to the full present one."""
 
+RENAMED_PARAMETERS = {"experiment": "scenario", "judge": "measures"}
+"""From the former name of a parameter to the present one."""
+
 
 class RenamedError(GncOptError, ImportError):
     """A former name was used. It is an `ImportError`, since Python replaces the text of an `AttributeError`."""

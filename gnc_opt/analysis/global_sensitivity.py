@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import expect, read_integer, read_probability
+from gnc_opt.arguments import expect, read_integer, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign import Campaign
@@ -111,6 +111,7 @@ class SobolIndices(Printed):
         return "\n".join(lines)
 
 
+@suggesting_keywords
 def sobol_indices(
     scenario: Scenario,
     measure: str,
@@ -126,7 +127,7 @@ def sobol_indices(
     scenario : Scenario
         A vector that is dispersed is one factor.
     measure : str
-        As in `Campaign.measure`, or one of the scenario's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``measures``.
     n : int
         Rows; a row takes two runs and one more for each factor.
     confidence : float
@@ -155,7 +156,7 @@ def sobol_indices(
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
     shared = Shared.picklable(
-        design, name, 'define judge= functions at the top of a module, or use executor="serial"'
+        design, name, 'define measures= functions at the top of a module, or use executor="serial"'
     )
     chunks = [range(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
     with WorkerPool(shared, executor, name) as pool:

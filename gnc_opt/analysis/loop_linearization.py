@@ -112,7 +112,7 @@ class Linearization:
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
         row = next(self._rows())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self.carried
+        keep = self.retained
         return X[:, 0], by_w[keep][:, self.drawn], by_p[keep][:, self.columns]
 
     def nominal_nis(self) -> float:
@@ -133,7 +133,7 @@ class Linearization:
         by_P = self._by_constants
         n = self.state.size
         for k, row in enumerate(self._rows()):
-            after, y, *jacobians = self._function(X[self.carried], X[self._rest], row, C)
+            after, y, *jacobians = self._function(X[self.retained], X[self._rest], row, C)
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
             self._require_finite(k, np.hstack([by_X, by_w, by_P_now]))
@@ -145,7 +145,7 @@ class Linearization:
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def carried(self) -> list[int]:
+    def retained(self) -> list[int]:
         """Indices in X of the differentiated entries."""
         held = set(self.held)
         return [int(i) for name, _ in self.state.parts for i in self._places[name] if i not in held]
@@ -160,8 +160,8 @@ class Linearization:
 
     @cached_property
     def _rest(self) -> list[int]:
-        carried = set(self.carried)
-        return [i for i in range(self.flight.kernel.state.size) if i not in carried]
+        retained = set(self.retained)
+        return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
     def _places(self) -> dict[str, Array]:
@@ -175,10 +175,10 @@ class Linearization:
 
     @cached_property
     def _function(self) -> Any:
-        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: carried X_next, then y."""
+        """``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        places, rest = self.carried, self._rest
+        places, rest = self.retained, self._rest
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)

@@ -22,7 +22,7 @@ from gnc_opt.simulation.campaign_batch import Flown, gathered
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_dispersions
-from gnc_opt.simulation.monte_carlo import Criteria, OutcomeClassifier, read_criteria
+from gnc_opt.simulation.monte_carlo import Criteria, MeasureFunction, read_criteria
 from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.tolerances import TINY
 
@@ -47,7 +47,7 @@ class Scenario:
         Nominal changes of parameters by dotted name.
     target : mapping, optional
         Final states for comparison, by name; default: the reference at the end.
-    judge : mapping, optional
+    measures : mapping, optional
         User-defined measures: functions of the campaign that return a number per run, by name.
     seed : int
 
@@ -70,7 +70,7 @@ class Scenario:
     dispersions: Dispersions = field(default_factory=dict, kw_only=True)
     parameters: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
     target: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
-    judge: Mapping[str, OutcomeClassifier] | None = field(default=None, kw_only=True)
+    measures: Mapping[str, MeasureFunction] | None = field(default=None, kw_only=True)
     seed: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -94,11 +94,11 @@ class Scenario:
     @cached_property
     def criteria(self) -> Criteria:
         """The targets of the runs, and user-defined measures."""
-        return read_criteria(self.target, self.judge)
+        return read_criteria(self.target, self.measures)
 
     def require(self, measure: str) -> None:
         """Raise an error for a name that is not a measure of the runs."""
-        if measure not in self.criteria.judge:
+        if measure not in self.criteria.measures:
             self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
 
     # --- numbers ------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import expect, read_integer, read_numbers, read_probability
+from gnc_opt.arguments import expect, read_integer, read_numbers, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
@@ -91,6 +91,7 @@ class FailureProbability(Printed):
         )
 
 
+@suggesting_keywords
 def failure_probability(
     scenario: Scenario,
     measure: str,
@@ -110,7 +111,7 @@ def failure_probability(
     scenario : Scenario
         The draws include the noise.
     measure : str
-        As in `Campaign.measure`, or one of the scenario's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``measures``.
     limit : float
         Largest permitted value.
     n : int
@@ -152,7 +153,7 @@ def failure_probability(
     confidence = read_probability(confidence, f"the confidence of {name}")
     search = _Search(scenario, measure, bound, count)
     shared = Shared.picklable(
-        search, name, 'define judge= functions at the top of a module, or use executor="serial"'
+        search, name, 'define measures= functions at the top of a module, or use executor="serial"'
     )
     with WorkerPool(shared, executor, name) as pool:
         done = pool.run(_Search.repetition, range(repetitions), lambda _: None)

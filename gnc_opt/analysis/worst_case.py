@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.analysis.scenario import Scenario, normal_numbers
-from gnc_opt.arguments import expect, read_integer
+from gnc_opt.arguments import expect, read_integer, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.dispersions import (
@@ -72,6 +72,7 @@ class WorstCase(Printed):
         return "\n".join(lines)
 
 
+@suggesting_keywords
 def worst_case(
     scenario: Scenario,
     measure: str,
@@ -85,7 +86,7 @@ def worst_case(
     scenario : Scenario
         Its dispersions are bounded (`Uniform`, truncated `Normal`); the seed is that of the search.
     measure : str
-        As in `Campaign.measure`, or one of the scenario's ``judge``.
+        As in `Campaign.measure`, or one of the scenario's ``measures``.
     generations : int
         Of the search, at most; each simulates 15 runs per dispersed number (at least 30).
 

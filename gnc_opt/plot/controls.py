@@ -141,8 +141,8 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
         if np.isfinite(level):
             ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
-        room = 0.125 * (upper - lower)  # bounds in sight, overshoot cut off
-        ax.set_ylim(lower - room, upper + room)
+        margin = 0.125 * (upper - lower)  # shows the bounds, cuts off overshoot
+        ax.set_ylim(lower - margin, upper + margin)
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 

@@ -326,12 +326,12 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
-            judge=self._judge(),
+            classifier=self._classifier(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),
         )
 
-    def _judge(self) -> OutcomeClassifier:
+    def _classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
             tuple(watched_labels(self.wiring)),
             tuple(alarm_labels(self.wiring)),

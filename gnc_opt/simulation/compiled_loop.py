@@ -57,7 +57,7 @@ class CompiledLoop:
     errors : casadi Function
         Errors of the states relative to the reference.
     error_layout, events, quantities : Layout
-    judge : Judge
+    classifier : OutcomeClassifier
     minor_steps : int
     replanner : PlanUpdater or None
     estimates : int array (n,) or None
@@ -90,7 +90,7 @@ class CompiledLoop:
     memory: Layout
     errors: Any
     error_layout: Layout
-    judge: OutcomeClassifier
+    classifier: OutcomeClassifier
     minor_steps: int
     events: Layout = field(default_factory=lambda: Layout("event"))
     replanner: PlanUpdater | None = None
@@ -112,7 +112,7 @@ class CompiledLoop:
     @property
     def accuracy(self) -> float:
         """Asked of the integration, relative."""
-        return self.judge.accuracy
+        return self.classifier.accuracy
 
     @property
     def reference(self) -> Array | None:
@@ -445,7 +445,7 @@ class CompiledLoop:
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
-            else self.judge.outcome(parts, i, judged[i])
+            else self.classifier.outcome(parts, i, judged[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))

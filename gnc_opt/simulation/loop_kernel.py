@@ -27,10 +27,10 @@ def with_events(step: ControlStep, act: Any) -> Any:
     return _EventfulStep(step).function(act)
 
 
-def until_the_end(control_step: ControlStep, step: Any, told: Any) -> Any:
-    """Return the step that is inactive after an event has ended the run, with the second output ``told``."""
+def until_the_end(control_step: ControlStep, step: Any, log: Any) -> Any:
+    """Return the step that is inactive after an event has ended the run, with the second output ``log``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    rest = ca.Function("rest", [x, w, c], [x, told])
+    rest = ca.Function("rest", [x, w, c], [x, log])
     either = ca.Function.if_else("either", rest, step)
     after = either(control_step.state.split(x)["stop"] > 0.5, x, w, c)
     return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())

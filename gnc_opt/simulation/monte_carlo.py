@@ -33,8 +33,8 @@ from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.workers import Done, Shared, WorkerPool
 
-OutcomeClassifier = Callable[[Campaign], ArrayLike]
-"""A measure of one's own: returns a number per run, (m,)."""
+MeasureFunction = Callable[[Campaign], ArrayLike]
+"""A user-defined measure: returns a number per run, (m,)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Criteria:
 
     target: Mapping[str, ArrayLike] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
-    judge: Mapping[str, OutcomeClassifier] = field(default_factory=dict)
+    measures: Mapping[str, MeasureFunction] = field(default_factory=dict)
 
     def goal(self, flight: CompiledLoop) -> Array:
         """Return what states are compared with at the end (n_states,); not-a-number where there is nothing."""
@@ -65,10 +65,10 @@ class Criteria:
     def check(self, empty: Campaign) -> None:
         """Refuse limits of measures that a campaign (without runs) does not have, and what is no limit or measure."""
         for name, value in self.limits.items():
-            if name not in self.judge:
+            if name not in self.measures:
                 empty.measure(name)
             _limit(name, value)
-        for name, function in self.judge.items():
+        for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: give yours another name.")
             if not callable(function):
@@ -80,16 +80,17 @@ class Criteria:
             campaign, limits={name: _limit(name, value) for name, value in self.limits.items()}
         )
         return replace(
-            campaign, measured={name: _measured(name, judge, campaign) for name, judge in self.judge.items()}
+            campaign,
+            measured={name: _measured(name, function, campaign) for name, function in self.measures.items()},
         )
 
 
-def read_criteria(target: Any, judge: Any, limits: Any = None) -> Criteria:
+def read_criteria(target: Any, measures: Any, limits: Any = None) -> Criteria:
     """Return the criteria of optional mappings; what is none is refused."""
     return Criteria(
         read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
         read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
-        read_mapping(judge, "the judge of runs", 'write {"miss": lambda campaign: ...}'),
+        read_mapping(measures, "the measures of runs", 'write {"miss": lambda campaign: ...}'),
     )
 
 
@@ -97,9 +98,9 @@ def _limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
-def _measured(name: str, judge: OutcomeClassifier, campaign: Campaign) -> Array:
+def _measured(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
     try:
-        values = np.asarray(judge(campaign), dtype=float)
+        values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
             f"the measure '{name}' gives no numbers ({in_words(error)}): return one per run, ({len(campaign)},)."
@@ -124,7 +125,7 @@ def monte_carlo(
     parameters: Mapping[str, ArrayLike] | None = None,
     target: Mapping[str, ArrayLike] | None = None,
     limits: Mapping[str, float] | None = None,
-    judge: Mapping[str, OutcomeClassifier] | None = None,
+    measures: Mapping[str, MeasureFunction] | None = None,
     executor: Executor | Literal["serial"] | None = None,
     checkpoint: str | Path | None = None,
     progress: bool = False,
@@ -150,7 +151,7 @@ def monte_carlo(
         Final states for comparison, by name; default: the reference at the end.
     limits : mapping
         Largest permitted values by measure (see `Campaign.measure`), e.g. ``{"r_L": 0.05, "angle(sigma)": 0.0087}``.
-    judge : mapping
+    measures : mapping
         User-defined measures by name: functions of the campaign that return a number per run.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
@@ -181,7 +182,7 @@ def monte_carlo(
     flight = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
     flight = flight.natively(n)
-    criteria = read_criteria(target, judge, limits)
+    criteria = read_criteria(target, measures, limits)
     mission = CampaignTask(flight, dict(dispersions), int(seed))
     empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
     criteria.check(empty)

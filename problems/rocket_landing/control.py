@@ -234,7 +234,7 @@ class Landing:
             dispersions=DISPERSIONS,
             target={"r": np.zeros(3), "v": np.zeros(3)},
             limits=LIMITS,
-            judge={
+            measures={
                 "miss": _miss,
                 "speed across": _across,
                 "speed downward": _downward,

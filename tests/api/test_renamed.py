@@ -1,5 +1,6 @@
 """Former names raise an error that names the present one, which exists."""
 
+import operator
 import re
 from importlib import import_module
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gnc_opt
-from gnc_opt.renamed import RENAMED, RenamedError
+from gnc_opt.renamed import RENAMED, RENAMED_PARAMETERS, RenamedError
 
 
 @pytest.mark.parametrize("former", RENAMED)
@@ -25,6 +26,14 @@ def test_an_import_of_a_former_name_reports_the_present_one() -> None:
         ImportError, match=r"gnc_opt\.control\.design_ekf is now gnc_opt\.estimation\.design_ekf"
     ):
         from gnc_opt.control import design_ekf  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    ("function", "former"), [("analysis.worst_case", "experiment"), ("monte_carlo", "judge")]
+)
+def test_a_former_parameter_reports_the_present_one(function: str, former: str) -> None:
+    with pytest.raises(TypeError, match=f"'{former}': it is now '{RENAMED_PARAMETERS[former]}'"):
+        operator.attrgetter(function)(gnc_opt)(**{former: None})
 
 
 def test_sources_use_no_former_name() -> None:

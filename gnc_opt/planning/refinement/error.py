@@ -133,7 +133,7 @@ class ErrorScales:
         """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
         return np.where(self.path_has_control, 0.0, self.path)
 
-    def judge(self, pieces: SampledPieces, adjoint: Array) -> SegmentErrors:
+    def evaluate(self, pieces: SampledPieces, adjoint: Array) -> SegmentErrors:
         """Return the errors of each piece.
 
         Parameters
@@ -221,7 +221,7 @@ class PhaseError:
         leg = samples.leg
         yardstick, pieces = ErrorScales.of(samples), SampledPieces.of(samples)
         adjoint = adjoint_density(samples, yardstick.pure_paths)
-        errors = yardstick.judge(pieces, adjoint)
+        errors = yardstick.evaluate(pieces, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
             jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]

@@ -93,7 +93,7 @@ class Transcription(Numbering):
     def _point_block(
         self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
     ) -> PointBlock:
-        """Rates times the duration, and other functions, at all collocation points; fixed times are data."""
+        """Rates times the duration, and other functions, at every collocation point; fixed times are data."""
         part = self.parts[leg.name]
         collocation = part.collocation
         n_points = collocation.mesh.size

@@ -191,7 +191,7 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
         "A negative one means that the cost falls along its direction; within the error, that it may."
     )
 
-    def judged(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
+    def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
     reason = obstacle(samples)
@@ -199,11 +199,11 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
-        return judged(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
+        return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = Unknowns.of(solution, samples, switches)
     every = itertools.product(*(s.orders() for s in switches.values()))
     found = [
-        _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
+        _of_order(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
         for orders in every
     ]
     worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
@@ -218,10 +218,10 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
         place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    return judged(worst.result, value, -worst.error, f"phase {phases}: {place}")
+    return condition(worst.result, value, -worst.error, f"phase {phases}: {place}")
 
 
-def _judge(
+def _of_order(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -229,7 +229,7 @@ def _judge(
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
 ) -> SecondOrder:
-    """Judge the switching-time problem for one order of the switches of every phase."""
+    """Return the second order of the switching-time problem for one order of the switches of every phase."""
     pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
     coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
     if not (coarse.finite and fine.finite):
@@ -242,15 +242,17 @@ def _judge(
     active, rows, norms, multipliers = least_squares(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
     precedences = _precedences(unknowns, orders, switches)[:, free]
-    residual, pushes = _explained(gradient[free] + rows.T @ multipliers, precedences)
+    residual, precedence_multipliers = _explained(gradient[free] + rows.T @ multipliers, precedences)
     wrong = np.maximum(-sides * multipliers, 0.0) / cost
     violation = float(np.max(np.concatenate([np.abs(residual) / unknowns.worth[free], wrong]), initial=0.0))
     every = np.zeros(conditions.values.size)
     every[active] = multipliers / norms
     # A condition without a multiplier, or an order without one, only restricts directions to one side.
     strong = (sides == 0) | (np.abs(multipliers) > AT_LIMIT * cost)
-    kept = np.vstack([rows[strong], precedences[pushes > AT_LIMIT * cost]])
-    sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= AT_LIMIT * cost]])
+    kept = np.vstack([rows[strong], precedences[precedence_multipliers > AT_LIMIT * cost]])
+    sided = np.vstack(
+        [-sides[~strong, None] * rows[~strong], precedences[precedence_multipliers <= AT_LIMIT * cost]]
+    )
     null = _null_space(kept)
     if not null.shape[1]:
         return SecondOrder(np.inf, 0.0, 0, True)
@@ -312,11 +314,11 @@ def _precedences(
 
 
 def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
-    """What the order of simultaneous switches leaves of a gradient, and how much each precedence pushes."""
+    """Return the gradient less the multipliers of the order of simultaneous switches, and these multipliers."""
     if not precedences.size:
         return residual, np.zeros(precedences.shape[0])
-    pushes = scipy.optimize.nnls(precedences.T, residual)[0]
-    return residual - precedences.T @ pushes, pushes
+    precedence_multipliers = scipy.optimize.nnls(precedences.T, residual)[0]
+    return residual - precedences.T @ precedence_multipliers, precedence_multipliers
 
 
 def _null_space(rows: Array) -> Array:

@@ -239,9 +239,9 @@ def singular_arcs(
     samples: list[PhaseSamples],
     tolerance: float,
     singular: Sequence[Mask],
-    told: Sequence[Mask] = (),
+    determined: Sequence[Mask] = (),
 ) -> Condition:
-    """H or the second derivative of its switching function (``told``) determines every control off its bounds."""
+    """H or the second derivative of its switching function (``determined``) determines every control off its bounds."""
     meaning = (
         "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
         "second derivative of the switching function must determine it (value: share of the phase along which it does "
@@ -250,7 +250,7 @@ def singular_arcs(
     )
     total, place = 0.0, "nowhere"
     for k, (s, here) in enumerate(zip(samples, singular, strict=True)):
-        beyond = here & ~told[k] if told else here
+        beyond = here & ~determined[k] if determined else here
         lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))

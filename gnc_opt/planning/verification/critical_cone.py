@@ -4,8 +4,8 @@ Where a magnitude s with a direction n vanishes, :math:`H = H_0 + s\,(c + \sigma
 does not vary; the switching function of s is :math:`c - |\sigma|` (Lawden, Optimal Trajectories for Space Navigation,
 1963).
 
-The variation of a path constraint without controls vanishes along an arc on which it pushes, and by continuity where
-the arc begins. A program of Gauss collocation has rows at its points only, so that this is a row of its own.
+The variation of a path constraint without controls vanishes along an arc on which it is active, and by continuity
+where the arc begins. A program of Gauss collocation has rows at its points only, so that this is a row of its own.
 """
 
 from __future__ import annotations

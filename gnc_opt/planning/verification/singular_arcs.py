@@ -134,11 +134,11 @@ def singular_arcs(
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
-            found.append(_judge(problem, s, channels, regular, np.arange(first, last), tolerance))
+            found.append(_singular_arc(problem, s, channels, regular, np.arange(first, last), tolerance))
     return found
 
 
-def _judge(
+def _singular_arc(
     problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
 ) -> SingularArc:
     labels = ", ".join(s.leg.controls.labels[i] for i in channels)

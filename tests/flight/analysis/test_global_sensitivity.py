@@ -17,7 +17,7 @@ def end_of_q(campaign):
 @pytest.fixture(scope="module")
 def found():
     return sobol_indices(
-        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD, judge={"end": end_of_q}),
+        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD, measures={"end": end_of_q}),
         "end",
         n=200,
         executor="serial",
@@ -77,7 +77,7 @@ def test_a_measure_that_does_not_vary_is_refused():
                 loop_of(),
                 **MISSION,
                 dispersions=SPREAD,
-                judge={"constant": lambda campaign: np.ones(len(campaign))},
+                measures={"constant": lambda campaign: np.ones(len(campaign))},
             ),
             "constant",
             n=10,
@@ -103,7 +103,7 @@ def test_rows_with_failed_runs_are_left_out_and_counted():
 
 def test_rank_correlations_name_what_rises_with_a_measure():
     runs = go.monte_carlo(
-        loop_of(), 300, **MISSION, seed=3, dispersions=SPREAD, judge={"end": end_of_q}, executor="serial"
+        loop_of(), 300, **MISSION, seed=3, dispersions=SPREAD, measures={"end": end_of_q}, executor="serial"
     )
     found = correlations(runs, "end")
     theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget("q")

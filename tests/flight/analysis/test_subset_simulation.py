@@ -71,7 +71,7 @@ def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
     limit = middle + sigma * scipy.stats.norm.isf(p)
     found = failure_probability(
         go.Scenario(
-            loop, **MISSION, dispersions=SPREAD, judge={"end": lambda runs: runs.state("q")[0]}, seed=5
+            loop, **MISSION, dispersions=SPREAD, measures={"end": lambda runs: runs.state("q")[0]}, seed=5
         ),
         "end",
         limit,
@@ -103,7 +103,7 @@ def test_runs_that_fail_count_as_failures():
 def test_a_limit_that_is_all_but_reached_reads_different_from_the_largest_value():
     with pytest.raises(go.GncOptError, match=r"exceeds 3\.0000002 less often .* found is 3"):
         failure_probability(
-            go.Scenario(loop_of(), **MISSION, judge={"three": lambda runs: np.full(len(runs), 3.0)}),
+            go.Scenario(loop_of(), **MISSION, measures={"three": lambda runs: np.full(len(runs), 3.0)}),
             "three",
             3.0000002,
             n=10,
@@ -116,7 +116,7 @@ def test_what_never_fails_and_mistakes_are_refused():
     loop = loop_of()
     with pytest.raises(go.GncOptError, match="or never: the largest value found"):
         failure_probability(
-            go.Scenario(loop, **MISSION, judge={"one": lambda runs: np.ones(len(runs))}),
+            go.Scenario(loop, **MISSION, measures={"one": lambda runs: np.ones(len(runs))}),
             "one",
             2.0,
             n=10,

@@ -40,7 +40,7 @@ def test_an_inner_maximum_is_the_resonance():
             x0=[0, 0, 0],
             tf=100.0,
             dispersions=bounds,
-            judge={"energy": lambda runs: runs.state("e")[0]},
+            measures={"energy": lambda runs: runs.state("e")[0]},
         ),
         "energy",
         generations=8,

@@ -230,29 +230,29 @@ def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
         Criteria({"q": [1.0, 2.0, 3.0]}).goal(flight)
 
 
-@pytest.mark.parametrize("kind", ["target", "limits", "judge"])
+@pytest.mark.parametrize("kind", ["target", "limits", "measures"])
 def test_criteria_that_are_no_mappings_are_refused(kind):
     assert read_criteria(None, None) == Criteria()
     with pytest.raises(ArgumentError, match=f"the {kind} of runs is a ndarray where a Mapping is needed"):
-        read_criteria(**{"target": None, "judge": None, kind: np.zeros(2)})
+        read_criteria(**{"target": None, "measures": None, kind: np.zeros(2)})
 
 
 def test_criteria_are_checked_and_applied():
     campaign = campaign_by_hand(limits={}, measured={})
-    judge = {"twice": lambda c: 2 * c.measure("q"), "sure": lambda c: c.limits["q"] + np.zeros(len(c))}
-    applied = Criteria(limits={"q": 0.0, "twice": 10}, judge=judge).applied(campaign)
+    measures = {"twice": lambda c: 2 * c.measure("q"), "sure": lambda c: c.limits["q"] + np.zeros(len(c))}
+    applied = Criteria(limits={"q": 0.0, "twice": 10}, measures=measures).applied(campaign)
     assert applied.limits == {"q": 0.0, "twice": 10.0} and applied.measure("twice")[:3].tolist() == [10, 2, 4]
     assert applied.measure("sure").tolist() == [0.0] * 4  # measures of one's own may look at the limits
-    Criteria(limits={"q": 1.0, "own": 1.0}, judge={"own": len}).check(campaign)
+    Criteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check(campaign)
     for wrong, message in (
         (Criteria(limits={"qq": 1.0}), "no measure 'qq'"),
         (Criteria(limits={"q": -1.0}), "limit of 'q'"),
-        (Criteria(judge={"own": 3.0}), "'own' is no function"),
+        (Criteria(measures={"own": 3.0}), "'own' is no function"),
     ):
         with pytest.raises((ArgumentError, UnknownNameError), match=message):
             wrong.check(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
-        Criteria(judge={"own": lambda c: np.zeros(3)}).applied(campaign)
+        Criteria(measures={"own": lambda c: np.zeros(3)}).applied(campaign)
 
 
 # --- dispersions ------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def campaign():
         seed=5,
         target={"q": 0.0},
         limits={"q": 0.8, "half/effort": 3.0},
-        judge={"half/effort": lambda c: 0.5 * c.measure("effort(a)")},
+        measures={"half/effort": lambda c: 0.5 * c.measure("effort(a)")},
         executor="serial",
     )
     lost = Outcome(RunStatus.LOST, "its process died")

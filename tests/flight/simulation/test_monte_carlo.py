@@ -241,14 +241,14 @@ def test_measures_limits_and_pass_rates(serial):
 
 def test_own_measures():
     campaign = fly(
-        judge={"impulse": lambda c: c.measure("effort(a)") / c.parameter("plant.m")[0]},
+        measures={"impulse": lambda c: c.measure("effort(a)") / c.parameter("plant.m")[0]},
         limits={"impulse": 5.0},
     )
     expected = campaign.effort.sum(axis=0) / campaign.parameter("plant.m")[0]
     assert np.array_equal(campaign.measure("impulse"), expected)
     assert campaign.pass_rate().passed == np.sum(expected <= 5)
     with pytest.raises(ArgumentError, match="one number per run"):
-        fly(n=3, judge={"one": lambda c: 1.0})
+        fly(n=3, measures={"one": lambda c: 1.0})
 
 
 # --- failures -------------------------------------------------------------------------------------------

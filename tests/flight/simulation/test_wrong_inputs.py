@@ -71,8 +71,8 @@ def test_an_event_that_never_passes_through_zero(expression: Any, what: str) -> 
         (lambda: fly(seed=-1), "the seed of a run is -1"),
         (lambda: fly(seed=None), "the seed of a run is None"),
         (lambda: campaign(limits=["h"]), "the limits of runs is a list where a Mapping"),
-        (lambda: campaign(judge={"h": lambda runs: runs.states[0]}), "has a measure 'h' already"),
-        (lambda: campaign(judge={"x": lambda runs: ["a", "b"]}), "'x' gives no numbers .ValueError"),
+        (lambda: campaign(measures={"h": lambda runs: runs.states[0]}), "has a measure 'h' already"),
+        (lambda: campaign(measures={"x": lambda runs: ["a", "b"]}), "'x' gives no numbers .ValueError"),
         (lambda: campaign(target={"h": math.nan}), "the target of 'h' is .nan.: give finite numbers"),
     ],
 )

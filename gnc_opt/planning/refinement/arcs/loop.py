@@ -2,7 +2,7 @@
 
 Controls are held on their bounds piece by piece, the times of the switches are variables, and each piece is
 collocated with a high degree; controls between bounds (interior and singular arcs) stay free inside their pieces. The
-costates of the optimum then judge the structure: a piece whose length goes to zero is dropped (or the two switches
+costates of the optimum then check the structure: a piece whose length goes to zero is dropped (or the two switches
 at its ends change places), a switching function of the wrong sign asks for an arc that is missing. The loop ends
 when signs and structure agree everywhere and the error between the nodes is small.
 """

@@ -112,7 +112,7 @@ def _smallest_degrees(
 def _mergeable(
     error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> list[Span]:
-    """Return the spans that one segment of the highest degree can hold: no others are worth trying."""
+    """Return the spans whose states one segment of the highest degree can represent."""
     spans = [(i, i + 1) for i in range(len(run))]
     shorter = set(spans)
     beside = [a.end == b.start for a, b in itertools.pairwise(run)]
@@ -142,7 +142,7 @@ def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Arr
     departures = np.abs(pieces.x - known.x[:, points:]) / yardstick.state[:, None]
     slopes = pieces.largest(yardstick.stationarity(pieces, known.lam[:, points:]))
     against = (
-        yardstick.judge(pieces, _adjoint(error, places, known)).worst,
+        yardstick.evaluate(pieces, _adjoint(error, places, known)).worst,
         np.max(pieces.largest(departures), axis=0),
         np.max(slopes, axis=0, initial=0.0),
     )

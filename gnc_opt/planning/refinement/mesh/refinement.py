@@ -182,7 +182,7 @@ class _Refinement:
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         self._begin = time.perf_counter()
-        self._state = self._judge(solution, self._begin, Actions())
+        self._state = self._evaluated(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
     def run(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
@@ -351,7 +351,7 @@ class _Refinement:
             options=self._warm_options(),
             limits=replace(within, warm_iterations=MESH_WARM_START_MAX_ITERATIONS),
         )
-        self._state = self._judge(solution, begin, actions)
+        self._state = self._evaluated(solution, begin, actions)
         if self._better(self._state, self._best):
             self._best, self._chosen = self._state, len(self._records) - 1
         return solution.status
@@ -366,7 +366,7 @@ class _Refinement:
             options = replace(options, mu_init=last if left <= UNRESOLVED else max(WARM_MU * left, last))
         return options
 
-    def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:
+    def _evaluated(self, solution: Solution, begin: float, actions: Actions) -> _State:
         errors = estimate_errors(solution)
         record = pass_record(solution, errors, begin, actions)
         self._records.append(record)

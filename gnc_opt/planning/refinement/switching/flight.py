@@ -29,7 +29,7 @@ INSET = 0.25
 
 @dataclass(frozen=True, eq=False)
 class SwitchFlight:
-    """A phase flown on a grid `PARTS` times as fine as a step's; ``step`` is what is left on that grid."""
+    """A phase integrated on a grid `PARTS` times as fine as that of a step; ``step`` is the Newton step there."""
 
     s: PhaseSamples
     switches: Switches
