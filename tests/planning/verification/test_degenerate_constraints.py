@@ -1,4 +1,4 @@
-"""Normality: constraints that single out a trajectory by themselves leave the cost no say, and are named."""
+"""Constraints without a gradient where they hold, and constraints that repeat each other: the check of right answers."""
 
 from __future__ import annotations
 
