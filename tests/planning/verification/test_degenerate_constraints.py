@@ -1,4 +1,4 @@
-"""Constraints without a gradient where they hold, and constraints that repeat each other: the check of right answers."""
+"""The check of right answers with constraints without a gradient where they hold, or stated twice."""
 
 from __future__ import annotations
 
