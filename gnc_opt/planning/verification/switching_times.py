@@ -37,14 +37,11 @@ def switching_times(
 ) -> Condition:
     """No shift of switching times lowers the cost to second order."""
     jumps = jumps_of(samples) if all(s.has_length for s in samples) else []
-    if _are_unknowns(jumps, samples, scales):
-        jumps = []
+    place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
+    if jumps and _are_unknowns(jumps, samples, scales):
+        jumps, place = [], f"{place}: see second order"
     fall = worst_fall(solution, samples, ends, scales, jumps)
-    value, place = (
-        (0.0, f"{len(jumps)} switches" if jumps else "no switch")
-        if fall is None
-        else (fall.value, fall.where)
-    )
+    value, place = (0.0, place) if fall is None else (fall.value, fall.where)
     result = ConditionResult.PASS if fall is None else ConditionResult.FAIL
     return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
 

@@ -47,3 +47,19 @@ def switched(share: float, time: float) -> go.Verdict:
 def test_a_switch_beside_an_arc_at_a_state_limit(time: float) -> None:
     assert switched(0.45, time).minimum
     assert not switched(0.55, time).ok
+
+
+def test_the_place_counts_switches_and_names_the_second_order() -> None:
+    """Rest to rest in minimum time has one switch."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    condition = go.verify(go.solve(problem))["switching times"]
+    assert condition.where == "1 switch: see second order"
