@@ -137,7 +137,8 @@ class Candidate:
 def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     """Return which candidate to keep: of those that pass the check, else of all, the least estimate.
 
-    Of several within the tolerance, the least local error. A clearly lower minimum wins in any case.
+    Of several within the tolerance, the least local error. A clearly lower minimum wins in any case, unless its local
+    errors are large and larger: then it need not be a trajectory of the vehicle.
     """
     solved = [k for k, c in enumerate(candidates) if c.solved]
     if not solved:
@@ -145,7 +146,8 @@ def best_of(candidates: Sequence[Candidate], tol: float) -> int:
     among = [k for k in solved if candidates[k].passes] or solved
     best = min(among, key=lambda k: candidates[k].rank(tol))
     for k in solved:
-        if candidates[k].is_lower(candidates[best]):
+        credible = candidates[k].error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].error)
+        if credible and candidates[k].is_lower(candidates[best]):
             best = k
     return best
 

@@ -370,6 +370,7 @@ def candidate(
         ),  # by less than an unknown error may be
         ([candidate(2.0, 1e-6), candidate(1.9, 1e-6, loss=1.0)], 0),  # a false extremal, by its loss
         ([candidate(8.6, 1e-2), candidate(1.0, 1e-9, error=3.2)], 0),  # no trajectory between its points
+        ([candidate(11.0, 1e-5, error=1e-7), candidate(10.4, 0.04, error=0.04)], 0),  # nor is this one
         (
             [candidate(2.0, 1e-13, error=1e-5), candidate(2.0, 1e-9, error=1e-7)],
             1,
