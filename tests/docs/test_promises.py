@@ -117,7 +117,7 @@ def test_json_of_a_search_lists_every_key() -> None:
     ("key", "kind"),
     [
         ("status", go.Status),
-        ("structure[].kind", set(ArcKind) - {ArcKind.RELEASED, ArcKind.EASED}),  # of no finished solution
+        ("structure[].kind", set(ArcKind) - {ArcKind.RELEASED}),  # of no finished solution
         ("refinement.status", go.RefinementStatus),
         ("verdict.conditions[].result", go.ConditionResult),
     ],

@@ -17,7 +17,7 @@ class ArcKind(Enum):
     """Where a control, path constraint or state is during an arc.
 
     A constrained control is within its bounds and follows from a state or path constraint at its limit. During the
-    solution only, a released control may leave its limits, an eased one by a tenth of its range.
+    solution only, a released control may leave its limits.
     """
 
     LOWER = "lower"
@@ -26,7 +26,6 @@ class ArcKind(Enum):
     SINGULAR = "singular"
     CONSTRAINED = "constrained"
     RELEASED = "released"
-    EASED = "eased"
 
     @property
     def sign(self) -> int:
@@ -77,7 +76,7 @@ class Arc:
 Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
 """Rows of kinds, one per segment or piece."""
 
-MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED, ArcKind.EASED)
+MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
 """Kinds of arc that a user may prescribe for a control, path constraint or state."""
 
 

@@ -385,8 +385,8 @@ class Phase(Strict):
         ----------
         arcs : array (n_controls, K) of ArcKind or int, or None
             LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its
-            bounds, RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With free
-            breakpoints only the switch times remain to optimise. ``None`` releases all controls.
+            bounds, RELEASED: free of its bounds. With free breakpoints only the switch times remain to optimise.
+            ``None`` releases all controls.
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional

@@ -18,9 +18,6 @@ from gnc_opt.planning.problem.redundant_bounds import idle_bounds, kept_later, l
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import interpolation_matrix
 
-EASE = 0.1
-"""Share of its range by which an eased control may leave its bounds."""
-
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
     """Refuse arcs that are given for another number of segments."""
@@ -136,10 +133,6 @@ def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
-    eased = kinds == ArcKind.EASED
-    room = np.broadcast_to(EASE * (bounds.upper - bounds.lower)[:, None], kinds.shape)[eased]
-    box.lower[places[eased]] -= room
-    box.upper[places[eased]] += room
 
 
 # --- junctions of state constraints -------------------------------------------------------------------------

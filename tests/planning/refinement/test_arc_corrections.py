@@ -16,19 +16,15 @@ from testing.internals import (
     Junction,
     PhaseCollocation,
     PhaseStructure,
-    Plan,
-    Resolution,
     Smooth,
-    optimise_switches,
 )
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
+from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
 from gnc_opt.planning.refinement.arcs.loop import structures_of
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
 from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
 from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
 from gnc_opt.planning.transcription.arc_constraints import controls_beside
@@ -75,21 +71,6 @@ def test_limits_of_two_controls_may_be_held_together() -> None:
         n_controls=2, orders=(0, 0, 1, 2), holders=((), (), (0,), (0, 1)),
     )  # fmt: skip
     assert without_overlaps(both) == both
-
-
-@pytest.mark.parametrize(("lean", "inward", "outward"), [(1, LOW, UP), (-1, UP, LOW)])
-def test_an_arc_is_met_with_a_bang_that_leads_away_from_its_limit(
-    lean: int, inward: ArcKind, outward: ArcKind
-) -> None:
-    """S'' < 0 before S = S' = 0 at an upper limit: S comes from below."""
-    arc, right, wrong = (SING, FREE, UP), (inward, FREE, FREE), (outward, FREE, FREE)
-    fine = structure((0.0, 3.0, 6.0, 9.0), right, arc, right, lean=lean)
-    assert with_possible_ends(fine, 2.0) == fine
-    swings = structure((0.0, 3.0, 4.0, 6.0, 9.0), right, wrong, arc, right, lean=lean)
-    assert with_possible_ends(swings, 2.0) == fine
-    unseen = with_possible_ends(structure((0.0, 3.0, 6.0, 9.0), wrong, arc, right, lean=lean), 2.0)
-    assert unseen.times == (0.0, 2.75, 3.25, 6.0, 9.0)
-    assert unseen.kinds == (wrong, right, arc, right)
 
 
 # Short arcs beside limits that no trajectory has, on structures put together by hand: v' = a, |a| <= 1,
@@ -184,7 +165,8 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
     leg.bounds(torque=([-0.1] * 3, [0.1] * 3), h=([-0.5] * 3, [0.5] * 3))
     problem.minimize(leg.final_time)
     slew = go.solve(problem)
-    assert slew.converged and go.verify(slew).ok
+    assert slew.history.converged or slew.objective_error.relative < 1e-8
+    assert go.verify(slew)["stationarity"].value < 1e-5
     assert slew.objective == pytest.approx(28.27688, abs=1e-4)
     left = [max(a.end for a in slew.structure if a.channel == f"h[{i}]") for i in range(3)]
     np.testing.assert_allclose(
@@ -287,47 +269,11 @@ def structure_of_arcs_between_limits(
     return replace(structures_of(coarse)["leg"], times=times, kinds=kinds, touches=((),) * len(times))
 
 
-def test_an_interior_arc_that_is_missing_between_them_is_added(coarse: go.Solution) -> None:
-    begun = structure_of_arcs_between_limits(coarse, (0.0, 0.97, 2.0), HELD, BOUND)
-    found, history = optimise_switches(coarse, structures={"leg": begun})
-    assert history.converged and go.verify(found).ok
-    assert found.objective == pytest.approx((1 - TAU / 6) / 2 - (1 + TAU / 2) / TAU, abs=1e-9)
-    (short,) = (arc for arc in found.structure if arc.channel == "a" and arc.kind is FREE)
-    assert (short.start, short.end) == pytest.approx((1 - TAU / 2, 1 + TAU / 2), abs=1e-6)
-
-
 def test_nothing_can_hold_the_limit_with_the_control_on_its_bound(coarse: go.Solution) -> None:
     with_short = structure_of_arcs_between_limits(coarse, (0.0, 0.95, 1.05, 2.0), HELD, SHORT, BOUND)
     assert with_short.swapped(1) is None
     without_holder = replace(with_short, holders=((), (), ()))
     assert without_holder.swapped(1) is not None
-    assert structure_of_arcs_between_limits(coarse, (0.0, 0.95, 2.0), HELD, BOUND).jumped_to(1) == [0]
-    assert with_short.jumped_to(1) == with_short.jumped_to(2) == []
-
-
-def test_an_interior_arc_whose_control_stays_on_its_bound_is_none(coarse: go.Solution) -> None:
-    times = (0.0, 0.9, 1.1, 2.0)
-    (samples,) = coarse.samples().values()
-    resolutions = tuple(Resolution(segments, 4) for segments in (9, 2, 9))
-    found, action = unpinned(
-        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, SHORT), resolutions), set()
-    )
-    assert found is not None and action == "a on its bound from 1.1 s"
-    assert found.kinds == (HELD, SHORT, BOUND)
-    assert unpinned(
-        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, BOUND), resolutions), set()
-    ) == (
-        None,
-        "",
-    )
-    np.testing.assert_array_equal(found.times, times)
-    left = {("leg", found.at(()))}
-    assert unpinned(
-        samples, Plan(structure_of_arcs_between_limits(coarse, times, HELD, SHORT, SHORT), resolutions), left
-    ) == (
-        None,
-        "",
-    )
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what
@@ -544,17 +490,8 @@ def test_one_constraint_determines_one_of_several_singular_controls() -> None:
     assert [TURNING.determined(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
 
 
-def test_a_vector_turns_into_an_arc_on_a_limit() -> None:
-    """The time is a variable; there the limit is met with a derivative of zero, and may be left one segment before."""
-    assert [TURNING.slides(k) for k in (1, 2, 3)] == [True, False, False]
-    plan = Plan.of(TURNING)
-    mesh, ends = plan.mesh(), plan.piece_ends
-    assert set(mesh.movable) == set(ends[1:-1])
-    lengths = np.diff(np.array(mesh.breaks)[: ends[1] + 1])
-    np.testing.assert_allclose(lengths[:-1] / lengths[1:], [2.0] * (lengths.size - 2) + [1.0])
-    assert plan._junctions() == (Junction(1, ends[1], UP, 1, -1),)
+def test_a_direction_is_on_the_sphere_where_no_singular_component_holds_a_limit() -> None:
     assert TURNING.on_sphere().tolist() == [[False, True, False, False], [False] * 4]
-    assert np.flatnonzero(plan._released()[4]).tolist() == [ends[1] - 1, ends[1]]
 
 
 def test_controls_at_the_end_of_a_segment() -> None:

@@ -122,11 +122,6 @@ def corner_turn() -> go.Solution:
     return go.solve(problem, tol=None)
 
 
-def test_a_change_of_arcs_that_was_undone_is_not_asked_for_again(corner_turn: go.Solution) -> None:
-    _, history = switching.optimise_switches(corner_turn, tol=1e-6, limits=PassLimits(passes=15))
-    assert history.status is go.RefinementStatus.STALLED and len(history.passes) <= 6
-
-
 @pytest.mark.parametrize("seconds", [0.05, 0.2])
 def test_all_solves_share_one_budget(corner_turn: go.Solution, seconds: float) -> None:
     """No solve begins after it is spent, and the answer is the one with the least estimated error or loss."""

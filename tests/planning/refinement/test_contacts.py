@@ -545,26 +545,6 @@ def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
     assert c.wrong_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
 
 
-def test_where_a_constraint_is_left() -> None:
-    """h exceeds 3 m between 1 and 3 s, by a quarter of its 4 m at most."""
-    here = constraints(falling, steady, jumping, state_bounds=interval([-1, -np.inf], [3, np.inf]))
-    structure = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 1, 2, 0), (), ((), (0,), (0,), ()))
-    found = [r for r in c._excesses(here, structure) if r.row == 2]
-    assert {r.kind for r in found} == {UP} and found[0].times[0] == pytest.approx(1.0, abs=0.05)
-    times, worth = (np.concatenate([getattr(r, name) for r in found]) for name in ("times", "worth"))
-    assert worth == pytest.approx((falling(times, 0)[0] - 3) / here.scales[1])
-    assert times[-1] == pytest.approx(3.0, abs=0.3) and np.max(worth) == pytest.approx(0.25)
-    known = structure.with_arc(2, 0.5, 3.5, UP)
-    assert not [r for r in c._excesses(here, known) if r.row == 2]
-    assert not c._excesses(here, PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 0, 0, 0)))
-    # v^2 / 2 + h = 8 at the start is the worst of all, 3 beyond its limit of 5.
-    added, what = c.crossed_contact(here, structure)
-    assert added is not None and what == "contact of energy added at 0 s"
-    only, what = c.crossed_contact(here, PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 0, 2, 0)))
-    assert only is not None and what.startswith("contact of h added at 2 s")
-    assert c.crossed_contact(here, known.with_arc(1, 0.0, 4.0, UP)) == (None, "")
-
-
 @dataclass(frozen=True)
 class Push:
     """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
@@ -574,14 +554,10 @@ class Push:
     worth: Any
     can: bool
     seen: bool
-    slides: bool = False
     touched: bool = False
 
     def beside_touch(self, structure: Any, samples: Any) -> bool:
         return self.touched
-
-    def beside_slide(self, structure: Any, samples: Any) -> bool:
-        return self.slides
 
     def possible(self, structure: Any) -> bool:
         return self.can

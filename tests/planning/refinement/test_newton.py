@@ -30,7 +30,6 @@ from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
-from gnc_opt.planning.refinement.switching.costates import _backwards, settle_costates
 from gnc_opt.planning.refinement.switching.flight import (
     _interpolated,
 )
@@ -825,54 +824,3 @@ def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.
     )
     nu = found.constraint_multipliers + change[[0, 2]]
     return replace(found, phases={"leg": other}, constraint_multipliers=nu)
-
-
-def test_costates_that_are_right_stay_so() -> None:
-    check(together())
-    check(settle_costates(together()))
-
-
-@pytest.mark.parametrize("change", [(0.5, -0.5, 0.0), (0.5, 0.0, -0.5), (-0.25, 1.0, -0.75)])
-@pytest.mark.parametrize("braking", [0.0, 0.5])
-def test_whatever_the_program_returned(change: tuple[float, ...], braking: float) -> None:
-    wrong = drifted(together(braking=braking), np.array(change), braking)
-    with pytest.raises(AssertionError):
-        check(wrong, braking)
-    check(settle_costates(wrong), braking)
-
-
-def test_what_has_no_simultaneous_switches_is_left_as_it_is() -> None:
-    between = together(push=0.5)  # not bang-bang
-    assert settle_costates(between) is between
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("alone")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    leg.initial(q=0.0, v=0.0)
-    leg.final(v=0.0)
-    leg.bounds(a=(-1.0, 1.0))
-    problem.minimize(-leg.final_state("q"))
-    one = phase(
-        problem, lambda t, k: [t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t] if k else [t**2 / 2, t],
-        lambda t, k: 1 - 2 * k + 0 * t, lambda t, k: [-1 + 0 * t, t - 1], breaks=(0.0, 1.0, 2.0), degree=3,
-        control_bounds=interval(-1.0, 1.0), initial_bounds=interval([0, 0], [0, 0]),
-        final_bounds=interval([-np.inf, 0], [np.inf, 0]),
-    )  # fmt: skip
-    alone = solution(problem, one, objective=-1.0)
-    assert settle_costates(alone) is alone
-
-
-def test_the_adjoint_equation_backwards() -> None:
-    """lam_v' = -lam_q, lam_q' = 0, whatever the segments: from (2, 3) at 2 s, lam_v = 3 + 2 (2 - t)."""
-    leg = together().phase()
-    (s,) = together().samples().values()
-    final = np.array([2.0, 0.0, 1.0, 3.0, -1.0, 0.0])
-    seen = []
-    for k, run in _backwards(leg, replace(s.functions, weights=np.zeros(1)), final):
-        seen.append(k)
-        t = np.linspace(leg.breaks[k], leg.breaks[k + 1], 5)
-        expected = [2 + 0 * t, 0 * t, 1 + 0 * t, 3 + 2 * (2 - t), -1 + 0 * t, 2 - t]
-        np.testing.assert_allclose(run(t), expected, atol=1e-9)
-    assert seen == list(reversed(range(leg.mesh.segments)))

@@ -562,20 +562,6 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
         assert found.objective == len(script) and history.chosen == len(script) - 1
 
 
-def test_where_finer_meshes_end_singular_controls_of_higher_degree_are_tried(
-    scripted: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Once: the plans that then are asked for are what they are."""
-    rows = PhaseStructure(
-        (0.0, 0.5, 1.0), ((UP, FREE, FREE, FREE, FREE), (SING, FREE, FREE, FREE, FREE)), (), 1, 2
-    )
-    smoother = iter([{"leg": Plan.of(rows)}])
-    monkeypatch.setattr(s, "smoother", lambda found, plans: next(smoother, plans))
-    _, history, _ = scripted([(Status.OPTIMAL, s.RAISED)] * 2 + [(Status.OPTIMAL, "")])
-    assert [p.actions for p in history.passes] == [s.RAISED, s.SMOOTHED, "structure stands"]
-    assert history.status is RefinementStatus.CONVERGED
-
-
 @pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.SWITCHING_TIME_TOLERANCE), (1e-12, 1e-12)])
 def test_what_was_detected_is_tried_after_a_structure_that_fails(
     monkeypatch: pytest.MonkeyPatch, tol: float, asked: float

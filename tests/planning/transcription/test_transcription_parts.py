@@ -172,14 +172,6 @@ def test_a_phase_without_controls_has_none_to_hold() -> None:
     assert np.all(found.lower == -7) and np.all(found.upper == 7)
 
 
-def test_eased_controls_may_leave_their_bounds_by_a_tenth_of_their_range() -> None:
-    part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=2)
-    found = box(part.n_variables)
-    hold_controls(found, Held(((ArcKind.EASED, FREE), (FREE, FREE))), interval([-7, -7], [7, 7]), part)
-    np.testing.assert_allclose(found.lower[part.point_controls], [[-8.4, -8.4, -7], [-7] * 3])
-    np.testing.assert_allclose(found.upper[part.point_controls], [[8.4, 8.4, 7], [7] * 3])
-
-
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)

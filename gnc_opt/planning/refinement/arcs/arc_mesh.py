@@ -46,9 +46,6 @@ MAX_DECADES_PER_ITERATION = 6.0
 COARSE = 100
 """Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
 
-TURNING_SEGMENTS = 6
-"""Segments, each half as long as the one before, towards a time at which a vector turns fast to hold a constraint."""
-
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
 
@@ -277,9 +274,7 @@ class Plan:
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
-        movable = tuple(
-            self.piece_ends[k] for k in inner if not self.structure.kinked(k) or self.structure.slides(k)
-        )
+        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.kinked(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def hold(self, problem: Problem, phase: str) -> Problem:
@@ -292,7 +287,6 @@ class Plan:
         kinds = np.vstack([controls, paths, structure.states])[:, segments]
         free = kinds == ArcKind.INTERIOR
         kinds = choose(free & self._released(), ArcKind.RELEASED, kinds)
-        kinds = choose(free & self._eased(), ArcKind.EASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
@@ -308,45 +302,25 @@ class Plan:
         )
 
     def _released(self) -> Mask:
-        """Return where rows may leave their limits, if they are on none of them, (n_rows, K).
-
-        Beside a time at which a vector turns to hold a constraint, which is tangent to its limit there, one segment.
-        """
+        """Return where rows may leave their limits, if they are on none of them, (n_rows, K)."""
         structure = self.structure
         beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
-        found = (structure.curved() | beside)[:, self.segment_pieces]
-        for k in filter(structure.slides, range(1, structure.pieces)):
-            end = self.piece_ends[k]
-            for row in structure.changes(k):
-                found[row, end - 1 : end + 1] |= bool(structure.orders[row])
-        return np.asarray(found)
-
-    def _eased(self) -> Mask:
-        """Return where controls may leave their bounds a little: H is strictly convex in them, but not farther off."""
-        structure = self.structure
-        found = np.zeros((len(structure.kinds[0]), structure.pieces), dtype=bool)
-        begins, ends = np.asarray(structure.times[:-1]), np.asarray(structure.times[1:])
-        for row, start, end in structure.arched:
-            found[row] |= (begins >= start) & (ends <= end)
-        return found[:, self.segment_pieces]
+        return np.asarray((structure.curved() | beside)[:, self.segment_pieces])
 
     def _junctions(self) -> tuple[Junction, ...]:
         """Where state constraints that determine a control reach their limit to stay there, or touch it.
 
         Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
-        Where a vector turns to hold a constraint the derivative in which it appears vanishes, too: that makes the time
-        known, on which the cost hardly depends.
         """
         structure, n_controls = self.structure, len(self.structure.controls)
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.pieces):
-            sliding, taken = structure.slides(k), structure.taken_over(k)[:1]
+            taken = structure.taken_over(k)[:1]
             for i in structure.changes(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
-                tangent = i in taken or (sliding and order > 0)
-                if after.at_limit and (order or tangent):
-                    found.append((k, i, after, order, -1 if tangent else 0))
-                elif tangent:
+                if after.at_limit and (order or i in taken):
+                    found.append((k, i, after, order, -1 if i in taken else 0))
+                elif i in taken:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
             paths = [i for i in structure.handed_over(k) if i >= n_controls]
@@ -435,20 +409,6 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
         degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
-        edges = _turning_edges(structure, piece)
-        segments = len(edges) + 1 if edges else int(np.ceil(INTERIOR_SEGMENTS * share))
-        return Resolution(segments, degree, edges=edges)
+        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (THINNED * ARC_MAX_DEGREE))) if points > COARSE else 1
     return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), ARC_MAX_DEGREE)
-
-
-def _turning_edges(structure: PhaseStructure, piece: int) -> tuple[float, ...]:
-    """Boundaries of segments, in shares of a piece, ever closer to where a vector turns fast; none if it does not."""
-    turns = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
-    if structure.on_contact(piece) or not any(turns):
-        return ()
-    closer = [0.5**k for k in range(1, TURNING_SEGMENTS)]
-    if not all(turns):
-        return tuple(closer[::-1] if turns[0] else [1.0 - share for share in closer])
-    halves = [0.5 * share for share in closer]
-    return (*halves[::-1], 0.5, *[1.0 - half for half in halves])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import TINY
 
 STATIONARY = 1e-9
@@ -63,16 +61,6 @@ def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -
     if np.all(errors <= tol):
         return smoother
     return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
-
-
-def smoother(solution: Solution, plans: Mapping[str, Plan]) -> dict[str, Plan]:
-    """Return the plans with higher degrees where singular controls leave some of dH/du, as far as these help."""
-    found = {}
-    for name, s in solution.samples().items():
-        left_open = zip(plans[name].resolutions, open_gradient(s, plans[name]), strict=True)
-        smoother = tuple(r.smoother(g) if g > STATIONARY else r for r, g in left_open)
-        found[name] = replace(plans[name], resolutions=smoother)
-    return found
 
 
 def open_gradient(samples: PhaseSamples, plan: Plan) -> Array:

@@ -1,4 +1,4 @@
-"""What a mesh shows and no control can do: two limits held at once by one, bangs that lead beyond a limit just left."""
+"""What a mesh shows and no control can do: two limits that one control holds at once."""
 
 from __future__ import annotations
 
@@ -39,33 +39,3 @@ def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
     by_state = [i for i in found if structure.orders[i]]
     mixed = [i for i in found if i >= first and structure.regular[i]]
     return [i for i in found if (by_state or mixed) and owners[i] == owners[(by_state or mixed)[0]]]
-
-
-def with_possible_ends(structure: PhaseStructure, longest: float) -> PhaseStructure:
-    """Return the structure without bangs beside arcs of second order that would lead beyond their limit.
-
-    An arc is met, and left, with S'' away from its limit. A mesh holds it with a control that swings, and shows the
-    ends of that as bangs of the other sign, no longer than this (s), between the arc and the bang that is right: they
-    are of the arc. Or that bang is too short to be seen: a short one is put there.
-    """
-    for k in range(1, structure.pieces):
-        for row in structure.changes(k):
-            entered = structure.kinds[k][row].at_limit
-            arc, bang, beyond = (k, k - 1, k - 2) if entered else (k - 1, k, k + 1)
-            if structure.orders[row] < 2 or len(structure.holders[row]) != 1 or structure.leans[row] == (0,):
-                continue
-            (i,), limit = structure.holders[row], structure.kinds[arc][row]
-            outward = limit.sign * structure.leans[row][0]
-            if structure.kinds[arc][i] is not ArcKind.SINGULAR or structure.kinds[bang][i].sign != outward:
-                continue
-            right = 0 <= beyond < structure.pieces and structure.kinds[beyond][i].sign == -outward
-            if right and structure.lengths[bang] < longest:
-                start, end = structure.times[bang], structure.times[bang + 1]
-                wider = structure.with_arc(i, start, end, ArcKind.SINGULAR).with_arc(row, start, end, limit)
-                return with_possible_ends(wider, longest)
-            room = min(0.25 * longest, *(0.5 * structure.lengths[[arc, bang]]))
-            start, end = structure.times[k] - 0.5 * room, structure.times[k] + 0.5 * room
-            inward = ArcKind.LOWER if outward > 0 else ArcKind.UPPER
-            ended = structure.with_arc(row, start, end, ArcKind.INTERIOR).with_arc(i, start, end, inward)
-            return with_possible_ends(ended, longest)
-    return structure

@@ -24,9 +24,6 @@ CONTACT_MIN_COST_SHARE = 1e-5
 CONTACT_MERGE_SEGMENTS = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
 
-TURNING = 0.05
-"""Share of a singular arc along which a vector is at its limit to begin with, to turn there."""
-
 FEW = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
 
@@ -81,11 +78,9 @@ class Push:
                 switches = [self._switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
-                turned = structure
                 if len(structure.holders[self.row]) > 1:
                     start, end = self._up_to_arcs(structure, start, end, samples)
-                    turned = self._turned(structure, start, end)
-                structure = turned.with_arc(
+                structure = structure.with_arc(
                     self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
                 )
                 continue
@@ -115,19 +110,6 @@ class Push:
         """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
         end = self._end_touched(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
-
-    def beside_slide(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is in the segment beside an end of an arc of its own that is where the solver wants it.
-
-        A vector turns fast there: what pushes is the mesh, which has to be finer.
-        """
-        pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
-        for k in range(1, structure.pieces):
-            if self.row in structure.changes(k) and structure.slides(k):
-                at = int(np.argmin(np.abs(breaks - structure.times[k])))
-                if np.all((pushing >= breaks[at - 1]) & (pushing <= breaks[at + 1])):
-                    return True
-        return False
 
     def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.
@@ -202,25 +184,6 @@ class Push:
                 if start - reach < leave < end:
                     start = min(start, leave)
         return start, end
-
-    def _turned(self, structure: PhaseStructure, start: float, end: float) -> PhaseStructure:
-        """Return the structure with singular vectors beside an arc at their limits for a while, to turn on it.
-
-        The solver finds out how long; a very short arc is no place to begin.
-        """
-        turned = structure
-        for k in range(1, structure.pieces):
-            time = structure.times[k]
-            for near, other, far in ((k - 1, k, structure.times[k + 1]), (k, k - 1, structure.times[k - 1])):
-                if time != (end if near < k else start):
-                    continue
-                room = max(TURNING - (end - start) / abs(far - time), 0.0) * (far - time)
-                first, last = sorted((time, time + room))
-                for i in structure.holders[self.row]:
-                    kinds = structure.kinds[near][i], structure.kinds[other][i]
-                    if kinds == (ArcKind.INTERIOR, ArcKind.SINGULAR) and room:
-                        turned = turned.with_arc(i, first, last, ArcKind.INTERIOR)
-        return turned
 
     def _segments(self, samples: PhaseSamples) -> Indices:
         """The segments of the nodes."""

@@ -29,13 +29,12 @@ from gnc_opt.arrays import Indices
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.contact_cleanup import with_possible_ends, without_overlaps
+from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MERGE_SEGMENTS,
     LASTING,
     Push,
     pushing_runs,
-    runs_of,
 )
 from gnc_opt.planning.refinement.arcs.control_oscillation import without_ringing
 from gnc_opt.planning.refinement.arcs.ends import with_starts_on_limits
@@ -45,9 +44,6 @@ from gnc_opt.tolerances import TINY
 
 SWINGING = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
-
-EXCEEDED = 1e-8
-"""A constraint beyond its limit by this share of what it moves is left."""
 
 OVERRUN = 1e-6
 """A control that leaves its bound by this share of its range runs into it."""
@@ -130,9 +126,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         return without_ringing(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
-    structure = without_ringing(structure, constraints, CONTACT_MERGE_SEGMENTS)
-    longest = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)))
-    structure = with_possible_ends(without_overlaps(structure), longest)
+    structure = without_overlaps(without_ringing(structure, constraints, CONTACT_MERGE_SEGMENTS))
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
@@ -148,7 +142,6 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         for run in found
         if run.possible(structure)
         and not run.known(structure, constraints.samples)
-        and not run.beside_slide(structure, constraints.samples)
         and not run.beside_touch(structure, constraints.samples)
     ]
 
@@ -175,13 +168,6 @@ def pushed_contact(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
     return _worst_added(constraints, structure, _runs_of_pushes(constraints, structure))
-
-
-def crossed_contact(
-    constraints: StateConstraints, structure: PhaseStructure
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with a contact where a constraint is left, and what was done; None if none is."""
-    return _worst_added(constraints, structure, _excesses(constraints, structure))
 
 
 def overrun_bound(
@@ -238,18 +224,3 @@ def _worst_added(
             label = labels[run.row - len(structure.controls)]
             return added, f"contact of {label} added at {at:.4g} s"
     return None, ""
-
-
-def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
-    """Samples at which constraints are left beside their arcs and between points."""
-    s, first = constraints.samples, len(structure.controls)
-    values = constraints.values(s.times, s.x, s.u_polynomial)
-    found: list[Push] = []
-    for row in np.flatnonzero(structure.orders[first:]):
-        known = structure.contact(first + int(row), s.times)
-        for kind, limit in constraints.limits(int(row)):
-            excess = np.where(known, 0.0, kind.sign * (values[row] - limit) / constraints.scales[row])
-            found += [
-                Push(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in runs_of(excess > EXCEEDED)
-            ]
-    return [run for run in found if run.possible(structure)]

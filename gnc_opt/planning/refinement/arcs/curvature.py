@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX
 
@@ -84,45 +80,6 @@ def _coupled(samples: PhaseSamples) -> Mask:
     shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
     np.fill_diagonal(shares, 0.0)
     return np.asarray(np.any(shares > LINEAR_CURVATURE_SHARE, axis=1))
-
-
-def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure with the times at which H is linear in controls that it is convex in at others.
-
-    A path constraint is left or met with a jump where one of its controls jumps.
-    """
-    flat, count = curvature(samples) <= CONVEX, len(structure.controls)
-    convex = np.asarray(structure.regular[:count], dtype=bool)
-    rows = {int(i): flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
-    if rows and structure.n_paths:
-        slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-        for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
-            rows[count + int(path)] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
-    return replace(structure, flat=_spans(rows, samples, 1))
-
-
-def with_arched_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure with the times at which H is strictly convex in controls that it is not convex in at others.
-
-    There they enter and leave their bounds with kinks, however short they are between them.
-    """
-    convex = curvature(samples) > CONVEX
-    rows = {int(i): convex[i] for i in np.flatnonzero(curved_channels(samples)) if not structure.regular[i]}
-    return replace(structure, arched=_spans(rows, samples, 0))
-
-
-def _spans(
-    rows: Mapping[int, Mask], samples: PhaseSamples, beyond: int
-) -> tuple[tuple[int, float, float], ...]:
-    """Rows with start and end (s) of the times along which something holds, up to so many samples beyond."""
-    found, times = [], samples.times
-    for row, here in rows.items():
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
-        found += [
-            (row, float(times[max(a - beyond, 0)]), float(times[min(b - 1 + beyond, here.size - 1)]))
-            for a, b in edges.reshape(-1, 2)
-        ]
-    return tuple(found)
 
 
 def curvature(samples: PhaseSamples) -> Array:

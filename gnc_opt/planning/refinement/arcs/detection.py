@@ -10,7 +10,6 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.contacts import Determined, determined, with_contacts
 from gnc_opt.planning.refinement.arcs.curvature import (
     affine_channels,
@@ -18,14 +17,12 @@ from gnc_opt.planning.refinement.arcs.curvature import (
     curvature,
     linear_limits,
     regular_channels,
-    with_flat_times,
 )
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
 from gnc_opt.planning.refinement.arcs.vector_arcs import label_vectors
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.singular_arcs import chatters
 from gnc_opt.tolerances import CONVEX
 
 CONTROL_AT_BOUND_SHARE = 0.02
@@ -105,7 +102,7 @@ def detect(
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
     kinds = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
-    found = PhaseStructure(
+    return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
@@ -122,21 +119,6 @@ def detect(
         slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
         leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
     ).merged()
-    return with_flat_times(found, samples)
-
-
-def with_bangs(problem: Problem, samples: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
-    """Return the structure with bangs, as the signs of the switching functions are, in place of arcs that chatter."""
-    affine = affine_channels(samples)
-    for i in np.flatnonzero(np.any(structure.controls == ArcKind.SINGULAR, axis=1)):
-        if not affine[i] or not chatters(problem, samples, int(i)):
-            continue
-        labels = choose(samples.control_gradient[i] > 0, ArcKind.LOWER, ArcKind.UPPER)
-        kinds = [labels[0], *labels[1:][labels[1:] != labels[:-1]]]
-        edges = [structure.times[0], *_middles(samples, labels), structure.times[-1]]
-        for kind, start, end in zip(kinds, edges[:-1], edges[1:], strict=True):
-            structure = structure.with_arc(int(i), start, end, kind)
-    return structure
 
 
 def switching(samples: PhaseSamples, times: Array) -> Array:

@@ -46,7 +46,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.pieces):
-        if structure.kinked(boundary) and not structure.slides(boundary):
+        if structure.kinked(boundary):
             wanted = [
                 junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]

@@ -19,8 +19,6 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, points_of
-from gnc_opt.planning.refinement.arcs.arc_refinement import smoother
-from gnc_opt.planning.refinement.arcs.curvature import with_arched_times, with_flat_times
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.resolution import resolved
 from gnc_opt.planning.refinement.arcs.split_switches import shared, solve_apart
@@ -30,7 +28,6 @@ from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limi
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
-from gnc_opt.planning.refinement.switching.costates import settle_costates
 from gnc_opt.planning.refinement.switching.newton import settle
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -133,11 +130,12 @@ def _with_unique_costates(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates that make every switching function vanish where switches share a time."""
-    settled = settle_costates(solution)
-    if not any(shared(plan.structure) for plan in plans.values()) or verify(settled).ok:
-        return settled
+    if not any(shared(plan.structure) for plan in plans.values()) or verify(solution).ok:
+        return solution
     apart = solve_apart(solution, plans, options, deadline)
-    return settled if apart is None or not verify(apart).ok else apart
+    if apart is None or verify(apart).ok:
+        return apart or solution
+    return min(solution, apart, key=lambda each: each.objective_error.value)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
@@ -213,10 +211,10 @@ class _Loop:
             if begin > self.limits.deadline:
                 return RefinementStatus.INTERRUPTED
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
-                return self._limited(RefinementStatus.POINT_LIMIT)
+                return RefinementStatus.POINT_LIMIT
             spent = sum(record.work for record in self.records)
             if self.limits.are_spent(self.records, spent, self._allowed_factor):
-                return self._limited(RefinementStatus.BUDGET_LIMIT)
+                return RefinementStatus.BUDGET_LIMIT
             within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
             found = flown or _solve(self.problem, plans, solution, self.options, within)
             flown = None
@@ -235,8 +233,6 @@ class _Loop:
             plans, action = improve(solution, current, left, self.aim)
             record = _record(solution, begin, action or "structure stands")
             resolved = _resolved([*self.records, record], self.aim)
-            if resolved and (finer := smoother(solution, current)) != current:
-                plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
             self._note(_Try(solution, current, record))
             if len(self.records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
@@ -246,7 +242,7 @@ class _Loop:
             again, asked = changes & asked, changes | asked
             if again or _restless(self.records):
                 return RefinementStatus.STALLED
-        return self._limited(RefinementStatus.ITERATION_LIMIT)
+        return RefinementStatus.ITERATION_LIMIT
 
     @property
     def aim(self) -> float:
@@ -272,12 +268,6 @@ class _Loop:
     def _note(self, tried: _Try) -> None:
         self.tries.append(tried)
         self.show(tried.record)
-
-    def _limited(self, status: RefinementStatus) -> RefinementStatus:
-        """How it ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
-        last = self.records[-1:]
-        rests = any(r.solved and r.actions == RAISED and r.error <= self.tol for r in last)
-        return RefinementStatus.CONVERGED if rests else status
 
 
 def _instead(
@@ -341,15 +331,10 @@ def _solve(
 
 
 def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
-    """Return the plan with the switch times of the solution, and with those at which H is linear in controls."""
+    """Return the plan with the switch times of the solution."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
-    found = plan.structure.at(times)
-    if any(found.regular):
-        found = with_flat_times(found, solution.samples()[name])
-    if found.bends:
-        found = with_arched_times(found, solution.samples()[name])
-    return replace(plan, structure=found)
+    return replace(plan, structure=plan.structure.at(times))
 
 
 def _record(solution: Solution, begin: float, action: str) -> RefinementIteration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -32,7 +32,7 @@ class PhaseStructure:
         it likes, SINGULAR between its bounds though it enters H linearly.
     regular : tuple of bool
         For each row whether H is convex in the control, so that it enters and leaves its bounds (or the mixed path
-        constraint) with kinks instead of jumps, but for times at which it is ``flat``.
+        constraint) with kinks instead of jumps.
     n_controls : int or None
         The rows are so many controls, then path constraints, then states, at the limit that is active there or
         interior; None: controls only.
@@ -49,10 +49,6 @@ class PhaseStructure:
     leans : tuple of tuple of int
         For each of the rows with an order, and of mixed path constraints, the signs of what each of the holders does to
         it, or to its derivative of the constraint's order; 0 if that changes.
-    flat : tuple of tuple
-        Row, start and end (s) of times at which H is linear in a control that it is convex in at others.
-    arched : tuple of tuple
-        The same for times at which H is strictly convex in a control that it is neither linear nor convex in at others.
     """
 
     times: tuple[float, ...]
@@ -65,8 +61,6 @@ class PhaseStructure:
     holders: tuple[tuple[int, ...], ...] = ()
     slopes: tuple[int, ...] = ()
     leans: tuple[tuple[int, ...], ...] = ()
-    flat: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
-    arched: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not self.orders:
@@ -164,27 +158,18 @@ class PhaseStructure:
         a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
         state constraint or from another limit, the time is as well determined as that of a switch: both are met.
         """
-        if self.taken_over(boundary) or self.handed_over(boundary) or self.jumped_to(boundary):
+        if self.taken_over(boundary) or self.handed_over(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self._bends_at(i, boundary) or self._determines(i, boundary) or self.gives_out(i, boundary))
+            (self.regular[i] or self._determines(i, boundary) or self.gives_out(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
         )
 
-    def _bends_at(self, row: int, boundary: int) -> bool:
-        """Whether a row is of a control that H is strictly convex in at a boundary."""
-        time = self.times[boundary]
-        spans = self.flat if self.regular[row] else self.arched
-        return self.regular[row] != any(i == row and a <= time <= b for i, a, b in spans)
-
     def curved(self) -> Mask:
         """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
-        found = np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
-        for row, start, end in self.flat:
-            found[row] &= (np.asarray(self.times[1:]) <= start) | (np.asarray(self.times[:-1]) >= end)
-        return found
+        return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
 
     def gives_out(self, row: int, boundary: int) -> bool:
         """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
@@ -203,21 +188,6 @@ class PhaseStructure:
             and not all(bound[other].at_limit for other in holders)
             for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
         )
-
-    def slides(self, boundary: int) -> bool:
-        """Whether the direction of a vector turns there to hold a state constraint, or no more.
-
-        As little as the vector may matter to H, as fast does it turn: only close to its end such an arc has a kink.
-        """
-        beside = (self.kinds[boundary - 1], self.kinds[boundary])
-        turning = [
-            kinds[i] is ArcKind.INTERIOR and not self.regular[i]
-            for row in self.changes(boundary)
-            if self.orders[row]
-            for kinds in beside
-            for i in self.holders[row]
-        ]
-        return self.kinked(boundary) and any(turning)
 
     def handed_over(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
@@ -250,21 +220,6 @@ class PhaseStructure:
         lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
         sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
-
-    def jumped_to(self, boundary: int) -> list[int]:
-        """Return the controls that are at a bound on one side of a boundary and hold a state constraint on the other.
-
-        Of second order or higher: where H determines such a control it is continuous, and goes from one to the other
-        along an interior arc, which may be too short for the mesh to show. Without that it jumps, at a time that the
-        cost depends on as on that of a switch.
-        """
-        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
-        found: list[int] = []
-        for row in rows:
-            if self.orders[row] > 1:
-                free = beside[0] if beside[1][row].at_limit else beside[1]
-                found += [i for i in self.holders[row] if i in rows and self.regular[i] and free[i].at_limit]
-        return found
 
     def _slope(self, row: int) -> int:
         """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""

@@ -15,7 +15,6 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.arc_refinement import SINGULAR_GAIN_MAX, defects, finer, open_gradient
 from gnc_opt.planning.refinement.arcs.contacts import (
-    crossed_contact,
     overrun_bound,
     pushed_contact,
     wrong_touch,
@@ -23,7 +22,6 @@ from gnc_opt.planning.refinement.arcs.contacts import (
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.planning.refinement.arcs.detection import SMALL
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
-from gnc_opt.planning.refinement.arcs.pressed_bounds import unpinned
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -44,12 +42,6 @@ at one time its length falls like the square root of the barrier, which ends at 
 CHATTER, CHATTER_MIN_SWITCHES = 5, 30.0
 """So many switches of one control where its switching function stays small are no bangs. All but one of them at least
 are between bangs that leave no more than so many times the violation."""
-
-LEFT_OPEN = 5e-6
-"""Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
-
-ENDS = 3.0
-"""Polynomials of degree n cannot follow what is shorter than this over n squared, at the ends of their piece."""
 
 SATURATED = 1e-3
 """A singular control this close to a bound, relative to its range, has reached it."""
@@ -80,8 +72,6 @@ def improve(
         structure, action = _saturated(s, plans[name], left)
         if structure is None:
             structure, action = _overrun(s, plans[name])
-        if structure is None:
-            structure, action = unpinned(s, plans[name], left)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -90,8 +80,6 @@ def improve(
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
         structure, action = _complete(s, plans[name], problem)
-        if structure is None:
-            structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
             left.add((name, plans[name].structure.at(())))
             return {**plans, name: plans[name].completed(structure)}, action
@@ -172,23 +160,15 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
     kinds = plan.structure.matrix()[:, pieces]
     violation, asked = _structure_violations(samples, plan.structure, kinds)
     curved = _curved_rows(samples, violation.shape[0])
-    jumps = [
-        (plan.structure.jumped_to(k), np.flatnonzero(pieces == k)[0] - 1)
-        for k in range(1, plan.structure.pieces)
-    ]
     for i in range(violation.shape[0]):
-        jumped = [int(j) for rows, j in jumps if i in rows]
-        _forgive_own_switches(violation[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE, jumped)
+        _forgive_own_switches(violation[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE)
     if violation.size and (found := _chatter(samples, plan.structure, violation, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
         return plan.structure.with_arc(
             i, start, end, ArcKind.SINGULAR
         ), f"{label} singular from {start:.4g} s"
-    structure, action = _with_worst(samples, plan.structure, violation, asked)
-    if structure is not None and structure.bends:
-        structure = _with_bends(samples, structure, violation, asked)
-    return structure, action
+    return _with_worst(samples, plan.structure, violation, asked)
 
 
 def _chatter(
@@ -237,23 +217,6 @@ def _with_worst(
     return mended, f"arc of {label} added at {start:.4g} s"
 
 
-def _with_bends(
-    samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
-) -> PhaseStructure:
-    """Return the structure with all short interior arcs that bangs ask for where H bends in a control.
-
-    Those of different switches know little of each other; one after the other, each would cost a solve.
-    """
-    curved = _curved_rows(samples, violation.shape[0])[:, None]
-    left = np.where(curved & (asked == ArcKind.INTERIOR), violation, 0.0)
-    while left.max(initial=0.0) >= SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN:
-        i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
-        start, end = _wrong_interval(samples, left[i])
-        structure = structure.with_arc(i, start, end, ArcKind.INTERIOR)
-        left[i, (samples.times >= start) & (samples.times <= end)] = 0.0
-    return structure
-
-
 def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
     """Which of so many rows are controls that H bends in either way."""
     curved = np.zeros(count, dtype=bool)
@@ -300,9 +263,8 @@ def _saturated(
     """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
 
     A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
-    switching function of that bound's sign, which a higher degree does not take away. At the ends of the arc, where it
-    meets other arcs, touches and given states, the jump may be too short for the polynomial to follow; there what is
-    left open is enough. Structures that have been left are not tried again.
+    switching function of that bound's sign, which a higher degree does not take away. Structures that have been left
+    are not tried again.
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
     singular = plan.structure.controls == ArcKind.SINGULAR
@@ -312,9 +274,7 @@ def _saturated(
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, open_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
-    stuck &= ~_on_rough_contact(samples, plan)
-    unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
-    jumps = np.where(gain > 0, at_lower, at_upper) | unseen
+    jumps = np.where(gain > 0, at_lower, at_upper)
     reached = singular & stuck & affine_channels(samples)[:, None] & jumps
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
@@ -334,33 +294,6 @@ def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, 
     return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
-def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
-    """Which samples are on pieces held by a state constraint whose dynamics are far off between the nodes still.
-
-    There the switching function of a control that holds the constraint is an error of the mesh.
-    """
-    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
-    rough = np.max(defects(samples), axis=0) > SINGULAR_GAIN_MAX
-    return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
-
-
-def _unseen(samples: PhaseSamples, plan: Plan, gain: Array) -> Mask:
-    """Where each row keeps the sign that it has at an end of its piece, if the polynomials are too stiff to follow.
-
-    What is orthogonal to polynomials of degree n changes its sign that close to the ends.
-    """
-    pieces, found = plan.segment_pieces[samples.segments], np.zeros(gain.shape, dtype=bool)
-    for piece, (r, length) in enumerate(zip(plan.resolutions, plan.structure.lengths, strict=True)):
-        here = np.flatnonzero(pieces == piece)
-        for run in (here, here[::-1]) if r.smooth else ():
-            same = np.logical_and.accumulate(gain[:, run] * gain[:, run[:1]] > 0, axis=1)
-            reach = np.sum(same, axis=1)
-            last = samples.times[run[np.maximum(reach - 1, 0)]]
-            close = np.abs(last - samples.times[run[0]]) < ENDS / r.smooth**2 * length
-            found[:, run] |= same & close[:, None]
-    return found
-
-
 def _around(holds: Mask, j: int) -> slice:
     """The run of samples around the j-th in which something holds."""
     fails = np.flatnonzero(~holds)
@@ -368,16 +301,13 @@ def _around(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _forgive_own_switches(
-    violation: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
-) -> None:
+def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = WRONG_SLOPE) -> None:
     """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
-    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch. Nor is it zero
-    where the control has ``jumped`` from holding a state constraint.
+    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.
     """
-    for j in set(np.flatnonzero(kinds[1:] != kinds[:-1])).difference(jumped):
+    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
             _run_of(violation > 0, range(int(j), -1, -1)),
             _run_of(violation > 0, range(int(j) + 1, violation.size)),

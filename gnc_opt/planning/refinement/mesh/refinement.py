@@ -19,7 +19,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import last_barrier
-from gnc_opt.planning.refinement.error import ABSOLUTE_ERROR_MAGNITUDE, PhaseError, estimate_errors
+from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.planning.refinement.mesh.remesh import (
     REMESH_TOLERANCE_SHARE,
@@ -77,9 +77,6 @@ order), ..."""
 
 REPAIRS = 1
 """... and with so many passes to mend what became too coarse."""
-
-UNEXPLAINED = 10.0
-"""An objective that moves by more than this many times the error of the last mesh has not settled."""
 
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
@@ -180,7 +177,6 @@ class _Refinement:
         self._trimmed_once, self._repairs = False, 0
         self._lean = 0  # points of the last mesh of which hardly anything could go
         self._departure = DEPARTURE * math.sqrt(tol)
-        self._confirming = False
         self._begin = time.perf_counter()
         self._state = self._evaluated(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
@@ -215,9 +211,6 @@ class _Refinement:
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
         if self._converged(self._state.record):
-            if not self._settled():
-                return RefinementStatus.STALLED if self._confirming else self._confirm()
-            self._confirming = False
             plan = self._trimmed()
             if plan is None:
                 return RefinementStatus.CONVERGED
@@ -286,27 +279,6 @@ class _Refinement:
             meshes[name], actions = remesh(name, error)
             total = total + actions
         return meshes, total
-
-    def _settled(self) -> bool:
-        """Whether the objective has moved no more than the error of the last mesh explains.
-
-        A control that chatters can be exact on every mesh and different on each.
-        """
-        if len(self._records) < 2 or self._trimmed_once:
-            return True
-        old, new = self._records[-2:]
-        worth = max(
-            ABSOLUTE_ERROR_MAGNITUDE,
-            abs(new.objective),
-            *(_cost_scale(e) for e in self._state.errors.values()),
-        )
-        return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
-
-    def _confirm(self) -> NextMeshes:
-        """Halve all segments: a proper solution stays where it is."""
-        self._confirming = True
-        meshes = {name: _halved(mesh) for name, mesh in self._state.record.meshes.items()}
-        return meshes, Actions(split=sum(mesh.segments for mesh in self._state.record.meshes.values()))
 
     def _too_many(self, meshes: dict[str, Mesh]) -> bool:
         return max(mesh.size for mesh in meshes.values()) > self._limits.points
@@ -387,17 +359,3 @@ class _Refinement:
 
 def _size(meshes: dict[str, Mesh]) -> int:
     return sum(mesh.size for mesh in meshes.values())
-
-
-def _halved(mesh: Mesh) -> Mesh:
-    breaks = np.asarray(mesh.breaks)
-    times = np.sort(np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
-    return Mesh.at_times(times, [n for n in mesh.degrees for _ in range(2)])
-
-
-def _cost_scale(error: PhaseError) -> float:
-    """The magnitude of the integrals' share of the cost."""
-    leg = error.samples.leg
-    return (
-        float(np.sum(np.abs(leg.integral_weights) * error.yardstick.integral)) if leg.integral_labels else 0.0
-    )

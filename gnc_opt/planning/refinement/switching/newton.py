@@ -23,7 +23,6 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.detection import with_bangs
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
 from gnc_opt.planning.refinement.switching.flight import SwitchFlight
 from gnc_opt.planning.refinement.switching.step import SwitchStep, chord_step, newton_step
@@ -86,7 +85,6 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
         None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
-    structure = with_bangs(problem, s, structure)
     if not _fits(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS
