@@ -7,8 +7,9 @@ Four dimensionless errors, none of which the solver sees:
   of its magnitude;
 * overshoot: violation of bounds and path constraints between the nodes: the largest value for functions of
   the states alone, the mean over the phase for those of the controls;
-* costates: the square of the residual of their differential equation
-  (`gnc_opt.planning.refinement.costate_error`).
+* costates: the square of the residual of their differential equation, the integral of |d(lambda)/dt + dH_a/dx + z|,
+  times the state's magnitude over the cost's. Segments with an active constraint of the states alone are left out:
+  costates may jump there.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.refinement.costate_error import COSTATE_ERROR_WEIGHT, adjoint_density
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import defined
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -33,6 +33,12 @@ ABSOLUTE_ERROR_MAGNITUDE = 1e-6
 
 PEAK = 1e-3
 """Weight of the peak of a control beyond its bounds: errors below 1e-8 keep it below 1e-5."""
+
+COSTATE_ERROR_WEIGHT = 20.0
+"""A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
+
+ACTIVE_MULTIPLIER_SHARE = 1e-6
+"""A multiplier of this share of H, or an impulse of this share of the cost, says that a constraint is active."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +95,7 @@ class SampledPieces:
 
 @dataclass(frozen=True, eq=False)
 class ErrorScales:
-    """Magnitudes along a phase to which its errors are relative; ``hamiltonian`` is that of H's terms."""
+    """Magnitudes along a phase to which its errors are relative."""
 
     leg: PhaseSolution
     functions: PhaseFunctions
@@ -98,7 +104,6 @@ class ErrorScales:
     integral: Array
     path: Array
     path_has_control: Mask
-    hamiltonian: float
 
     @classmethod
     def of(cls, samples: PhaseSamples) -> ErrorScales:
@@ -125,7 +130,6 @@ class ErrorScales:
             np.where(integral > ABSOLUTE_ERROR_MAGNITUDE, integral, 1.0),
             np.where(path > ABSOLUTE_ERROR_MAGNITUDE, path, 1.0),
             has_control,
-            samples.hamiltonian_scale,
         )
 
     @property
@@ -140,7 +144,7 @@ class ErrorScales:
         ----------
         pieces : SampledPieces
         adjoint : array (n_states, n_samples)
-            Residual of the costates' equation at the samples; see `gnc_opt.planning.refinement.costate_error`.
+            Residual of the costates' equation at the samples; see `costate_residual`.
         """
         f, leg = self.functions, self.leg
         at = pieces.times, pieces.x, pieces.u
@@ -160,15 +164,6 @@ class ErrorScales:
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
         costates = (COSTATE_ERROR_WEIGHT * pieces.total(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
-
-    def stationarity(self, pieces: SampledPieces, lam: Array) -> Array:
-        """Return |dH/du| with multipliers, in shares of H, (n_controls, n_samples), for costates ``lam``."""
-        leg, times = self.leg, pieces.times
-        mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-        slope = self.functions.control_gradient(times, pieces.x, pieces.u, lam, mu)
-        if np.any(leg.control_multipliers):
-            slope = slope + leg.control_multiplier(times)
-        return np.asarray(np.abs(slope) * self.control[:, None] / self.hamiltonian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +215,7 @@ class PhaseError:
         """Estimate the error of each segment of a phase."""
         leg = samples.leg
         yardstick, pieces = ErrorScales.of(samples), SampledPieces.of(samples)
-        adjoint = adjoint_density(samples, yardstick.pure_paths)
+        adjoint = costate_residual(samples, yardstick.pure_paths)
         errors = yardstick.evaluate(pieces, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
@@ -250,6 +245,41 @@ class PhaseError:
 def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
     """Return the error estimate of every phase of a solution; needs its problem."""
     return {name: PhaseError.of(samples) for name, samples in solution.samples().items()}
+
+
+def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
+    """Return the residual (n_states, n_samples) in shares of the cost per second; zero where it does not count.
+
+    Parameters
+    ----------
+    samples : PhaseSamples
+    pure_paths : array (n_paths,)
+        Magnitude of each path constraint that depends on the states alone; 0 for the others.
+    """
+    s, leg, times = samples, samples.leg, samples.times
+    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
+    residual = s.lam_rate + s.functions.state_gradient(times, s.x, s.u, s.sample(leg.lam), mu)
+    if np.any(leg.state_multipliers):
+        residual = residual + leg.state_multiplier(times)
+    cost_shares = s.state_scale / s.cost_scale
+    counts = _without_state_limits(s, pure_paths, cost_shares)[s.segments]
+    return np.where(counts, np.abs(residual) * cost_shares[:, None], 0.0)
+
+
+def _without_state_limits(samples: PhaseSamples, pure_paths: Array, cost_shares: Array) -> Mask:
+    """Return in which segments (K,) no constraint of the states alone is active, neither inside nor at the ends."""
+    leg = samples.leg
+    forces = np.concatenate(
+        [
+            np.abs(leg.state_multipliers) * samples.state_scale[:, None],
+            np.abs(leg.path_multipliers) * pure_paths[:, None],
+        ]
+    )
+    pushed = np.any(forces > ACTIVE_MULTIPLIER_SHARE * samples.hamiltonian_scale, axis=0)
+    jumps = np.any(np.abs(leg.state_impulses) * cost_shares[:, None] > ACTIVE_MULTIPLIER_SHARE, axis=0)
+    jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
+    held = np.logical_or.reduceat(pushed, leg.mesh.offsets[:-1])
+    return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
 def largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:

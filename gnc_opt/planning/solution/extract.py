@@ -99,8 +99,8 @@ def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, 
 
 def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
-    # Far from t = 0 the shortest span must still be seen by the segments' boundaries.
-    shortest = SHORTEST + ROUNDING * mesh.segments * float(np.max(np.abs(anchors)))
+    # Far from t = 0 the narrowest segment of the shortest span must still be seen by its boundaries.
+    shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
     spans = np.maximum(np.diff(anchors), shortest)
     starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
     breaks = np.append(starts[mesh.segment_arcs] + mesh.arc_starts * spans[mesh.segment_arcs], starts[-1])

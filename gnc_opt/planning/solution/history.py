@@ -153,24 +153,13 @@ class Actions:
         Segments whose degree went up.
     split : int
         Segments cut into pieces.
-    merged : int
-        Segments that vanished into a neighbour.
-    lowered : int
-        Segments whose degree went down.
     """
 
     raised: int = 0
     split: int = 0
-    merged: int = 0
-    lowered: int = 0
 
     def __add__(self, other: Actions) -> Actions:
-        return Actions(
-            self.raised + other.raised,
-            self.split + other.split,
-            self.merged + other.merged,
-            self.lowered + other.lowered,
-        )
+        return Actions(self.raised + other.raised, self.split + other.split)
 
     def __str__(self) -> str:
         parts = [f"{n} {word}" for word, n in vars(self).items() if n]

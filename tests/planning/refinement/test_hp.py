@@ -12,8 +12,7 @@ from testing.internals import PassLimits, estimate_errors, refine_mesh
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.refinement.costate_error import COSTATE_ERROR_WEIGHT, adjoint_density
-from gnc_opt.planning.refinement.error import largest_error
+from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, largest_error
 from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, crawls
 from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
 from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED
@@ -222,20 +221,11 @@ def test_a_thin_layer_is_cut_at_once(thin: go.Solution) -> None:
     )  # each end four times the last
 
 
-def test_merging_keeps_the_cost_of_a_thin_layer(thin: go.Solution) -> None:
-    """J = 1 / (2 k) with k = 1e4: the mesh that is merged after the layer is resolved has it to rounding, too."""
+def test_the_cost_of_a_thin_layer(thin: go.Solution) -> None:
+    """J = 1 / (2 k) with k = 1e4."""
     refined = go.refine(thin, tol=1e-6)
-    assert refined.converged and go.verify(refined).ok and refined.history is not None
-    assert refined.history.final.actions.merged > 0
-    assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
-
-
-def test_merging_shrinks_a_mesh_that_is_too_fine() -> None:
-    solution, history = refine_mesh(go.solve(regulator(), mesh="60x6", tol=None), tol=1e-8)
-    check(history, 1e-8)
-    assert history.passes[0].points == 360 and history.final.points < 70
-    assert sum(p.actions.merged for p in history.passes) > 50  # type: ignore[union-attr]
-    assert solution.objective == pytest.approx(np.tanh(10.0) / 2, rel=1e-8)
+    assert refined.converged and go.verify(refined).ok
+    assert refined.objective == pytest.approx(1 / 2e4, rel=1e-9)
 
 
 def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
@@ -254,7 +244,6 @@ def test_state_constraint_from_both_sides() -> None:
     solution, history = refine_mesh(go.solve(double_integrator(height=1 / 9), tol=None), tol=1e-8)
     check(history, 1e-8)
     assert solution.objective == pytest.approx(4.0, rel=1e-7)
-    assert history.final.points < 60
 
 
 def test_switches_are_closed_in_upon() -> None:
@@ -504,7 +493,7 @@ def test_density_is_the_residual_of_the_costates() -> None:
     times = samples.times[inner]
     residual = np.abs(leg.lam.derivative()(times)[0] + leg.x(times)[0])  # H_x = x
     worth = samples.state_scale[0] / samples.cost_scale
-    density = adjoint_density(samples, np.zeros(0))[0, inner]
+    density = costate_residual(samples, np.zeros(0))[0, inner]
     assert np.max(residual) > 1e-3, "the mesh would be fine: the test tests nothing"
     np.testing.assert_allclose(density, residual * worth, rtol=1e-9, atol=1e-13)
 

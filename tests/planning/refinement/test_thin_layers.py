@@ -48,4 +48,3 @@ def test_a_kink_in_a_layer_at_the_end_of_a_long_phase() -> None:
     assert refined.history is not None and refined.history.converged
     assert go.verify(refined).minimum
     assert refined.objective == pytest.approx(along_bound(), rel=1e-9)
-    assert refined.phase().mesh.size < 300

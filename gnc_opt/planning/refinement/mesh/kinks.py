@@ -17,6 +17,9 @@ UNSURE = 0.05
 SHARPENING = 2.0
 """Order by which a kink's estimate improves with the length of its gap, in shares of the phase."""
 
+SEGMENT_MIN_SHARE = 1e-9
+"""Segments are not split below this share of the phase."""
+
 LOCATED_KINK_TOLERANCE = 1e-6
 """A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
 
@@ -156,6 +159,7 @@ def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
+    least = max(least, SEGMENT_MIN_SHARE * leg.duration)
     cuts = [left]
     for edge in (edge for kink in kinks for edge in _edges(kink, LOCATED_KINK_TOLERANCE * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:

@@ -7,7 +7,6 @@ trajectory alone, see `gnc_opt.planning.refinement.error`; how the mesh changes 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +21,6 @@ from gnc_opt.planning.nlp.options import last_barrier
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.planning.refinement.mesh.remesh import (
-    REMESH_TOLERANCE_SHARE,
     UNRESOLVED,
     Past,
     Remesh,
@@ -56,28 +54,6 @@ SOLVED, LAXER = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
 given up at once are worth nothing."""
 
-ROOMY, WORTH_MERGING = 300, 0.1
-"""Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
-takes as long as solving. Where less than that share of the segments could, they grow by `GROWN` before it is tried
-again."""
-
-GROWN = 1.5
-"""An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
-
-WORTH_TRIMMING, TOO_FINE = 0.5, 1e-2
-"""... is solved once more if it can shrink to this share: only segments whose error is less than so many tolerances can
-give away much, and finding out how much takes as long as solving; ..."""
-
-FINAL_MESH_TOLERANCE_SHARE = 0.5
-"""... expecting this share of the tolerance, ..."""
-
-DEPARTURE = 0.01
-"""... with states that move by this share of the tolerance's root (of an optimal cost, they only move the second
-order), ..."""
-
-REPAIRS = 1
-"""... and with so many passes to mend what became too coarse."""
-
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
@@ -94,11 +70,6 @@ class _State:
         """Largest error of the segments whose functions are defined."""
         worst = np.concatenate([e.worst for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
-
-    def points_beyond(self, error: float) -> int:
-        """Collocation points of the segments whose error is smaller than this."""
-        small = [np.asarray(e.samples.leg.mesh.degrees)[e.worst < error] for e in self.errors.values()]
-        return int(np.sum(np.concatenate(small)))
 
     @property
     def total(self) -> float:
@@ -133,7 +104,7 @@ def refine_mesh(
     Returns
     -------
     Solution
-        The best one: the smallest mesh of those within the tolerance, or else the one with the least error.
+        The one within the tolerance, or else the one whose objective has the least error.
     History
         Its ``status`` and ``message`` say how it ended.
 
@@ -174,9 +145,6 @@ class _Refinement:
         self._records: list[RefinementIteration] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
-        self._trimmed_once, self._repairs = False, 0
-        self._lean = 0  # points of the last mesh of which hardly anything could go
-        self._departure = DEPARTURE * math.sqrt(tol)
         self._begin = time.perf_counter()
         self._state = self._evaluated(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
@@ -209,74 +177,29 @@ class _Refinement:
         return sum(record.work for record in self._records[1:])
 
     def _plan(self) -> NextMeshes | RefinementStatus:
-        """Return the next meshes with what was done to get them, or how it ends here."""
-        if self._converged(self._state.record):
-            plan = self._trimmed()
-            if plan is None:
-                return RefinementStatus.CONVERGED
-            self._trimmed_once = True
-            return plan
-        if self._trimmed_once:  # mend a mesh that has become too small, as long as it stays smaller
-            plan = self._finer(self._tol, False)
-            self._repairs += 1
-            smaller = _size(plan[0]) < self._best.record.points
-            return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
-        return self._next()
-
-    def _next(self) -> NextMeshes | RefinementStatus:
-        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse.
+        """Return the next meshes with what was done to get them, or how it ends here.
 
         The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
         do not suffice for a stage, they go to the worst segments.
         """
         last = self._state.record
-        worse = (
-            last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
-        )
+        if self._converged(last):
+            return RefinementStatus.CONVERGED
         error = min(self._state.finite_error, 1.0)
         stage = max(self._tol, (STAGE if error < UNRESOLVED else COARSE_MESH_TOLERANCE_SHARE) * error)
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
-        merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
-        plan = self._finer(stage, merging)
-        if merging:
-            gone = plan[1].merged + plan[1].lowered
-            self._lean = 0 if gone > WORTH_MERGING * last.segments else last.points
+        plan = self._finer(stage)
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-            plan = self._finer(stage, True)
+            plan = self._finer(stage)
         return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
 
-    def _finer(self, stage: float, merging: bool) -> NextMeshes:
-        merge_tol = REMESH_TOLERANCE_SHARE * self._tol if merging else None
-        return self._remeshed(
-            lambda name, error: Remesh(
-                error, stage, self._past.get(name, {}), merge_tol, REMESH_TOLERANCE_SHARE * self._tol
-            ).mesh()
-        )
-
-    def _trimmed(self) -> NextMeshes | None:
-        """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
-        points = self._state.record.points
-        grown = points > min(ROOMY, GROWN * self._records[0].points)
-        if (
-            self._trimmed_once
-            or not grown
-            or self._state.points_beyond(TOO_FINE * self._tol) < (1.0 - WORTH_TRIMMING) * points
-        ):
-            return None
-        plan = self._remeshed(
-            lambda _, error: Remesh(
-                error, self._tol, {}, FINAL_MESH_TOLERANCE_SHARE * self._tol, self._departure
-            ).mesh()
-        )
-        return plan if _size(plan[0]) <= WORTH_TRIMMING * points else None
-
-    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> NextMeshes:
+    def _finer(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
-            meshes[name], actions = remesh(name, error)
+            meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).mesh()
             total = total + actions
         return meshes, total
 
@@ -347,15 +270,9 @@ class _Refinement:
         return state
 
     def _better(self, new: _State, old: _State) -> bool:
-        """Whether a solution is within the tolerance on fewer points, or its objective has the smaller error."""
+        """Whether a solution is within the tolerance, or its objective has the smaller error."""
         if self._converged(new.record) != self._converged(old.record):
             return self._converged(new.record)
-        if self._converged(new.record):
-            return new.record.points < old.record.points
         if not new.record.solved:
             return False
         return new.solution.objective_error.value < old.solution.objective_error.value
-
-
-def _size(meshes: dict[str, Mesh]) -> int:
-    return sum(mesh.size for mesh in meshes.values())

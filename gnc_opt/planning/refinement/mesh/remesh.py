@@ -1,4 +1,4 @@
-"""The next mesh of a phase: where to raise the degree, where to split, where to merge.
+"""The next mesh of a phase: where to raise the degree, where to split.
 
 Smooth segments get the degree that the decay of their Legendre coefficients predicts, others are split: around
 their kinks, or where their error arises. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for
@@ -17,8 +17,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error import PhaseError
-from gnc_opt.planning.refinement.mesh.coarsen import Piece, coarsened
-from gnc_opt.planning.refinement.mesh.kinks import Kink, activity, bracketed, find_kinks
+from gnc_opt.planning.refinement.mesh.kinks import SEGMENT_MIN_SHARE, Kink, activity, bracketed, find_kinks
 from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -26,9 +25,6 @@ from gnc_opt.planning.transcription.mesh import Mesh
 SEGMENT_MAX_DEGREE = 20
 REMESH_TOLERANCE_SHARE = 0.25
 """New meshes aim at this share of the tolerance."""
-
-NARROWEST = 1e-9
-"""Segments are not split below this share of the phase."""
 
 HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
@@ -55,6 +51,15 @@ Past = Mapping[tuple[float, float], tuple[int, float]]
 """What is known of the segments of earlier meshes, by their ends as fractions: degree and error."""
 
 
+@dataclass(frozen=True)
+class Piece:
+    """A segment of a mesh to be: its ends as times (s) and its degree."""
+
+    start: float
+    end: float
+    degree: int
+
+
 @dataclass
 class Remesh:
     """The next mesh of one phase.
@@ -66,18 +71,12 @@ class Remesh:
         Segments with a larger error are refined.
     past : mapping from (start, end) to (degree, error)
         Of the last mesh; ends are fractions of the phase.
-    merge_tol : float or None
-        Error that merged and lowered segments may have; None to leave accurate segments alone.
-    departure : float
-        How far, relatively, merging and lowering may move the states.
     max_degree : int
     """
 
     error: PhaseError
     tol: float
     past: Past = field(default_factory=dict)
-    merge_tol: float | None = None
-    departure: float = 0.0
     max_degree: int = SEGMENT_MAX_DEGREE
 
     def __post_init__(self) -> None:
@@ -90,26 +89,16 @@ class Remesh:
 
     def mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and what was done."""
-        refined: list[Piece] = []
-        accurate: list[Piece] = []
+        pieces: list[Piece] = []
         rates = decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
             own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
-            if self._worst[k] <= self.tol:
-                accurate.append(own)
-            else:
-                refined += self._refined(k, own, float(rates[k]))
-        slim = accurate
-        if accurate and self.merge_tol is not None:
-            slim = coarsened(self.error, accurate, self.merge_tol, self.max_degree, self.departure)
-        known = {(p.start, p.end): p.degree for p in accurate}
-        lowered = sum(p.degree < known.get((p.start, p.end), 0) for p in slim)
-        pieces = sorted([*refined, *slim], key=lambda piece: piece.start)
-        return _mesh(pieces), Actions(self.raised, self.split, len(accurate) - len(slim), lowered)
+            pieces += [own] if self._worst[k] <= self.tol else self._refined(k, own, float(rates[k]))
+        return _mesh(pieces), Actions(self.raised, self.split)
 
     def _refined(self, k: int, own: Piece, rate: float) -> list[Piece]:
         """Return what becomes of an inaccurate segment."""
-        narrow = (own.end - own.start) < NARROWEST * self._leg.duration
+        narrow = (own.end - own.start) < SEGMENT_MIN_SHARE * self._leg.duration
         if narrow:
             return [own]
         if self._active is None:
