@@ -1,9 +1,133 @@
-"""What a mesh shows and no control can do: two limits that one control holds at once."""
+r"""Corrections of contacts that a mesh shows and no trajectory has.
+
+Where a control jumps inside a segment its polynomial swings, and so does the switching function, as multipliers of the
+limit make up for it. What is read from their signs are bangs within a segment, gaps in an arc, and limits that change
+places again and again. Let S have order one, and a bang be beside an arc on S = 0: before the arc it leads to the
+limit, :math:`\dot S \ge 0`, and after it away, :math:`\dot S \le 0`. (It is zero where a limit of the control takes
+over without a jump.) A bang that does neither is of the arc. In the segment in which one limit takes over from another
+both seem to be held by one control.
+
+A mesh of Gauss points has no row for path constraints at the ends of a phase. Where the cost wants a constraint
+:math:`c(t, x) \le 0` to leave its limit there, because another phase begins or the cost counts that state, the mesh
+lets it: beyond the last point the limit binds nothing. An arc that begins with the phase needs the constraint on its
+limit at that end: nothing else keeps its first segment from oscillating about it.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Mask
+from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
+from gnc_opt.planning.solution.samples import PhaseSamples
+from gnc_opt.tolerances import TINY
+
+CLEARLY = 0.05
+"""So much of what the range of a control does to a constraint is more than the noise of a mesh."""
+
+
+def without_ringing(
+    structure: PhaseStructure, constraints: StateConstraints, segments: float
+) -> PhaseStructure:
+    """Return the structure without arcs shorter than some segments of the mesh that no trajectory has."""
+    short = _short(structure, constraints, segments)
+    for piece in short:
+        for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
+            if _left_idle(structure, piece, arc):
+                return without_ringing(_of_arc(structure, piece, arc), constraints, segments)
+        if _back_and_forth(structure, piece):
+            return without_ringing(structure.without(piece), constraints, segments)
+    for piece in short:
+        for arc in (piece - 1, piece + 1):
+            for row in _left(structure, piece, arc):
+                if _leads_beyond(structure, constraints, row, piece, arc):
+                    start, end = structure.times[piece], structure.times[piece + 1]
+                    wider = structure.with_arc(structure.holders[row][0], start, end, ArcKind.SINGULAR)
+                    wider = wider.with_arc(row, start, end, structure.kinds[arc][row])
+                    return without_ringing(wider, constraints, segments)
+    return structure
+
+
+def _short(structure: PhaseStructure, constraints: StateConstraints, segments: float) -> list[int]:
+    """Pieces shorter than some of the segments that they are in."""
+    breaks = constraints.samples.leg.breaks
+    middles = 0.5 * (np.asarray(structure.times[1:]) + np.asarray(structure.times[:-1]))
+    place = np.clip(np.searchsorted(breaks, middles) - 1, 0, breaks.size - 2)
+    return [int(k) for k in np.flatnonzero(structure.lengths < segments * np.diff(breaks)[place])]
+
+
+def _within(structure: PhaseStructure, piece: int) -> bool:
+    """Whether a structure is the same before and after a piece."""
+    return 0 < piece < structure.pieces - 1 and structure.kinds[piece - 1] == structure.kinds[piece + 1]
+
+
+def _left_idle(structure: PhaseStructure, piece: int, arc: int) -> bool:
+    """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
+    rows = structure.changes(max(piece, arc))
+    return bool(rows) and all(
+        structure.first_order(row)
+        and structure.kinds[arc][row].at_limit
+        and [structure.kinds[piece][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
+        for row in rows
+    )
+
+
+def _of_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
+    """Return the structure in which a piece is as the arc beside it."""
+    kinds = list(structure.kinds)
+    kinds[piece] = kinds[arc]
+    return replace(structure, kinds=tuple(kinds)).merged()
+
+
+def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
+    """Whether one limit of a control takes over from another, and that again."""
+    return _within(structure, piece) and bool(structure.handed_over(piece))
+
+
+def _left(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
+    """Rows of first order that one control holds along an arc, and leaves, or comes from, by a bang beside it."""
+    if not 0 <= arc < structure.pieces:
+        return []
+    return [
+        row
+        for row in structure.changes(max(piece, arc))
+        if structure.first_order(row)
+        and [structure.kinds[arc][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
+        and structure.kinds[piece][structure.holders[row][0]].at_limit
+    ]
+
+
+def _leads_beyond(
+    structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
+) -> bool:
+    """Whether a bang would lead a row beyond the limit along the arc beside it."""
+    way = 1 if piece > arc else -1
+    time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
+    return way * _outward(structure, constraints, row, piece, time, kind) > CLEARLY
+
+
+def _outward(
+    structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, time: float, kind: ArcKind
+) -> float:
+    """How fast a bang would lead a row beyond a limit, in shares of what the range of its control does to it."""
+    s, (control,) = constraints.samples, structure.holders[row]
+    upper = structure.kinds[piece][control] is ArcKind.UPPER
+    bounds, u = s.leg.control_bounds, np.tile(s.leg.u(time)[:, None], 2)
+    u[control] = (bounds.upper if upper else bounds.lower)[control] + np.array(
+        [0.0, s.control_scale[control]]
+    )
+    rates = constraints.derivative(
+        row - len(structure.controls), 1, np.repeat(time, 2), np.tile(s.leg.x(time)[:, None], 2), u
+    )
+    return float(kind.sign * rates[0] / max(abs(rates[1] - rates[0]), TINY))
+
+
+# --- two limits that one control holds at once
 
 
 def without_overlaps(structure: PhaseStructure) -> PhaseStructure:
@@ -39,3 +163,32 @@ def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
     by_state = [i for i in found if structure.orders[i]]
     mixed = [i for i in found if i >= first and structure.regular[i]]
     return [i for i in found if (by_state or mixed) and owners[i] == owners[(by_state or mixed)[0]]]
+
+
+# --- ends of a phase
+
+
+def with_starts_on_limits(structure: PhaseStructure, leg: Phase, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with path constraints of first order touched at the start of the phase, too, if held there.
+
+    The points of an arc leave the state at its start free. Within the phase a junction puts it on the limit; at the
+    start given states do, and limits of the phase before.
+    """
+    first = len(structure.controls)
+    for row in range(first, first + structure.n_paths):
+        kind = structure.kinds[0][row]
+        if kind.at_limit and structure.orders[row] == 1 and not structure.touches[0]:
+            slope = samples.functions.path_state_jacobian(samples.times[0], samples.x[:, 0], samples.u[:, 0])
+            if np.any(slope[row - first] * samples.state_scale * _begin_freely(leg, samples)):
+                structure = structure.with_touch(row, structure.times[0], kind)
+    return structure
+
+
+def _begin_freely(leg: Phase, samples: PhaseSamples) -> Mask:
+    """Return which states are neither given at the start nor handed over by a phase with path constraints (n,)."""
+    found: Mask = ~samples.leg.initial_bounds.fixed
+    for name in leg.model.states.names:
+        before = leg.handed_over(name)
+        if before is not None and before[0].path_labels:
+            found[leg.model.states.slice(name)] = False
+    return found

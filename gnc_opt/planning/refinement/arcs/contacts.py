@@ -29,15 +29,17 @@ from gnc_opt.arrays import Indices
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
+from gnc_opt.planning.refinement.arcs.contact_cleanup import (
+    with_starts_on_limits,
+    without_overlaps,
+    without_ringing,
+)
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MERGE_SEGMENTS,
     LASTING,
     Push,
     pushing_runs,
 )
-from gnc_opt.planning.refinement.arcs.control_oscillation import without_ringing
-from gnc_opt.planning.refinement.arcs.ends import with_starts_on_limits
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
