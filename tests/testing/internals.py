@@ -54,7 +54,7 @@ from gnc_opt.planning.problem.guess.singularity_avoidance import bent
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.magnitudes import UNBOUNDED_STATE_MAX_RATIO, phase_magnitudes
-from gnc_opt.planning.problem.redundant_bounds import idle_bounds, one_way_states, reachable_bounds
+from gnc_opt.planning.problem.redundant_bounds import idle_bounds, one_way_states
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,

@@ -16,8 +16,6 @@ try                   after                                   how
                                                               the lines
 ====================  ======================================  ====================================================
 
-A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
-
 All tries of one solve share its limit on wall time.
 """
 
@@ -40,7 +38,6 @@ from gnc_opt.planning.problem.guess.perturbation import with_random_guess
 from gnc_opt.planning.problem.guess.simulation import with_flown_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.solution.quality import worst_defect
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.warm_start import (
     ProgramStart,
@@ -83,23 +80,12 @@ too short are the usual trap, so longer ones are tried."""
 COLD_MU = 1e-2
 """First barrier parameter when only the trajectory is kept."""
 
-COARSE_FIRST_MIN_SEGMENTS, COARSER = 60, 6
-"""Meshes of so many segments in a phase are solved on one of so many times fewer first: from a straight line the
-iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterations on 60x4, 21 from 10x4; on 300x3
-224 and 30.)"""
-
-FALLBACK_MAX_ITERATIONS = 100
-"""Iterations that such a way gets on each mesh."""
-
 ADAPTIVE_MAX_ITERATIONS = 300
 """Those of the adaptive barrier where the monotone one has lost its way: above the apex of a cone it takes 20 to 30
 from lines from which the other finds nothing in 1000, for a transfer between orbits with two burns 135."""
 
 CAREFUL_ITERATIONS = 200
 """Those that pivoting with care gets to mend last digits, beyond which it crawls."""
-
-SHOWN = 0.1
-"""Largest defect between nodes of a coarse solution that is a guess: an oscillation that it cannot show leaves 1."""
 
 STRETCHES = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times at which durations are held while constraints are met."""
@@ -166,7 +152,7 @@ def solve_mesh(
         meshes = read_meshes(mesh, problem.phases, problem.name)
     task = _Task(problem, meshes, scheme, chosen, progress, limits)
     if guess is None:
-        return _coarse_to_fine(task)
+        return task.solve()
     if limits.warm_iterations is None:
         return task.solve(guess)
     if limits.warm_iterations == 0:
@@ -212,9 +198,7 @@ class _Task:
         fewer = min(iterations, self.options.max_iterations)
         return replace(self, options=replace(self.options, max_iterations=fewer))
 
-    def solve(
-        self, guess: Solution | None = None, *, after: Solution | None = None, retries: bool = True
-    ) -> Solution:
+    def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from one guess; what an earlier try took counts, and is gone of the limit on wall time."""
         attempt = Attempt.prepare(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
@@ -223,7 +207,7 @@ class _Task:
         attempt.solver.set_up(point)  # the limit is on solving, not on setting up
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.limits.deadline, attempt.solver.deadline() - earlier_s)
-        guided = guess is not None or not retries or knows_trajectory(self.problem)
+        guided = guess is not None or knows_trajectory(self.problem)
         with attempt.meter() as show:
             solve_from = _solve_point if guided else partial(_solve_from_lines, attempt)
             allowance = _Allowance(show, self.limits)
@@ -236,42 +220,6 @@ class _Task:
             result = least_multipliers(attempt.transcription, point, result)
         found = attempt.solution(result)
         return replace(found, statistics=found.statistics.after(after.statistics)) if after else found
-
-
-# --- the same problem, coarser meshes -------------------------------------------------------------------
-
-
-def _coarse_to_fine(task: _Task) -> Solution:
-    """Solve without a guess; a fine mesh from solutions on coarser ones, as long as these show what happens."""
-    brief, found = task.brief(FALLBACK_MAX_ITERATIONS), None
-    coarse = _coarser_meshes(task.problem, task.meshes)
-    for meshes in (*coarse, task.meshes) if coarse else ():
-        found = replace(brief, meshes=meshes).solve(found, after=found, retries=False)
-        if found.status is Status.INTERRUPTED or (found.status.solved and meshes is task.meshes):
-            return found
-        if not found.status.solved or not _shows_what_happens(found):
-            break
-    return task.solve(after=found)
-
-
-def _coarser_meshes(problem: Problem, meshes: Mapping[str, Mesh]) -> list[Mapping[str, Mesh]]:
-    """Return meshes on the way to fine ones, coarsest first; none where boundaries or arcs are given."""
-    if any(m.movable for m in meshes.values()) or any(leg.numbers.arcs for leg in problem.phases.values()):
-        return []
-    if knows_trajectory(problem):
-        return []
-    levels = [meshes]
-    while any(mesh.segments >= COARSE_FIRST_MIN_SEGMENTS for mesh in levels[0].values()):
-        finer = levels[0].items()
-        levels.insert(
-            0, {k: m.coarsened(COARSER) if m.segments >= COARSE_FIRST_MIN_SEGMENTS else m for k, m in finer}
-        )
-    return levels[:-1]
-
-
-def _shows_what_happens(solution: Solution) -> bool:
-    """Whether a mesh is fine enough for what its solution is."""
-    return all(worst_defect(s).value < SHOWN for s in solution.samples().values())
 
 
 # --- the same program, the same start -------------------------------------------------------------------

@@ -1,8 +1,7 @@
 """Redundant bounds: of vectors of constant length, and of states that only rise or fall.
 
 At a unit quaternion (1, 0, 0, 0) the gradient of the bound 1 is that of the length. The bound of a budget at
-one end of a phase implies it in between, where its multiplier would not be unique. Arcs at bounds of controls
-in roots, powers or logarithms are held a little inside.
+one end of a phase implies it in between, where its multiplier would not be unique.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.expressions import nodes_of, operations_in
-from gnc_opt.planning.problem.expressions import along
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.interval_arithmetic import ranges_of
 from gnc_opt.planning.problem.phase import Phase
@@ -86,34 +83,6 @@ def _rates_by_controls(problem: Statement, leg: Phase) -> tuple[Array, Any]:
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, u).row(), dtype=int))
     arguments = [t, x, u, p, problem.parameter_symbols()]
     return rows, ca.Function("rates", arguments, [ca.densify(rates[rows.tolist()])])
-
-
-ROOTED = {ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_LOG, ca.OP_ASIN, ca.OP_ACOS}
-
-TRACE = 1e-14
-"""Share of the range of a control that it is held inside of its bounds: less than anything that is measured."""
-
-
-def reachable_bounds(problem: Statement, leg: Phase) -> Interval:
-    """Return the bounds of a phase's controls, a trace inside of them for controls of which roots are taken."""
-    bounds = leg.numbers.controls
-    rooted = problem.once(("rooted controls", leg.name), lambda: _rooted_controls(problem, leg))
-    width = bounds.upper - bounds.lower
-    step = np.where(rooted & np.isfinite(width), TRACE * width, 0.0)
-    return Interval(bounds.lower + step, bounds.upper - step)
-
-
-def _rooted_controls(problem: Statement, leg: Phase) -> Mask:
-    """Return which controls are within a root, a power or a logarithm."""
-    found = np.zeros(leg.model.controls.size, dtype=bool)
-    rows = problem.bind(leg, along(leg))
-    if not operations_in(rows) & ROOTED:
-        return found
-    u = leg.model.arguments()[2]
-    for node in nodes_of(rows):
-        if node.op() in ROOTED:
-            found[ca.jacobian_sparsity(node.dep(0), u).get_col()] = True
-    return found
 
 
 NORM_BOUND_SLACK_SHARE = 1e-2

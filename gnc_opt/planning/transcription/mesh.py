@@ -158,12 +158,6 @@ class Mesh:
         """Index of each segment's first collocation point, and N at the end; K + 1 of them."""
         return tuple(int(i) for i in np.concatenate([[0], np.cumsum(self.degrees)]))
 
-    def coarsened(self, factor: int) -> Mesh:
-        """Return the mesh of every ``factor``-th break, with the most points of the segments that are one now."""
-        firsts = range(0, self.segments, factor)
-        degrees = tuple(max(self.degrees[k : k + factor]) for k in firsts)
-        return Mesh((*(self.breaks[k] for k in firsts), 1.0), degrees)
-
     def __str__(self) -> str:
         uniform = len(set(self.degrees)) == 1
         degrees = str(self.degrees[0]) if uniform else f"({min(self.degrees)}..{max(self.degrees)})"

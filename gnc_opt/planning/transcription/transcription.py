@@ -20,7 +20,6 @@ from gnc_opt.planning.problem.expressions import parameter_arguments
 from gnc_opt.planning.problem.interval import Interval, free
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.redundant_bounds import reachable_bounds
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_segments,
@@ -349,7 +348,7 @@ class Transcription(Numbering):
         drop_idle(box, problem, leg, collocation)
         check_segments(leg, collocation)
         if numbers.arcs is not None:
-            hold_controls(box, numbers.arcs, reachable_bounds(problem, leg), collocation)
+            hold_controls(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value that rounding puts beyond a bound must not cross it.

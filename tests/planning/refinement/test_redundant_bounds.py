@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import fsolve
-from testing.internals import estimate_errors, reachable_bounds
+from testing.internals import estimate_errors
 
 import gnc_opt as go
 
@@ -61,13 +61,3 @@ def test_a_polynomial_beyond_its_bound_has_an_error_and_refines_to_the_optimum()
 def _at(error: object, low: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     s, at = error.samples, low[0]  # type: ignore[attr-defined]
     return s.times[at], s.x[:, at], s.u_polynomial[:, at]
-
-
-def test_only_controls_of_which_roots_are_taken_are_held_inside() -> None:
-    problem = hop()
-    leg = problem.get_phase()
-    bounds = reachable_bounds(problem, leg)
-    assert 0 < bounds.lower[0] < 1e-13 and 0 < 1.0 - bounds.upper[0] < 1e-13
-    smooth = hop(power=2)
-    leg = smooth.get_phase()
-    assert reachable_bounds(smooth, leg).lower[0] == 0.0 and reachable_bounds(smooth, leg).upper[0] == 1.0
