@@ -41,11 +41,7 @@ def certify(case: int, equation: Any, mesh: str) -> tuple[dict[str, float], go.S
     verdict = go.verify(refined)
     marks.append(time.process_time())
     parts = dict(
-        zip(
-            ("solve", "refine", "verify"),
-            (b - a for a, b in itertools.pairwise(marks)),
-            strict=True,
-        )
+        zip(("solve", "refine", "verify"), (b - a for a, b in itertools.pairwise(marks)), strict=True)
     )
     copy, begin = replace(refined), time.process_time()
     go.verify(copy)

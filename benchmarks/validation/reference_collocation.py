@@ -95,11 +95,7 @@ class Program:
             "print_time": False,
             "error_on_fail": False,
         }
-        program = {
-            "x": ca.vertcat(*self.variables),
-            "f": cost,
-            "g": ca.vertcat(*self.constraints),
-        }
+        program = {"x": ca.vertcat(*self.variables), "f": cost, "g": ca.vertcat(*self.constraints)}
         solver = ca.nlpsol("solver", "ipopt", program, options)
         lower, upper, guess, least, most = (np.concatenate(values) for values in self.bounds)
         found = solver(x0=guess, lbx=lower, ubx=upper, lbg=least, ubg=most)

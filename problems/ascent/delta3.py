@@ -108,11 +108,7 @@ def target_vectors() -> tuple[Array, Array]:
     a, e = 24361140.0, 0.7308
     inclination, node, perigee = np.radians([28.5, 269.8, 130.5])
     pole = np.array(
-        [
-            np.sin(inclination) * np.sin(node),
-            -np.sin(inclination) * np.cos(node),
-            np.cos(inclination),
-        ]
+        [np.sin(inclination) * np.sin(node), -np.sin(inclination) * np.cos(node), np.cos(inclination)]
     )
     ascending = np.array([np.cos(node), np.sin(node), 0.0])
     to_perigee = np.cos(perigee) * ascending + np.sin(perigee) * np.cross(pole, ascending)

@@ -40,10 +40,7 @@ def build() -> go.Problem:
     share = np.linspace(0.0, 1.0, 60)
     swing = 2 * np.pi * SWINGS * share
     ride.guess(
-        100.0 * share,
-        x=0.5 * share * np.sin(swing) - 0.5,
-        v=0.05 * share * np.cos(swing),
-        u=np.sin(swing),
+        100.0 * share, x=0.5 * share * np.sin(swing) - 0.5, v=0.05 * share * np.cos(swing), u=np.sin(swing)
     )
     problem.minimize(ride.final_time)
     return problem

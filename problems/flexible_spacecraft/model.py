@@ -67,9 +67,7 @@ def build_model(body: FlexibleBody = BODY, orbital_rate: float = ORBITAL_RATE) -
     omega_0 = spacecraft.parameter("omega_0", orbital_rate, unit="rad/s")
     turning, bending = body.accelerations(omega, eta, eta_rate, torque)
     relative = omega - quaternion_to_dcm(q) @ ca.vertcat(0, -omega_0, 0)
-    spacecraft.ode(
-        {q: quaternion_rate(q, relative), omega: turning, eta: eta_rate, eta_rate: bending},
-    )
+    spacecraft.ode({q: quaternion_rate(q, relative), omega: turning, eta: eta_rate, eta_rate: bending})
     spacecraft.difference(q, quaternion_difference)
     return spacecraft
 

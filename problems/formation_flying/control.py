@@ -31,12 +31,7 @@ from gnc_opt.control import (
 )
 from gnc_opt.control.reaching_laws import Boundary
 from gnc_opt.simulation import Run
-from problems.formation_flying.model import (
-    PERIOD,
-    build_model,
-    formation,
-    hill_model,
-)
+from problems.formation_flying.model import PERIOD, build_model, formation, hill_model
 from problems.formation_flying.optimal import Plan
 
 SLOPE, GAIN, LAYER = 1e-3, 0.96, 10.0

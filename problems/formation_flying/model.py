@@ -31,10 +31,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Reference
-from gnc_opt.spacecraft import (
-    differential_j2,
-    relative_acceleration,
-)
+from gnc_opt.spacecraft import differential_j2, relative_acceleration
 
 MU = 398600e9
 """m^3/s^2, as printed."""

@@ -78,7 +78,7 @@ VARIANTS = {
     "without glide slope": (
         {"slope": None},
         Reference(1517.0916107, "two formulations agree; 1517.1 published", 1e-6, "kg"),
-    ),
+    )
 }
 """Other data, with their references."""
 

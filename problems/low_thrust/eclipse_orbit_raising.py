@@ -44,12 +44,7 @@ def build() -> go.Problem:
     inside = 0.5 * (1 + ca.tanh((1 - (r * ca.sin(theta)) ** 2) / EDGE))
     push = ACCELERATION * (1 - behind * inside)
     tug.ode(
-        {
-            r: v_r,
-            theta: v_t / r,
-            v_r: v_t**2 / r - 1 / r**2 + push * u[0],
-            v_t: -v_r * v_t / r + push * u[1],
-        }
+        {r: v_r, theta: v_t / r, v_r: v_t**2 / r - 1 / r**2 + push * u[0], v_t: -v_r * v_t / r + push * u[1]}
     )
 
     problem = go.Problem("orbit raising with eclipses")

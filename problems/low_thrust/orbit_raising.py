@@ -42,13 +42,7 @@ def build(duration: float = 3.32) -> go.Problem:
     v_t = ship.state("v_t")
     direction = ship.control("direction", 2)
     a = ACCELERATION / (1 - MASS_RATE * ship.time)
-    ship.ode(
-        {
-            r: v_r,
-            v_r: v_t**2 / r - 1 / r**2 + a * direction[0],
-            v_t: -v_r * v_t / r + a * direction[1],
-        }
-    )
+    ship.ode({r: v_r, v_r: v_t**2 / r - 1 / r**2 + a * direction[0], v_t: -v_r * v_t / r + a * direction[1]})
 
     problem = go.Problem("orbit raising")
     transfer = problem.phase("transfer", ship)

@@ -110,9 +110,7 @@ def build(
     most = WHEEL_INERTIA * RPM * speed
     null = most if goal == "time" else 0.0
     slew.final(
-        q=([0.0, *target[1:]], [1.0, *target[1:]]),
-        omega=0.0,
-        h=([-most] * 3 + [-null], [most] * 3 + [null]),
+        q=([0.0, *target[1:]], [1.0, *target[1:]]), omega=0.0, h=([-most] * 3 + [-null], [most] * 3 + [null])
     )
     # The rates that the wheels' momenta can give at most: it excludes nothing, but keeps the iterates where they belong
     rates = np.sum(np.abs(AXES), axis=1) * most / np.asarray(INERTIA)

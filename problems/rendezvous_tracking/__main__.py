@@ -21,14 +21,7 @@ from gnc_opt.simulation import Campaign
 from gnc_opt.simulation.campaign_text import campaign_dict
 from problems._campaign_table import kept_in, with_settings
 from problems.rendezvous import CASES
-from problems.rendezvous_tracking.control import (
-    MPC_RUNS,
-    SETTLING,
-    SHOWN,
-    Conditions,
-    Tracking,
-    plan,
-)
+from problems.rendezvous_tracking.control import MPC_RUNS, SETTLING, SHOWN, Conditions, Tracking, plan
 from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured
 from problems.rendezvous_tracking.replanning import PLANNED, REPLANNED_RUNS, Replanned
 
@@ -168,10 +161,7 @@ def _guided(name: str, case: int, conditions: Conditions) -> Guided:
 
 
 def _summary(
-    tracking: Tracking,
-    case: int,
-    campaigns: Mapping[str, Campaign],
-    seconds: Mapping[str, float],
+    tracking: Tracking, case: int, campaigns: Mapping[str, Campaign], seconds: Mapping[str, float]
 ) -> dict[str, Any]:
     return {
         "case": case,

@@ -75,12 +75,7 @@ ACCURACY = 1e-4
 """Of the integration, a fiftieth of the noise of measurements: errors of 1e-8 may turn a quantum of thrust, which sets
 two flights apart by up to 5e-5."""
 
-LIMITS = {
-    "r_L": 0.05,
-    "v_L": 0.005,
-    "angle(sigma)": float(np.deg2rad(0.5)),
-    "omega": float(np.deg2rad(0.05)),
-}
+LIMITS = {"r_L": 0.05, "v_L": 0.005, "angle(sigma)": float(np.deg2rad(0.5)), "omega": float(np.deg2rad(0.05))}
 """Of the errors at the end: m, m/s, rad, rad/s."""
 
 SHOWN = {
@@ -273,12 +268,7 @@ class Tracking:
                 limits=AUTHORITY,
             ),
             "MPC": lambda: design_mpc(
-                model,
-                reference,
-                **self._weights,
-                horizon=self.conditions.horizon,
-                dt=DT,
-                limits=AUTHORITY,
+                model, reference, **self._weights, horizon=self.conditions.horizon, dt=DT, limits=AUTHORITY
             ),
         }
 
@@ -346,10 +336,7 @@ class Tracking:
         )
 
 
-AUTHORITY = (
-    np.repeat([-MAX_TORQUE, -MAX_FORCE], 3),
-    np.repeat([MAX_TORQUE, MAX_FORCE], 3),
-)
+AUTHORITY = (np.repeat([-MAX_TORQUE, -MAX_FORCE], 3), np.repeat([MAX_TORQUE, MAX_FORCE], 3))
 """Of all controls, N m and N."""
 
 

@@ -23,13 +23,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, design_lqr
-from gnc_opt.estimation import (
-    Estimator,
-    FilterOptions,
-    Measurement,
-    design_ekf,
-    output_feedback,
-)
+from gnc_opt.estimation import Estimator, FilterOptions, Measurement, design_ekf, output_feedback
 from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Run
 from gnc_opt.spacecraft import apply, mrp_to_dcm

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
 
 def rest_to_rest() -> tuple[go.Problem, go.Phase]:
-    cart = go.Model("double integrator")
-    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
-    cart.ode({q: v, v: a})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    cart, *_ = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", cart, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from testing.models import dynamics, one_phase
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import gnc_opt as go
@@ -34,12 +35,8 @@ def test_a_problem_is_solved_and_judged_in_one(monkeypatch: pytest.MonkeyPatch) 
         return expm(matrix)
 
     monkeypatch.setattr(scipy.linalg, "expm", seen_expm)
-    cart = go.Model("double integrator")
-    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
-    cart.ode({q: v, v: a})
-    ocp = go.Problem("rest to rest with least effort")
-    leg = ocp.phase("leg", cart)
-    leg.time(initial=0.0, final=1.0)
+    cart, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    ocp, leg = one_phase("rest to rest with least effort", cart, initial=0.0, final=1.0)
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     ocp.minimize(leg.integral(0.5 * a**2))

@@ -35,10 +35,7 @@ NOT_OURS = {
     "docs/control/campaigns.md": {"plant.mass", "initial.q", "motor.tau", "SeedSequence([seed, i])"},
     "docs/control/sliding_mode.md": {"switching_gain_exceeded"},
     "docs/control/fmu.md": {"fmi2DoStep(t, h)"},
-    "docs/control/linear.md": {
-        "StateSpace",
-        "control.feedback(plant, law.linearize(z, x), sign=1)",
-    },
+    "docs/control/linear.md": {"StateSpace", "control.feedback(plant, law.linearize(z, x), sign=1)"},
     "docs/theory/simulation_accuracy.md": {"SeedSequence([seed, i])"},
     "docs/formation_flying.md": {"J2 = 0"},
     "docs/rendezvous.md": {"minima.txt"},  # what a command writes

@@ -4,6 +4,7 @@ import re
 
 import casadi as ca
 import pytest
+from testing.models import dynamics, one_phase
 from testing.pages import ROOT
 from testing.wrong_solutions import bang_bang, energy
 
@@ -12,12 +13,8 @@ import gnc_opt as go
 
 def rough() -> go.Solution:
     """A hop whose price is looked up, and whose control has a kink."""
-    model = go.Model("hop")
-    y, u = model.state("y"), model.control("u")
-    model.ode({y: u - 0.1 * ca.fabs(y)})
-    problem = go.Problem("hop")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, y, u = dynamics("hop", "y", "u", lambda y, u: {y: u - 0.1 * ca.fabs(y)})
+    problem, leg = one_phase("hop", model, 0.0, 1.0)
     leg.initial(y=0.0)
     leg.final(y=1.0)
     problem.minimize(leg.integral(u**2 + go.table([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 4.0, 9.0])(y)))

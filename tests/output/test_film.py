@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from testing.internals import motion, new_figure, span
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt import cli
@@ -29,9 +30,7 @@ def turning() -> go.Problem:
     half = RATE / 2
     q_rate = half * ca.vertcat(-q[3], q[2], -q[1], q[0])  # about z
     model.ode({r: v, v: force_L, sigma: mrp_rate(sigma, ca.vertcat(0, 0, RATE)), q: q_rate, m: -1})
-    problem = go.Problem("a turn")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=2.0)
+    problem, leg = one_phase("a turn", model, initial=0.0, final=2.0, name="turn")
     leg.initial(r=0.0, v=0.0, sigma=0.0, q=[1, 0, 0, 0], m=9.0)
     leg.bounds(F=([1, 0, 0], [1, 0, 0]))
     problem.minimize(leg.final_time)
@@ -70,9 +69,7 @@ def test_two_components_lie_in_a_plane_upright():
     model = go.Model("hop")
     x, h = model.state("x", unit="km"), model.state("h", unit="km")
     model.ode({x: 1.0, h: 1 - x})
-    problem = go.Problem("hop")
-    leg = problem.phase("hop", model)
-    leg.time(initial=0.0, final=2.0)
+    problem, leg = one_phase("hop", model, initial=0.0, final=2.0, name="hop")
     leg.initial(x=0.0, h=0.0)
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="4x3", tol=None)

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 import rich.console
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.progress import campaign_meter
@@ -32,9 +33,7 @@ def problem() -> go.Problem:
     r, v = model.state("r", 2, unit="m"), model.state("v", 2, unit=HOSTILE)
     a = model.control("a", 2)
     model.ode({r: v, v: a})
-    problem = go.Problem(HOSTILE)
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase(HOSTILE, model, 0.0, 1.0)
     leg.initial(r=[0.0, 0.0], v=0.0)
     leg.final(r=[1.0, 2.0], v=0.0)
     leg.path(HOSTILE, a[0] + a[1], upper=100.0)

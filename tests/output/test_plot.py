@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 from testing.internals import name_text, number_text, per_unit, unit_text
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import (
@@ -88,12 +89,8 @@ def test_dotted_lines_mark_where_the_switching_function_changes_sign() -> None:
 
     On this mesh a boundary sits there, the next nodes 0.057 s off: between them any sign change is optimal.
     """
-    model = go.Model("mass")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 10.0))
+    model, *_ = dynamics("mass", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.5, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -201,9 +198,7 @@ def test_controls_of_a_problem_without_any_are_refused() -> None:
     model = go.Model("decay")
     x = model.state("x")
     model.ode({x: -x})
-    problem = go.Problem("free fall")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("free fall", model, 0.0, 1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.final_state("x"))
     with pytest.raises(go.GncOptError, match="'free fall' has no controls to draw"):

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import Formulas, name_math, problem_statement, symbol_names
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -98,9 +99,7 @@ def test_statement_shows_every_number_and_unit():
     T = model.control("T", 2, unit="N")
     g = model.parameter("g", 3.71, unit="m/s^2")
     model.ode({r: v, v: T / mass - ca.vertcat(0, g), mass: -ca.sumsqr(T) / 1e6})
-    problem = go.Problem("land <softly>")
-    leg = problem.phase("descent", model)
-    leg.time(0.0, (10.0, 90.0))
+    problem, leg = one_phase("land <softly>", model, 0.0, (10.0, 90.0), name="descent")
     leg.initial(r=[150.0, 1200.0], v=[7.0, -30.0], mass=1900.0)
     leg.final(r=0.0, v=0.0)
     leg.bounds(T=([-9000.0] * 2, [9000.0] * 2), mass=(1505.0, None))

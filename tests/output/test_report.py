@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from testing.internals import overshooting_controls
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
@@ -59,9 +60,7 @@ def cart(far: float = 1.0, maximise: bool = False) -> go.Problem:
     v = model.state("v", unit="m/s")
     a = model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("cart", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=far, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -284,12 +283,8 @@ def test_report_into_a_file_is_refused(good: go.Solution, tmp_path: Path) -> Non
 
 def rest_to_rest() -> go.Problem:
     """From q = 1 to 0 at rest in least time, 2 s; lambda_q = 1 all along, one switch at 1 s."""
-    cart = go.Model("cart")
-    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
-    cart.ode({q: v, v: a})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    cart, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", cart, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -384,12 +379,8 @@ def test_page_tells_passes_arcs_and_multipliers(tmp_path: Path) -> None:
 
 
 def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixture[str]) -> None:
-    model = go.Model("speed")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: a})
-    problem = go.Problem("farthest")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
+    model, *_ = dynamics("speed", "v", "a", lambda v, a: {v: a})
+    problem, leg = one_phase("farthest", model, initial=0.0, final=2.0)
     leg.initial(v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.maximize(leg.final_state("v"))

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 from testing.browser import BROWSER, DESKTOP, PHONE, browser
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.report import write_report
 
-pytestmark = [
-    pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine"),
-    pytest.mark.slow,
-]
+pytestmark = [pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine"), pytest.mark.slow]
 
 PROBE = """(() => {
   const all = selector => [...document.querySelectorAll(selector)];
@@ -34,9 +32,7 @@ def page(tmp_path_factory):
     q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
     a = model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem("one metre <in> least time")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("one metre <in> least time", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

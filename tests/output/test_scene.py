@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
 from testing.internals import document, scene_html, tube
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import Thruster, View
@@ -47,9 +48,7 @@ def turning(force):
     c, s = ca.cos(RATE * model.time), ca.sin(RATE * model.time)
     force_L = ca.vertcat(c * F[0] - s * F[1], s * F[0] + c * F[1], 0)
     model.ode({r: v, v: force_L, sigma: mrp_rate(sigma, ca.vertcat(0, 0, RATE))})
-    problem = go.Problem("a turn")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=2.0)
+    problem, leg = one_phase("a turn", model, initial=0.0, final=2.0, name="turn")
     leg.initial(r=0.0, v=0.0, sigma=0.0)
     leg.bounds(F=(force, force))
     problem.minimize(leg.final_time)

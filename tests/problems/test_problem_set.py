@@ -14,10 +14,7 @@ import pytest
 
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
-from benchmarks.validation.problem_set.reader import (
-    evaluate,
-    read_constants,
-)
+from benchmarks.validation.problem_set.reader import evaluate, read_constants
 from benchmarks.validation.problem_set.references import (
     closed_form_costate_error,
     costate_error_along,

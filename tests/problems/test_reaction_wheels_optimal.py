@@ -12,12 +12,7 @@ from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
 from benchmarks.validation.published.comparison import known
-from benchmarks.validation.published.reaction_wheels import (
-    FLOWN,
-    flight,
-    measures,
-    plan,
-)
+from benchmarks.validation.published.reaction_wheels import FLOWN, flight, measures, plan
 from benchmarks.validation.published.tracked import CompiledLoop
 from gnc_opt.spacecraft import quaternion_angle
 from problems.reaction_wheels import (
@@ -163,10 +158,9 @@ def test_optimal_slews_are_flown_despite_errors(name: str) -> None:
     assert run.attitude_error("q") == pytest.approx(np.sqrt(6) * 1e-4 / stiffness, rel=0.02)
 
 
-@pytest.mark.slow
 def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None:
     """Euler's equations of the true body with the wheels' momenta and the push, by Runge and Kutta's rule."""
-    cases = [(name, law) for name in FLOWN for law in (False, True)]
+    cases = [(FLOWN[0], law) for law in (False, True)]
     runs = [flight(name, law) for name, law in cases]
     moments = (np.array([4.0, 4.0, 3.0]) * [1.05, 0.97, 1.04])[:, None]
     push, h = np.array([[2e-4], [-1e-4], [1e-4]]), 0.05

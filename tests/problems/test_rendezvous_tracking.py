@@ -32,7 +32,7 @@ from problems.rendezvous_tracking.__main__ import main
 from problems.rendezvous_tracking.guidance import KEEP_OUT, Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import PLANNED, Replanned, resolver
 
-RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
+RUNS, SEED = {"TVLQR": 250, "integral sliding mode": 30}, 1
 FEW = 60
 
 

@@ -39,11 +39,7 @@ def pendulum() -> tuple[go.Model, Reference]:
     model.ode({q: v, v: a - ca.sin(q)})
     model.difference(q, lambda x, ref: 2 * ca.sin((x - ref) / 2))
     reference = Reference.from_functions(
-        model,
-        lambda t: [np.cos(t), -np.sin(t)],
-        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
-        0.5,
-        3.53,
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [np.sin(np.cos(t)) - np.cos(t)], 0.5, 3.53
     )
     return model, reference
 

@@ -23,6 +23,7 @@ from testing.internals import (
     phase_functions,
     piecewise,
 )
+from testing.models import one_phase
 
 Signal = Callable[[Array, int], Any]
 """Rows at times (m,) of a segment."""
@@ -38,9 +39,7 @@ def cart() -> go.Problem:
     q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
     a, m = model.control("a", unit="N"), model.parameter("m", 1.0)
     model.ode({q: v, v: a / m})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.path("mixed", v + a, upper=100.0)
     leg.path("pure", q, lower=-50.0)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from testing.models import one_phase
 
 
 def great_circle(arc: float, phases: int = 1) -> go.Problem:
@@ -36,9 +37,7 @@ def regulator(weight: float) -> go.Problem:
     x, u = model.state("x"), model.control("u")
     k = model.parameter("k", weight)
     model.ode({x: u})
-    problem = go.Problem("past its conjugate point")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("past its conjugate point", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.final(x=0.0)
     leg.scale(x=1.0, u=1.0)

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
+from testing.models import dynamics, one_phase
 from testing.wrong_arguments import cart
 
 
@@ -17,9 +18,7 @@ def _integrator(
     model = go.Model(name)
     state, control = model.state("x"), model.control("u")
     model.ode({state: control if rate is None else rate(state, control)})
-    problem = go.Problem(name)
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase(name, model, 0.0, 1.0)
     leg.initial(x=1.0)
     leg.bounds(u=u, x=x)
     leg.final(x=final)
@@ -32,9 +31,7 @@ def _integrator(
 def too_little_time() -> go.Problem:
     """Rest to rest over 1 m in half the least time, 2 s."""
     model = cart()
-    problem = go.Problem("too little time")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("too little time", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -47,9 +44,7 @@ def windows_apart() -> go.Problem:
 
     No link is impossible by itself.
     """
-    model = go.Model("drift")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, _x, u = dynamics("drift", "x", "u", lambda x, u: {x: u})
     problem = go.Problem("windows apart")
     first, middle, last = (problem.phase(name, model) for name in ("first", "middle", "last"))
     first.time(0.0, (0.5, 1.0))
@@ -70,9 +65,7 @@ def overdetermined() -> go.Problem:
     model = go.Model("decay")
     x = model.state("x")
     model.ode({x: -x})
-    problem = go.Problem("overdetermined")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("overdetermined", model, 0.0, 1.0)
     leg.initial(x=1.0)
     leg.final(x=0.5)
     problem.minimize(leg.final_state("x"))
@@ -155,9 +148,7 @@ def undefined_at_guess() -> go.Problem:
 def going_nowhere(cost: str = "time", start: float = 0.0) -> go.Problem:
     """Minimum time between coincident end points: the phase shrinks to nothing."""
     model = cart()
-    problem = go.Problem("going nowhere")
-    leg = problem.phase("leg", model)
-    leg.time(start, (start, start + 10.0))
+    problem, leg = one_phase("going nowhere", model, start, (start, start + 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

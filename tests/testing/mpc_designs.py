@@ -5,6 +5,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Reference, design_mpc
+from testing.models import dynamics
 
 DT = 0.1
 
@@ -21,16 +22,9 @@ def cart() -> go.Model:
 
 
 def pendulum() -> tuple[go.Model, Reference]:
-    model = go.Model("pendulum")
-    q, v = model.state("q"), model.state("v")
-    a = model.control("a")
-    model.ode({q: v, v: a - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
     reference = Reference.from_functions(
-        model,
-        lambda t: [np.cos(t), -np.sin(t)],
-        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
-        0.0,
-        3.0,
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [np.sin(np.cos(t)) - np.cos(t)], 0.0, 3.0
     )
     return model, reference
 

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from testing.models import one_phase
 
 SCHEMES = ("LG", "LGR", "LGL")
 
@@ -18,9 +19,7 @@ def van_der_pol(*, unit: float = 1.0, start: float = 0.0) -> go.Problem:
     x, y, u = model.state("x"), model.state("y"), model.control("u")
     mu = model.parameter("mu", 1.0)
     model.ode({x: unit * (mu * (1 - y**2) * (x / unit) - y + u), y: x / unit})
-    problem = go.Problem("van der Pol regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=start, final=start + 4.0)
+    problem, leg = one_phase("van der Pol regulator", model, initial=start, final=start + 4.0)
     leg.initial(x=0.0, y=1.0)
     problem.minimize(leg.integral((x / unit) ** 2 + y**2 + u**2) + leg.final_state("y") ** 4)
     return problem
@@ -36,15 +35,9 @@ def orbit_raising(*, weight: float = 1.0, circular: float = 1.0) -> go.Problem:
     angle = model.control("angle")
     thrust = 0.1405 / (1 - 0.0749 * model.time)
     model.ode(
-        {
-            r: vr,
-            vr: vt**2 / r - 1 / r**2 + thrust * ca.sin(angle),
-            vt: -vr * vt / r + thrust * ca.cos(angle),
-        }
+        {r: vr, vr: vt**2 / r - 1 / r**2 + thrust * ca.sin(angle), vt: -vr * vt / r + thrust * ca.cos(angle)}
     )
-    problem = go.Problem("orbit raising")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.32)
+    problem, leg = one_phase("orbit raising", model, initial=0.0, final=3.32)
     leg.initial(r=1.0, vr=0.0, vt=1.0)
     leg.final(vr=0.0)
     leg.guess(r=(1.0, 1.5), vt=(1.0, 0.8), angle=lambda t: 0.6 + t if t < 1.66 else t - 3.8)
@@ -62,9 +55,7 @@ def reorientation() -> go.Problem:
     square = ca.dot(sigma, sigma)
     turning = ((1 - square) * omega + 2 * ca.cross(sigma, omega) + 2 * sigma * ca.dot(sigma, omega)) / 4
     body.ode({sigma: turning, omega: (torque - ca.cross(omega, inertia * omega)) / inertia})
-    problem = go.Problem("reorientation")
-    leg = problem.phase("leg", body)
-    leg.time(initial=0.0, final=3.0)
+    problem, leg = one_phase("reorientation", body, initial=0.0, final=3.0)
     leg.initial(sigma=[0.4, -0.2, 0.1], omega=[0.1, 0.2, -0.3])
     leg.final(sigma=[0.0, 0.0, 0.0], omega=[0.0, 0.0, 0.0])
     problem.minimize(leg.integral(ca.dot(torque, torque) / 2))

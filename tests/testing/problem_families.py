@@ -1,6 +1,7 @@
 """Families of problems with known answers."""
 
 import gnc_opt as go
+from testing.models import dynamics, one_phase
 
 
 def stiff(k: float = 1.0, target: float = 1.0) -> go.Problem:
@@ -8,9 +9,7 @@ def stiff(k: float = 1.0, target: float = 1.0) -> go.Problem:
     model = go.Model("stiff")
     x, u, weight = model.state("x"), model.control("u"), model.parameter("k", k)
     model.ode({x: u})
-    problem = go.Problem("stiff")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("stiff", model, 0.0, 1.0)
     leg.initial(x=target)
     problem.minimize(leg.integral(u**2 + weight * x**2))
     return problem
@@ -18,12 +17,8 @@ def stiff(k: float = 1.0, target: float = 1.0) -> go.Problem:
 
 def rest_to_rest(duration: float = 4.0) -> go.Problem:
     """1 m from rest to rest, |u| <= 1, least integral of u^2: 12 / T^3 while 6 / T^2 <= 1; impossible for T < 2."""
-    model = go.Model("cart")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, duration)
+    model, _x, _v, u = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("rest to rest", model, 0.0, duration)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 import gnc_opt as go
+from testing.models import dynamics, one_phase
 
 LONGEST = 420
 """A message is one sentence: no more characters than this."""
@@ -32,9 +33,7 @@ def assert_clear(message: str, *fragments: str) -> None:
 
 def cart() -> go.Model:
     """Double integrator."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     return model
 
 
@@ -51,9 +50,7 @@ def ship() -> go.Model:
 def rest_to_rest(time: tuple[float, float] | float = 1.0) -> tuple[go.Problem, go.Phase]:
     """Return a problem that solves, and its only phase "leg"."""
     model = cart()
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=time)
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=time)
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-10.0, 10.0))
@@ -69,11 +66,7 @@ def voyage() -> tuple[go.Problem, go.Phase]:
 
 def scalar(name: str = "decay") -> tuple[go.Model, go.Problem, go.Phase]:
     """Return dx/dt = u with a phase from 0 to 1 s that starts at x = 1."""
-    model = go.Model(name)
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem(name)
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics(name, "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase(name, model, 0.0, 1.0)
     leg.initial(x=1.0)
     return model, problem, leg

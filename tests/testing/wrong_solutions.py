@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind
 from testing.internals import Interval, PiecewisePolynomial, Scheme
+from testing.models import dynamics, one_phase
 
 Array = NDArray[np.float64]
 Piece = Literal["x", "u", "lam"]
@@ -33,9 +34,7 @@ def double_integrator() -> go.Model:
 def energy() -> go.Solution:
     """Rest to rest in 1 s with the least energy: a = 6 - 12 t, every limit far away."""
     model = double_integrator()
-    problem = go.Problem("minimum energy")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("minimum energy", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-10.0, 10.0), v=(-5.0, 5.5))
@@ -49,9 +48,7 @@ def energy() -> go.Solution:
 def free_time(final: float | None = None) -> go.Solution:
     """The same with t_f + energy as the cost: t_f^4 = 18; ``final`` fixes another time."""
     model = double_integrator()
-    problem = go.Problem("time and energy")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 10.0) if final is None else final)
+    problem, leg = one_phase("time and energy", model, 0.0, (0.5, 10.0) if final is None else final)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.final_time + 0.5 * leg.integral(model.symbol("a") ** 2))
@@ -61,9 +58,7 @@ def free_time(final: float | None = None) -> go.Solution:
 @cache
 def bang_bang() -> go.Solution:
     """Rest to rest over 1 m in minimum time: t_f = 2 s, one switch at 1 s, optimised."""
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", double_integrator())
-    leg.time(0.0, (0.1, 10.0))
+    problem, leg = one_phase("minimum time", double_integrator(), 0.0, (0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -82,9 +77,7 @@ def ceiling(
     a path constraint.
     """
     model = double_integrator()
-    problem = go.Problem("ceiling")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("ceiling", model, 0.0, 1.0)
     leg.initial(q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
     if path:
@@ -99,12 +92,8 @@ def ceiling(
 @cache
 def mixed_limit() -> go.Solution:
     """x' = u, min of the integral of (u - 2)^2 / 2 under u + x <= 1, active throughout: x = 1 - exp(-t)."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("mixed limit")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("mixed limit", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.path("limit", u + x, upper=1.0)
     problem.minimize(leg.integral(0.5 * (u - 2) ** 2))
@@ -133,12 +122,8 @@ def designed() -> go.Solution:
 @cache
 def nothing_to_gain() -> go.Solution:
     """x_f^2 is zero at its least, for many controls: costates vanish."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("nothing to gain")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("nothing to gain", model, 0.0, 1.0)
     leg.initial(x=1.0)
     leg.bounds(u=(-2.0, 2.0))
     problem.minimize(leg.final_state("x") ** 2)
@@ -149,9 +134,7 @@ def nothing_to_gain() -> go.Solution:
 def nowhere_to_go(start: float = 0.0) -> go.Solution:
     """Minimum time from a point to itself: the phase has no length."""
     model = double_integrator()
-    problem = go.Problem("nowhere to go")
-    leg = problem.phase("leg", model)
-    leg.time(start, (start, start + 10.0))
+    problem, leg = one_phase("nowhere to go", model, start, (start, start + 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -162,12 +145,8 @@ def nowhere_to_go(start: float = 0.0) -> go.Solution:
 @cache
 def two_valleys(tilt: float) -> go.Solution:
     """min of the integral of (u^2 - 1)^2 + tilt u: the valley at u = 1 is the shallower one if tilt > 0."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("two valleys")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("two valleys", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-2.0, 2.0))
     problem.minimize(leg.integral((u**2 - 1) ** 2 + tilt * u))
@@ -179,12 +158,8 @@ def two_valleys(tilt: float) -> go.Solution:
 @cache
 def hilltop(steepness: float) -> go.Solution:
     """min of the integral of 1 - steepness u^2 / 2 + u^4, held at u = 0: a maximum of H."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("hilltop")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("hilltop", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(1 - 0.5 * steepness * u**2 + u**4))
@@ -203,12 +178,8 @@ def one_switch(
     as a function of the switch time the cost has the second derivative 2 - 2 bend there. ``more`` may constrain the
     problem and add to its cost, and the switch may be ``at`` a wrong time.
     """
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one switch")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one switch", model, 0.0, 2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     cost = leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x")
@@ -222,13 +193,8 @@ def one_switch(
 
 def singular_problem(stiffness: float) -> go.Problem:
     """x' = u, |u| <= 1, and r' = w, from rest to x = 0, r = 1 at the cost of stiffness x^2 (1 + r) + w^2 / 2."""
-    model = go.Model("beside")
-    x, r = model.state("x"), model.state("r")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, r: w})
-    problem = go.Problem("beside")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, r, _u, w = dynamics("beside", "x r", "u w", lambda x, r, u, w: {x: u, r: w})
+    problem, leg = one_phase("beside", model, 0.0, 1.0)
     leg.initial(x=0.0, r=0.0)
     leg.final(x=0.0, r=1.0)
     leg.bounds(u=(-1.0, 1.0), w=(-5.0, 5.0))

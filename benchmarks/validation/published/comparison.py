@@ -22,11 +22,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 
 FOLDER = Path(__file__).parent
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-}
+_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt}
 
 
 @dataclass(frozen=True)

@@ -238,12 +238,7 @@ def allocated_run(balance: str, *, limited: bool = False, duration: float = DURA
         s.
     """
     wheels = WheelArray(
-        "wheels",
-        AXES,
-        balance=balance,
-        momenta="h",
-        to="T",
-        max_momentum=MAX_MOMENTUM if limited else np.inf,
+        "wheels", AXES, balance=balance, momenta="h", to="T", max_momentum=MAX_MOMENTUM if limited else np.inf
     )
     loop = go.ClosedLoop(wheel_model(), design_flc(target_quaternion(3)), actuators=[wheels], dt=0.02)
     return loop.simulate(REST, tf=duration)

@@ -5,13 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from benchmarks.validation.verdict.answers import (
-    Answer,
-    Pairs,
-    arcs,
-    free_line,
-    one_phase,
-)
+from benchmarks.validation.verdict.answers import Answer, Pairs, arcs, free_line, one_phase
 
 PAIRS = Pairs("where something vanishes")
 

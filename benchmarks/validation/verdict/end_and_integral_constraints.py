@@ -9,15 +9,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import (
-    ONE,
-    Answer,
-    Pairs,
-    T,
-    line,
-    one_phase,
-    plane,
-)
+from benchmarks.validation.verdict.answers import ONE, Answer, Pairs, T, line, one_phase, plane
 from benchmarks.validation.verdict.statements import Array
 
 PAIRS = Pairs()

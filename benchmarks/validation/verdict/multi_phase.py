@@ -10,14 +10,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import (
-    ONE,
-    Answer,
-    Pairs,
-    Rates,
-    T,
-    phase_of,
-)
+from benchmarks.validation.verdict.answers import ONE, Answer, Pairs, Rates, T, phase_of
 from benchmarks.validation.verdict.statements import Array
 
 PAIRS = Pairs()

@@ -10,16 +10,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import (
-    ONE,
-    Answer,
-    Pairs,
-    T,
-    arcs,
-    line,
-    one_phase,
-    plane,
-)
+from benchmarks.validation.verdict.answers import ONE, Answer, Pairs, T, arcs, line, one_phase, plane
 
 PAIRS = Pairs()
 

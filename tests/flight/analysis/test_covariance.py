@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import Dispersion, Linearization
+from testing.models import dynamics
 from testing.sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
@@ -321,9 +322,7 @@ def test_what_cannot_be_linearized_is_refused():
 
 
 def test_a_derivative_that_is_not_finite_is_named():
-    model = go.Model("root")
-    q, a = model.state("q"), model.control("a")
-    model.ode({q: ca.sqrt(q) + a})
+    model, *_ = dynamics("root", "q", "a", lambda q, a: {q: ca.sqrt(q) + a})
     law = go.feedforward(go.Reference.constant(model, [0.0], [0.0]))
     with pytest.raises(go.ArgumentError, match="derivative of 'q' of the closed loop is not finite at 0 s"):
         go.linear_covariance(go.Scenario(go.ClosedLoop(model, law, dt=0.1, substeps=1), x0=[0.0], tf=1.0))
@@ -344,9 +343,7 @@ def test_mistakes_with_the_result_are_refused(found, campaign):
 @pytest.mark.parametrize("substeps", [None, 20])
 def test_modes_that_the_nominal_run_does_not_show_are_told(substeps):
     """A quiet run takes one integration step, which made a light mode a growing one: nine times the deviation."""
-    plant = go.Model("boom")
-    q, r, T = plant.state("q"), plant.state("r"), plant.control("T")
-    plant.ode({q: r, r: -400 * q - 0.2 * r + T})
+    plant, *_ = dynamics("boom", "q r", "T", lambda q, r, T: {q: r, r: -400 * q - 0.2 * r + T})
     law = go.feedforward(go.Reference.constant(plant, [0, 0], [0]))
     loop = go.ClosedLoop(plant, law, dt=DT, substeps=substeps)
     experiment = go.Scenario(loop, x0=[0, 0], tf=10.0, dispersions={"initial.q": Normal(0.1)})

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import dynamics
 from testing.sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
@@ -76,9 +77,7 @@ def test_a_late_sample_takes_its_delay_from_the_delay_margin(steps):
 @pytest.mark.parametrize("steps", [0, 2])
 def test_a_statically_unstable_plant_has_the_gain_margin_down_of_its_response_at_rest(steps):
     """-1 / L(z = 1) of the sampled pendulum about its upper rest, whatever delays: constants in the loop hid it."""
-    pole = go.Model("pole")
-    q, v, a = pole.state("q"), pole.state("v"), pole.control("a")
-    pole.ode({q: v, v: 4.0 * q + a})
+    pole, *_ = dynamics("pole", "q v", "a", lambda q, v, a: {q: v, v: 4.0 * q + a})
     law = go.design_lqr(pole, [0.0, 0.0], Q=1, R=1, dt=DT)
     loop = go.ClosedLoop(pole, law, sensors=[SensorDelay("bus", steps * DT)] if steps else [])
     response = loop_response(loop, x0=[0.0, 0.0], tf=10 * DT, at=[5 * DT])
@@ -123,9 +122,7 @@ def test_disk_margins_hold_for_all_commands_at_once():
 
 def test_along_a_trajectory_margins_change_with_the_plant():
     """A wagon that loses its load: at each instant the loop of a sled of that mass."""
-    wagon = go.Model("wagon")
-    q, v, m, F = wagon.state("q"), wagon.state("v"), wagon.state("m"), wagon.control("F")
-    wagon.ode({q: v, v: F / m, m: -0.1})
+    wagon, *_ = dynamics("wagon", "q v m", "F", lambda q, v, m, F: {q: v, v: F / m, m: -0.1})
     loop = go.ClosedLoop(wagon, regulator(sled()))
     response = loop_response(loop, x0=[0, 0, 2.0], tf=10.0, at=[0.0, 5.0, 9.0])
     assert response.times == pytest.approx([0.0, 5.0, 9.0])

@@ -219,10 +219,7 @@ def test_hopeless_designs_are_refused_with_numbers():
         slew(about_z(20), gains=[1.0, 1.0], Q=1.0)
     with pytest.raises(DesignError, match="give Q and R"):
         design_feedback_linearization(
-            spacecraft(),
-            Reference.constant(spacecraft(), REST, np.zeros(3)),
-            outputs="w",
-            Q=1.0,
+            spacecraft(), Reference.constant(spacecraft(), REST, np.zeros(3)), outputs="w", Q=1.0
         )
 
 

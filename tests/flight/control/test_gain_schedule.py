@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.c_compiler import compiled, needs_compiler, python, run
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import design_gain_schedule
@@ -133,9 +134,7 @@ def test_given_states_that_do_not_schedule_are_refused():
     task = {"over": {"m": [1, 2]}, "Q": 1, "R": 1, "dt": DT, "at": lambda m: ([0, 0, m], [0])}
     with pytest.raises(DesignError, match=r"no control reaches the mode with eigenvalue 0\.1 1/s in 'w'"):
         design_gain_schedule(model, [0.0, 0.0, 1.0], **task)
-    still = go.Model("still")
-    m, u = still.state("m"), still.control("u")
-    still.ode({m: -m})
+    still, m, u = dynamics("still", "m", "u", lambda m, u: {m: -m})
     with pytest.raises(DesignError, match="no control moves a state of model 'still'"):
         design_gain_schedule(still, [0.0], **task | {"at": lambda m: ([m], [0])})
 
@@ -183,9 +182,7 @@ def test_what_cannot_be_meant_is_refused(change, error, message):
 
 
 def test_a_vector_is_no_scheduling_variable():
-    model = go.Model("plane")
-    r, u = model.state("r", 2), model.control("u", 2)
-    model.ode({r: u})
+    model, _r, _u = dynamics("plane", "r:2", "u:2", lambda r, u: {r: u})
     path = go.Reference.constant(model, [0, 0])
     with pytest.raises(ArgumentError, match="'r' has 2 components"):
         design_gain_schedule(model, path, over={"r": [0, 1]}, at=lambda v: ([0, v], [0, 0]), Q=1, R=1, dt=DT)

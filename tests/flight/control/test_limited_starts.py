@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import (
@@ -56,9 +57,7 @@ def test_the_limit_delays_the_surface_beyond_the_reaching_time():
 
 def cubic(sign: float) -> go.Model:
     """Zero dynamics +-eta^3 with an eigenvalue of zero: from eta_0 they are eta_0 / sqrt(1 -+ 2 eta_0^2 t)."""
-    model = go.Model("cubic")
-    x1, eta, u = model.state("x1"), model.state("eta"), model.control("u")
-    model.ode({x1: u, eta: sign * eta**3 + x1})
+    model, *_ = dynamics("cubic", "x1 eta", "u", lambda x1, eta, u: {x1: u, eta: sign * eta**3 + x1})
     return model
 
 

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
 from testing.internals import margins, sample, sample_along, steady, unreached, zero_order_hold
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import Reference, bryson, design_lqr
@@ -351,10 +352,7 @@ def test_bryson_makes_the_largest_errors_cost_the_same():
 
 
 def test_a_plant_that_is_not_stabilisable_is_refused_by_mode():
-    model = go.Model("drifting")
-    q, v, p = model.state("q"), model.state("v"), model.state("p")
-    a = model.control("a")
-    model.ode({q: v, v: a, p: 0.25 * p})
+    model, *_ = dynamics("drifting", "q v p", "a", lambda q, v, p, a: {q: v, v: a, p: 0.25 * p})
     with pytest.raises(
         DesignError, match=r"not stabilisable: no control reaches .* eigenvalue 0\.25 1/s in 'p'"
     ):
@@ -364,10 +362,7 @@ def test_a_plant_that_is_not_stabilisable_is_refused_by_mode():
 
 
 def test_a_stable_mode_out_of_reach_is_no_obstacle():
-    model = go.Model("fading")
-    q, p = model.state("q"), model.state("p")
-    a = model.control("a")
-    model.ode({q: a + p, p: -0.25 * p})
+    model, *_ = dynamics("fading", "q p", "a", lambda q, p, a: {q: a + p, p: -0.25 * p})
     assert gain(design_lqr(model, [0, 0], Q=1, R=1))[0, 0] == pytest.approx(1.0)
 
 
@@ -414,10 +409,7 @@ def test_weights_of_a_wrong_shape_or_name_are_refused():
 
 
 def test_a_reference_with_changing_dynamics_is_refused():
-    model = go.Model("pendulum")
-    q, v = model.state("q"), model.state("v")
-    a = model.control("a")
-    model.ode({q: v, v: a - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
     reference = Reference.from_functions(model, lambda t: [t, 1], lambda t: [np.sin(t)], 0, 1)
     with pytest.raises(DesignError, match=r"A of 'pendulum' changes along the reference.*design_tvlqr"):
         design_lqr(model, reference, Q=1, R=1)
@@ -433,9 +425,7 @@ def test_saturation_reserve():
 @pytest.mark.parametrize(("stiffness", "dt"), [(0.0, 1e5), (1.0, 1e5), (1.0, 1e9)])
 def test_a_step_that_is_long_beside_the_plant_is_designed_without_noise(stiffness, dt, recwarn):
     """A body that drifts, and one that has come to rest long before the next step: poles at zero, damping one."""
-    model = go.Model("body")
-    q, v, F = model.state("q"), model.state("v"), model.control("F")
-    model.ode({q: v, v: F - stiffness * (q + 0.1 * v)})
+    model, *_ = dynamics("body", "q v", "F", lambda q, v, F: {q: v, v: F - stiffness * (q + 0.1 * v)})
     told = design_lqr(model, [0, 0], Q=[1, 1], R=[1], dt=dt).explain()
     assert not recwarn.list
     assert not any(np.isnan(np.asarray(told[name])).any() for name in ("damping", "closed-loop poles"))
@@ -444,9 +434,7 @@ def test_a_step_that_is_long_beside_the_plant_is_designed_without_noise(stiffnes
 
 
 def test_a_step_in_which_an_unstable_plant_overflows_is_refused(recwarn):
-    model = go.Model("unstable")
-    q, v, F = model.state("q"), model.state("v"), model.control("F")
-    model.ode({q: v, v: F + 0.1 * v - q})
+    model, *_ = dynamics("unstable", "q v", "F", lambda q, v, F: {q: v, v: F + 0.1 * v - q})
     with pytest.raises(DesignError, match=r"100000 s.*shorter"):
         design_lqr(model, [0, 0], Q=[1, 1], R=[1], dt=1e5)
     with pytest.raises(DesignError, match=r"100000 s.*shorter"):

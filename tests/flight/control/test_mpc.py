@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from testing.internals import Rows, sample, zero_order_hold
+from testing.models import dynamics
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
@@ -174,9 +175,7 @@ def test_refusals():
     ):
         with pytest.raises(ArgumentError, match=message):
             tracker(**wrong)
-    angles = go.Model("turning")
-    q, w = angles.state("q"), angles.control("w")
-    angles.ode({q: w})
+    angles, q, _w = dynamics("turning", "q", "w", lambda q, w: {q: w})
     angles.difference(q, lambda x, ref: ca.sin(x - ref))
     with pytest.raises(DesignError, match="error of state 'q' is not a difference"):
         design_mpc(

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
@@ -112,9 +113,7 @@ def test_a_plant_of_python_control_becomes_a_model() -> None:
 def test_frequency_response_and_margins_are_those_of_python_control(cart: go.Model) -> None:
     """A loop with one command: open loop, sensitivity, gain, phase and disk margins."""
     control = python_control()
-    single = go.Model("cart")
-    r, v, force = single.state("r"), single.state("v"), single.control("F")
-    single.ode({r: v, v: (force - 0.4 * v) / 2.0})
+    single, *_ = dynamics("cart", "r v", "F", lambda r, v, force: {r: v, v: (force - 0.4 * v) / 2.0})
     regulator = go.design_lqr(single, np.zeros(2), Q=np.ones(2), R=[1.0], dt=STEP, limits=(-10.0, 10.0))
     response = loop_response(ClosedLoop(single, regulator, dt=STEP), x0=[0.1, 0.0], tf=1.0)
     plant = ErrorDynamics(single).to_control(0.0, np.zeros(2), np.zeros(1), dt=STEP)

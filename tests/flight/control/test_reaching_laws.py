@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from testing.internals import check_gains, read_bounds
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import (
@@ -73,9 +74,7 @@ def test_a_power_rate_balances_the_disturbance_at_its_band(boundary):
 
 
 def designed(law, boundary, dt):
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     rest = go.Reference.constant(model, [0])
     return go.design_sliding_mode(model, rest, outputs="x", reaching=law, boundary=boundary, dt=dt)
 

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.control import Reference, trim
@@ -20,9 +21,7 @@ def cart() -> go.Model:
 
 def fastest(bound: float = 1.0) -> go.Solution:
     """Rest to rest over 1 m in least time 2 / sqrt(bound), with one switch in the middle."""
-    ocp = go.Problem("rest to rest")
-    leg = ocp.phase("leg", cart())
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    ocp, leg = one_phase("rest to rest", cart(), initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-bound, bound))
@@ -172,10 +171,7 @@ def test_tails(solution):
 
 
 def test_trim_finds_the_control_that_holds_a_state():
-    model = go.Model("pendulum")
-    q, v = model.state("q"), model.state("v")
-    a = model.control("a")
-    model.ode({q: v, v: a + 0.1 * a**3 - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a + 0.1 * a**3 - ca.sin(q)})
     u = trim(model, 0.0, [0.5, 0.0])
     assert u[0] + 0.1 * u[0] ** 3 == pytest.approx(np.sin(0.5), abs=1e-14)
     assert Reference.constant(model, [0.5, 0.0]).u(3.0) == pytest.approx(u)
@@ -186,9 +182,7 @@ def test_trim_finds_the_control_that_holds_a_state():
 
 
 def test_a_solution_that_is_not_solved_is_refused():
-    ocp = go.Problem("too far")
-    leg = ocp.phase("leg", cart())
-    leg.time(initial=0.0, final=1.0)
+    ocp, leg = one_phase("too far", cart(), initial=0.0, final=1.0)
     leg.initial(q=100.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1, 1))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import ErrorDynamics, Reference, design_lqr, design_tvlqr
@@ -63,9 +64,7 @@ def test_double_integrator_without_state_weight(jumps):
 
 def test_scalar_plant_with_all_weights():
     """x' = a x + u: dp/dtau = 2 a p - p^2 + q has a closed form by its two fixed points."""
-    model = go.Model("scalar")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: 0.4 * x + u})
+    model, *_ = dynamics("scalar", "x", "u", lambda x, u: {x: 0.4 * x + u})
     reference = Reference.from_functions(model, lambda t: [0], lambda t: [0], 0.0, 3.0)
     controller = design_tvlqr(model, reference, Q=2.0, R=1.0, terminal=0.1)
     root = np.sqrt(0.4**2 + 2)
@@ -117,10 +116,7 @@ def test_cross_weight_is_a_change_of_feedback():
     k0, model = np.array([[0.3, -0.2]]), cart()
     reference = rest(model, 3.0)
     crossed = design_tvlqr(model, reference, Q=np.eye(2) + k0.T @ k0, R=1, N=k0.T, terminal=1.0)
-    shifted = go.Model("shifted")
-    q, v = shifted.state("q"), shifted.state("v")
-    a = shifted.control("a")
-    shifted.ode({q: v, v: a - (0.3 * q - 0.2 * v)})
+    shifted, *_ = dynamics("shifted", "q v", "a", lambda q, v, a: {q: v, v: a - (0.3 * q - 0.2 * v)})
     plain = design_tvlqr(shifted, rest(shifted, 3.0), Q=1, R=1, terminal=1.0)
     assert np.allclose(gains(crossed).P(0.0), gains(plain).P(0.0), rtol=1e-9)
     assert np.allclose(gains(crossed).K(1.0), gains(plain).K(1.0) + k0, rtol=1e-9)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from testing.internals import LinearizationTable, QuadraticCost, riccati_gains
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.control import ErrorDynamics, Reference
@@ -42,10 +43,7 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
 
 
 def pendulum() -> go.Model:
-    model = go.Model("pendulum")
-    q, v = model.state("q"), model.state("v")
-    a = model.control("a")
-    model.ode({q: v, v: a * ca.cos(q) - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a * ca.cos(q) - ca.sin(q)})
     return model
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import Regression, cholesky, flat, solved_left, solved_right
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, design_ukf
@@ -116,9 +117,7 @@ def test_the_steady_covariance_solves_the_riccati_equation(design):
 
 
 def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
-    model = go.Model("damped")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - 2 * q - 0.7 * v})
+    model, *_ = dynamics("damped", "q v", "a", lambda q, v, a: {q: v, v: a - 2 * q - 0.7 * v})
     errors = []
     for substeps in (1, 2):
         estimator = design_ekf(
@@ -139,9 +138,7 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
 
 
 def test_predictions_follow_the_nonlinear_dynamics_within_the_limits():
-    model = go.Model("pendulum")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
     estimator = design_ekf(
         model,
         [1.0, 0.0],
@@ -258,9 +255,7 @@ def test_a_bad_guess_and_a_good_sensor_leave_a_covariance():
 
 
 def test_errors_that_nothing_connects_are_not_stored():
-    model = go.Model("two")
-    q, v, w, a = model.state("q"), model.state("v"), model.state("w"), model.control("a")
-    model.ode({q: v, v: a, w: -w})
+    model, *_ = dynamics("two", "q v w", "a", lambda q, v, w, a: {q: v, v: a, w: -w})
     sensors = [Measurement("q", 0.1), Measurement("w", 0.1)]
     given = {"sigma0": {"q": 1, "v": 1, "w": 1}, "dt": DT}
     estimator = design_ekf(model, [0, 0, 0], sensors, **given)
@@ -324,9 +319,7 @@ def _back(q, omega):
 
 
 def test_a_difference_of_ones_own_closes_the_circle():
-    model = go.Model("radar")
-    q, a = model.state("q", 2), model.control("a", 2)
-    model.ode({q: a})
+    model, q, _a = dynamics("radar", "q:2", "a:2", lambda q, a: {q: a})
     model.output("bearing", ca.atan2(q[1], q[0]), unit="rad")
     around = lambda y, ref: ca.atan2(ca.sin(y - ref), ca.cos(y - ref))  # noqa: E731
     given = {"sigma0": {"q": 0.1}, "dt": DT}
@@ -473,26 +466,20 @@ def test_measurements_that_cannot_be_meant_are_refused(arguments, message):
     ],
 )
 def test_attitudes_need_their_way_back(retraction, error, message):
-    model = go.Model("m")
-    att, w = model.state("att", 3), model.control("w", 3)
-    model.ode({att: mrp_rate(att, w)})
+    model, att, _w = dynamics("m", "att:3", "w:3", lambda att, w: {att: mrp_rate(att, w)})
     model.difference(att, mrp_difference, retraction)
     with pytest.raises(error, match=message):
         design_ekf(model, [0.3, 0.1, 0], [Measurement("att", 1e-3)], sigma0={"att": 0.1}, dt=DT)
 
 
 def test_names_of_estimated_biases_must_be_free():
-    model = go.Model("m")
-    q, b, a = model.state("q"), model.state("q_bias"), model.control("a")
-    model.ode({q: a, b: 0 * b})
+    model, *_ = dynamics("m", "q q_bias", "a", lambda q, b, a: {q: a, b: 0 * b})
     with pytest.raises(go.ArgumentError, match="would be called like a state"):
         design_ekf(model, [0, 0], [Measurement("q", 1, bias=1)], sigma0={"q": 1, "q_bias": 1}, dt=DT)
 
 
 def test_what_is_not_seen_is_told():
-    model = go.Model("m")
-    q, w, a = model.state("q"), model.state("w"), model.control("a")
-    model.ode({q: a, w: 0 * w})
+    model, *_ = dynamics("m", "q w", "a", lambda q, w, a: {q: a, w: 0 * w})
     told = design_ekf(model, [0, 0], [Measurement("q", 1)], sigma0={"q": 1, "w": 1}, dt=DT).explain()
     assert told["unobservable states"] == "w"
     assert "steady-state standard deviation" not in [fact.name for fact in told]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.analysis import consistency
@@ -250,18 +251,14 @@ def test_what_does_not_fit_is_refused(right):
         with_dropout_handling(both)
     with pytest.raises(go.ArgumentError, match=r"for control steps of 0\.1 s, not 0\.2 s"):
         output_feedback(law, filter_(model, dt=0.2))
-    other = go.Model("other")
-    p, b = other.state("p"), other.control("b")
-    other.ode({p: b})
+    other, *_ = dynamics("other", "p", "b", lambda p, b: {p: b})
     stranger = design_ekf(other, [0], [Measurement("p", 1)], sigma0={"p": 1}, dt=DT)
     with pytest.raises(go.ArgumentError, match="needs the state 'q', which 'EKF' does not give"):
         output_feedback(law, stranger)
     third = go.design_lqr(other, [0.0], Q={"p": 1}, R={"b": 1}, dt=DT)
     with pytest.raises(go.ArgumentError, match="needs the state 'p'"):
         output_feedback(third, right)
-    wide = go.Model("wide")
-    q, v, a = wide.state("q", 2), wide.state("v"), wide.control("a")
-    wide.ode({q: ca.vertcat(v, v), v: a})
+    wide, _q, _v, _a = dynamics("wide", "q:2 v", "a", lambda q, v, a: {q: ca.vertcat(v, v), v: a})
     sensor = [Measurement("q", 1)]
     big = design_ekf(wide, [0, 0, 0], sensor, sigma0={"q": 1, "v": 1}, dt=DT)
     with pytest.raises(go.ArgumentError, match="state 'q' has 1 components in 'LQR' and 2 in 'EKF'"):
@@ -316,9 +313,7 @@ def test_a_push_that_lasts_is_a_state_of_the_filters_own_model():
     q, v, a = plant.state("q", unit="m"), plant.state("v", unit="m/s"), plant.control("a", unit="m/s^2")
     push = plant.parameter("push", 0.0, unit="m/s^2")
     plant.ode({q: v, v: a + push})
-    own = go.Model("its own")
-    q, v, d, a = own.state("q"), own.state("v"), own.state("d"), own.control("a")
-    own.ode({q: v, v: a + d, d: 0.0})
+    own, q, v, _d, a = dynamics("its own", "q v d", "a", lambda q, v, d, a: {q: v, v: a + d, d: 0.0})
     sigma0 = {"q": 0.5, "v": 0.3, "d": 0.2}
     radar = [Measurement("q", 0.1, gate=0.9999)]
     noise = {"v": 0.1}

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.c_compiler import needs_compiler, python, run, sanitized
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_c
@@ -28,9 +29,7 @@ def problem(spring=0.0, start=(4.0, 0.0), model=None):
         q, v, a = model.state("q"), model.state("v"), model.control("a")
         m = model.parameter("m", 1.0)
         model.ode({q: v, v: a / m - spring * q})
-    stated = go.Problem("to rest")
-    leg = stated.phase("p", model)
-    leg.time(initial=0.0, final=(0.5, 40.0))
+    stated, leg = one_phase("to rest", model, initial=0.0, final=(0.5, 40.0), name="p")
     leg.initial(q=start[0], v=start[1])
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -8,6 +8,7 @@ import pytest
 import scipy
 from testing.c_compiler import compiled, needs_compiler, python, run
 from testing.internals import SmoothPlan, conjugate_time, feedback
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.control import export_c
@@ -19,17 +20,13 @@ DT = 0.01
 
 
 def mass():
-    model = go.Model("mass")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, *_ = dynamics("mass", "q v", "a", lambda q, v, a: {q: v, v: a})
     return model
 
 
 def stated(model, cost, time=(0.5, 20.0), end=None, start=(4.0, 0.5), **bounds):
     """A problem with the states q and v, from a start to an end with the least cost(leg, model)."""
-    problem = go.Problem("plan")
-    leg = problem.phase("p", model)
-    leg.time(initial=0.0, final=time)
+    problem, leg = one_phase("plan", model, initial=0.0, final=time, name="p")
     leg.initial(q=start[0], v=start[1])
     if end is not None:
         leg.final(**end)
@@ -180,9 +177,7 @@ def test_a_plan_beyond_its_conjugate_time_is_refused():
     model = go.Model("unit")
     x, u, k = model.state("x"), model.control("u"), model.parameter("k", 0.25)
     model.ode({x: u})
-    problem = go.Problem("oscillator")
-    leg = problem.phase("p", model)
-    leg.time(initial=0.0, final=4.0)
+    problem, leg = one_phase("oscillator", model, initial=0.0, final=4.0, name="p")
     leg.initial(x=0.0)
     leg.final(x=0.0)
     problem.minimize(leg.integral(0.5 * (u**2 - k * x**2)))
@@ -197,9 +192,7 @@ def test_a_plan_beyond_its_conjugate_time_is_refused():
 
 
 def test_a_hamiltonian_that_is_flat_in_a_control_is_refused():
-    model = go.Model("two pushes")
-    q, v, a, b = model.state("q"), model.state("v"), model.control("a"), model.control("b")
-    model.ode({q: v, v: a + b})
+    model, *_ = dynamics("two pushes", "q v", "a b", lambda q, v, a, b: {q: v, v: a + b})
     problem = stated(
         model, lambda leg, m: leg.integral((m.symbol("a") + m.symbol("b")) ** 2), time=2.0, end=REST
     )
@@ -217,12 +210,8 @@ def test_a_control_on_its_limit_is_refused():
 
 
 def test_a_state_that_no_control_moves_is_refused():
-    own = go.Model("mass and more")
-    q, v, c, a = own.state("q"), own.state("v"), own.state("c"), own.control("a")
-    own.ode({q: v, v: a, c: 0 * c})
-    problem = go.Problem("plan")
-    leg = problem.phase("p", own)
-    leg.time(initial=0.0, final=2.0)
+    own, _q, _v, _c, a = dynamics("mass and more", "q v c", "a", lambda q, v, c, a: {q: v, v: a, c: 0 * c})
+    problem, leg = one_phase("plan", own, initial=0.0, final=2.0, name="p")
     leg.initial(q=1.0, v=0.0, c=1.0)
     leg.final(q=0.0, v=0.0, c=1.0)
     problem.minimize(leg.integral(a**2))

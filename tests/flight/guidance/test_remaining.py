@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.internals import check_remaining, remaining
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.control import Reference, feedforward
@@ -28,9 +29,7 @@ def stated(more: Callable[[Any, Any], None] | None = None, **times: Any) -> go.P
     q, v, u = m.state("q"), m.state("v"), m.control("u")
     gain = m.parameter("gain", 1.0)
     m.ode({q: v, v: gain * u})
-    p = go.Problem("cart")
-    leg = p.phase("leg", m)
-    leg.time(**(times or {"initial": 0.0, "final": 1.0}))
+    p, leg = one_phase("cart", m, **(times or {"initial": 0.0, "final": 1.0}))
     leg.initial(q=-1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     if more is not None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.analysis import linear_covariance
@@ -30,9 +31,7 @@ def resolver() -> Resolver:
     q, v = m.state("q", unit="m"), m.state("v", unit="m/s")
     u = m.control("u", unit="m/s^2")
     m.ode({q: v, v: u})
-    p = go.Problem("cart")
-    leg = p.phase("leg", m)
-    leg.time(initial=0.0, final=1.0)
+    p, leg = one_phase("cart", m, initial=0.0, final=1.0)
     leg.bounds(u=(-50.0, 50.0))
     leg.initial(q=-1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
@@ -214,10 +213,7 @@ def two_phases() -> Any:
         (lambda: Replanner(resolver(), every=0.1), "write lambda"),  # type: ignore[arg-type]
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),
         (lambda: loop(every(0.015)), "multiple of the control step"),
-        (
-            lambda: linear_covariance(go.Scenario(loop(every()), x0=[-1.0, 0.0], tf=1.0)),
-            "re-plans in flight",
-        ),
+        (lambda: linear_covariance(go.Scenario(loop(every()), x0=[-1.0, 0.0], tf=1.0)), "re-plans in flight"),
         (lambda: loop(3), "replanner of a closed loop"),  # type: ignore[arg-type]
         (lambda: loop(every(), controller=feedforward(_another_way())), "follows something else"),
         (

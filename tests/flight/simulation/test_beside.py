@@ -10,16 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from testing.internals import Places, integration_errors
+from testing.models import dynamics
 
 import gnc_opt as go
-from gnc_opt.simulation import (
-    ClosedLoop,
-    CompiledLoop,
-    Event,
-    Noise,
-    Quantisation,
-    RunStatus,
-)
+from gnc_opt.simulation import ClosedLoop, CompiledLoop, Event, Noise, Quantisation, RunStatus
 
 G = 9.81
 
@@ -98,9 +92,7 @@ def test_a_run_whose_slow_mode_is_unstable_does_not_have_the_growth_of_a_stable_
 
 def test_quanta_that_turn_are_in_the_printed_error() -> None:
     """Commands in steps: some true ways round one the other way, and the second flights with them."""
-    model = go.Model("swing")
-    a, w, u = model.state("a"), model.state("w"), model.control("u")
-    model.ode({a: w, w: -40 * ca.sin(a) + u})
+    model, *_ = dynamics("swing", "a w", "u", lambda a, w, u: {a: w, w: -40 * ca.sin(a) + u})
     law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
     blocks: dict[str, Any] = {"actuators": [Quantisation("steps", 1e-3)], "sensors": [Noise("gauge", 1e-3)]}
     coarse, fine = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, CompiledLoop, Event
@@ -15,9 +16,7 @@ UP = 5.0
 
 
 def ball(drag: float) -> go.Model:
-    model = go.Model("ball")
-    h, w, a = model.state("h"), model.state("w"), model.control("a")
-    model.ode({h: w, w: a - G - drag * w})
+    model, *_ = dynamics("ball", "h w", "a", lambda h, w, a: {h: w, w: a - G - drag * w})
     return model
 
 

@@ -275,11 +275,7 @@ def test_resets_from_which_the_plant_goes_on_are_no_rest_on_the_ground(kind):
     h, v, mode, a = plant.state("h"), plant.state("v"), plant.state("mode"), plant.control("a")
     below = G if kind == "pushed back" else 0.0 if kind == "held by a mode" else -G
     plant.ode({h: v, v: a + ca.if_else(mode > 0.5, below, -G), mode: 0.0})
-    resets = {
-        "put higher": {h: 50.0, v: 0.0},
-        "slowed down": {v: 0.5 * v},
-        "condition": {v: 0.0},
-    }
+    resets = {"put higher": {h: 50.0, v: 0.0}, "slowed down": {v: 0.5 * v}, "condition": {v: 0.0}}
     reset = resets.get(kind, {v: 0.0, mode: 1.0})
     where = v > -1 if kind == "condition" else None
     run = falling(plant, Event("met", h, "falling", reset=reset, where=where)).simulate(
@@ -483,8 +479,7 @@ BLIND = {
 }
 
 
-@pytest.mark.parametrize("native", [False, True])
-@pytest.mark.parametrize("blind", BLIND)
+@pytest.mark.parametrize(("blind", "native"), [*((blind, False) for blind in BLIND), ("for a moment", True)])
 def test_an_event_that_could_not_be_noticed_is_told(blind, native, monkeypatch):
     """sqrt(h) never falls through zero, but the ball falls through h = 0; from 2 m that is at 0.64 s. In the same
     control step as another event, or, for a moment, before it."""

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import dynamics
 
 import gnc_opt as go
 from gnc_opt.estimation import Measurement
@@ -13,9 +14,7 @@ DT = 0.1
 
 
 def pendulum() -> go.Model:
-    model = go.Model("pendulum")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - ca.sin(q)})
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
     return model
 
 

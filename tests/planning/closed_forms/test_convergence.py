@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from testing.closed_forms import SCHEMES
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -13,12 +14,8 @@ HORIZON = 2.0
 
 def regulator() -> go.Problem:
     """min 1/2 int x^2 + u^2 over 2 s, x' = u, x(0) = 1: x = cosh(2 - t) / cosh 2, u = x', lam = -u."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("scalar regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=HORIZON)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("scalar regulator", model, initial=0.0, final=HORIZON)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     return problem

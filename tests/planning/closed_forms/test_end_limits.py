@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -17,9 +18,7 @@ ROOT = 5 * (np.sqrt(1.2) - 1)
 
 
 def cart() -> tuple[go.Model, Any, Any, Any]:
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, q, v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     return model, q, v, a
 
 
@@ -31,9 +30,7 @@ def effort(d: float, v0: float, v1: float, t: float) -> float:
 def speed_at_the_end() -> tuple[go.Problem, float]:
     """What is gained by v(1) without the limit leads beyond it; order one."""
     model, _, v, a = cart()
-    problem = go.Problem("fast at the end")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("fast at the end", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.path("limit", v + v**2 / 10, upper=0.5)
     problem.minimize(leg.integral(a**2 / 2) - 2 * leg.final_state("v"))
@@ -43,9 +40,7 @@ def speed_at_the_end() -> tuple[go.Problem, float]:
 def place_at_the_end() -> tuple[go.Problem, float]:
     """The same of q(1); order two."""
     model, q, _, a = cart()
-    problem = go.Problem("far at the end")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("far at the end", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.path("limit", q + q**2, upper=0.5)
     problem.minimize(leg.integral(a**2 / 2) - 3 * leg.final_state("q"))
@@ -56,9 +51,7 @@ def place_at_the_end() -> tuple[go.Problem, float]:
 def moving_wall() -> tuple[go.Problem, float]:
     """Full thrust until the wall q = 1 - 0.3 t comes, as fast as can be; the time is free."""
     model, q, _, _ = cart()
-    problem = go.Problem("to the wall")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 5.0))
+    problem, leg = one_phase("to the wall", model, 0.0, (0.1, 5.0))
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     leg.path("wall", q + 0.3 * model.time, upper=1.0)
@@ -88,9 +81,7 @@ def limit_that_costs() -> tuple[go.Problem, float]:
 def place_at_the_start() -> tuple[go.Problem, float]:
     """The nearer it starts the less it costs; the limit moves on faster than the cart."""
     model, q, _, a = cart()
-    problem = go.Problem("near at the start")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("near at the start", model, 0.0, 1.0)
     leg.initial(v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.path("limit", q - model.time + q**2 / 2, upper=0.625)
@@ -136,12 +127,8 @@ def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(
     pull: float, result: ConditionResult
 ) -> None:
     # From 3 m straight at a disc of 1 m: c(phi) = (10 - 6 cos phi) / 2 + pull cos phi on its edge, c'' = 3 - pull.
-    point = go.Model("point")
-    x, y, u = point.state("x"), point.state("y"), point.control("u", 2)
-    point.ode({x: u[0], y: u[1]})
-    problem = go.Problem("to a disc")
-    leg = problem.phase("leg", point)
-    leg.time(0.0, 1.0)
+    point, x, y, u = dynamics("point", "x y", "u:2", lambda x, y, u: {x: u[0], y: u[1]})
+    problem, leg = one_phase("to a disc", point, 0.0, 1.0)
     leg.initial(x=3.0, y=0.0)
     leg.path("outside", x**2 + y**2, lower=1.0)
     problem.minimize(leg.integral((u[0] ** 2 + u[1] ** 2) / 2) + pull * leg.final_state("x"))
@@ -155,9 +142,7 @@ def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(
 @pytest.mark.parametrize(("gain", "result"), [(2.0, ConditionResult.PASS), (0.2, ConditionResult.FAIL)])
 def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: ConditionResult) -> None:
     model, _, v, a = cart()
-    problem = go.Problem("fast at the end")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("fast at the end", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.path("limit", v + v**2 / 10, upper=0.5)
     problem.minimize(leg.integral(a**2 / 2) - gain * leg.final_state("v"))
@@ -170,9 +155,7 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Condit
 def test_limits_met_at_both_ends_are_found_once() -> None:
     # At constant speed from q - t = -1/5 to 1/5, which costs nothing and gains 3 (6/5 + 1/5).
     model, q, _, a = cart()
-    problem = go.Problem("corridor that moves")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("corridor that moves", model, 0.0, 1.0)
     leg.path("corridor", (q - model.time) ** 2, upper=0.04)
     problem.minimize(leg.integral(a**2 / 2) + 3 * leg.initial_state("q") - 3 * leg.final_state("q"))
     found = go.solve(problem)

@@ -20,6 +20,7 @@ from testing.internals import (
     start_from_guess,
     transcribe,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Status
@@ -27,12 +28,8 @@ from gnc_opt.planning import Status
 
 def oscillator(displacement: float, final: tuple[float, float | None] = (0.1, None)) -> go.Problem:
     """Bring x'' = -x + u, |u| <= 1, from (displacement, 0) to rest in minimum time."""
-    model = go.Model("oscillator")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: -x + u})
-    problem = go.Problem("oscillator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=final)
+    model, *_ = dynamics("oscillator", "x v", "u", lambda x, v, u: {x: v, v: -x + u})
+    problem, leg = one_phase("oscillator", model, initial=0.0, final=final)
     leg.initial(x=displacement, v=0.0)
     leg.final(x=0.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from testing.closed_forms import SCHEMES, Array, Truth, assert_matches, constant, solve
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -21,12 +22,8 @@ pytestmark = pytest.mark.parametrize("scheme", SCHEMES)
 
 def cart_problem(target: float, lower: float, upper: float) -> tuple[go.Problem, go.Phase]:
     """Rest to rest in minimum time with lower <= u <= upper."""
-    cart = go.Model("cart")
-    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
-    cart.ode({x: v, v: u})
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=(0.1, 100.0))
+    cart, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("minimum time", cart, initial=0.0, final=(0.1, 100.0))
     leg.initial(x=0.0, v=0.0)
     leg.final(x=target, v=0.0)
     leg.bounds(u=(lower, upper))
@@ -104,9 +101,7 @@ def test_movable_node_on_the_switch(
 
 def test_two_phases_with_different_authority(scheme: str) -> None:
     """|u| <= 2 until x = 1/2, then |u| <= 1, to rest at x = 1: t_f = 1/2 + sqrt(3/2), and lam_x jumps."""
-    cart = go.Model("cart")
-    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
-    cart.ode({x: v, v: u})
+    cart, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
     problem = go.Problem("two stages")
     first, second = problem.phase("first", cart), problem.phase("second", cart)
     first.time(initial=0.0, final=(0.1, 10.0))
@@ -164,9 +159,7 @@ def test_brachistochrone(mesh: go.Mesh, scheme: str) -> None:
     bead = go.Model("bead")
     x, y, v, th = bead.state("x"), bead.state("y"), bead.state("v"), bead.control("th")
     bead.ode({x: v * ca.sin(th), y: v * ca.cos(th), v: g * ca.cos(th)})
-    problem = go.Problem("brachistochrone")
-    leg = problem.phase("leg", bead)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("brachistochrone", bead, initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0, y=0.0, v=0.0)
     leg.final(x=target, y=target)
     leg.bounds(th=(-1.0, np.pi))
@@ -205,12 +198,8 @@ def test_an_arc_cannot_be_shorter_than_nothing(scheme: str) -> None:
 
     Arcs of t_1 and t_2 need t_1 - t_2 = 1 and take 1 + 2 t_2: 1 s with t_2 = 0, and less and less below.
     """
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one way")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one way", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     leg.bounds(u=(-1.0, 1.0))

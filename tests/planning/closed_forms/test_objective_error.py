@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import PiecewisePolynomial
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -18,9 +19,7 @@ MESHES = ("20x4", "60x3")
 
 def cart(acceleration: tuple[float, float] = (-np.inf, np.inf)) -> tuple[go.Problem, go.Phase, Any]:
     """Return a double integrator at rest at 0, without cost, and its acceleration."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     problem = go.Problem("cart")
     leg = problem.phase("leg", model)
     leg.initial(q=0.0, v=0.0)
@@ -50,12 +49,8 @@ def limited_height() -> go.Problem:
 
 def regulator(unit: float = 1.0) -> go.Problem:
     """x' = u from 1, cost of (x^2 + u^2) / 2 over 40 s in some unit; a negative one is maximised."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=40.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("regulator", model, initial=0.0, final=40.0)
     leg.initial(x=1.0)
     (problem.minimize if unit > 0 else problem.maximize)(unit * leg.integral((x**2 + u**2) / 2))
     return problem
@@ -66,9 +61,7 @@ def brachistochrone() -> go.Problem:
     model = go.Model("bead")
     x, y, v, angle = model.state("x"), model.state("y"), model.state("v"), model.control("angle")
     model.ode({x: v * ca.sin(angle), y: v * ca.cos(angle), v: ca.cos(angle)})
-    problem = go.Problem("brachistochrone")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("brachistochrone", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0, y=0.0, v=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.final_time)
@@ -104,12 +97,8 @@ def test_error_is_estimated(problem: Callable[[], go.Problem], exact: float, mes
 
 def ramp(excess: float) -> go.Solution:
     """From 0 to 1 in 1 s by u = 1 + excess (1 - 2 t), exact along its path, with the costate -1 of the optimum."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("ramp")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("ramp", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(u**2 / 2))

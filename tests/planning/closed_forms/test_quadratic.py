@@ -15,6 +15,7 @@ from testing.closed_forms import (
     integrate,
     solve,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -24,22 +25,14 @@ on_smooth_meshes = pytest.mark.parametrize("mesh", SMOOTH_MESHES.values(), ids=S
 
 
 def double_integrator(final_time: float) -> tuple[go.Problem, go.Phase]:
-    cart = go.Model("cart")
-    x, v, u = cart.state("x"), cart.state("v"), cart.control("u")
-    cart.ode({x: v, v: u})
-    problem = go.Problem("double integrator")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=final_time)
+    cart, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("double integrator", cart, initial=0.0, final=final_time)
     return problem, leg
 
 
 def integrator(initial: object, final: object) -> tuple[go.Problem, go.Phase]:
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("integrator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=initial, final=final)
+    model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("integrator", model, initial=initial, final=final)
     return problem, leg
 
 
@@ -143,9 +136,7 @@ def test_periodic_regulator(mesh: go.Mesh, scheme: str) -> None:
     model = go.Model("driven")
     x, u = model.state("x"), model.control("u")
     model.ode({x: -x + u + ca.cos(model.time)})
-    problem = go.Problem("periodic")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2 * np.pi)
+    problem, leg = one_phase("periodic", model, initial=0.0, final=2 * np.pi)
     problem.constrain("periodic", leg.final_state("x") - leg.initial_state("x"), equals=0.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     finer = go.Mesh(mesh.breaks, tuple(n + 4 for n in mesh.degrees))

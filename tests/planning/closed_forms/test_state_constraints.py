@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from testing.closed_forms import SCHEMES, Truth, assert_matches, constant, solve
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -17,9 +18,7 @@ on_schemes = pytest.mark.parametrize("scheme", SCHEMES)
 
 
 def cart() -> go.Model:
-    model = go.Model("cart")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
+    model, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
     return model
 
 
@@ -34,9 +33,7 @@ BRYSON_DENHAM_MESHES = {
 
 def bryson_denham(as_path: bool) -> go.Problem:
     """min 1/2 int u^2 from (0, 1) to (0, -1) in one second with x <= 1/9 (Bryson & Ho 1975, p. 120)."""
-    problem = go.Problem("Bryson-Denham")
-    leg = problem.phase("leg", cart())
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("Bryson-Denham", cart(), initial=0.0, final=1.0)
     leg.initial(x=0.0, v=1.0)
     leg.final(x=0.0, v=-1.0)
     if as_path:
@@ -111,12 +108,8 @@ LINE_MESHES = {
 
 def elastic_line(as_path: bool, final_time: float) -> go.Problem:
     """min int u^2 / 2 + 18 x, x' = u, x >= 0, from x = 1, back to 1 at t = 1 or free at t = 2/3."""
-    model = go.Model("line")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("touch-down")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=final_time)
+    model, x, u = dynamics("line", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("touch-down", model, initial=0.0, final=final_time)
     leg.initial(x=1.0)
     if final_time == 1.0:
         leg.final(x=1.0)
@@ -193,9 +186,7 @@ def test_density_at_a_boundary_that_two_unequal_segments_share(
 
 def speed_limit() -> tuple[go.Problem, go.Phase]:
     """Rest to rest over 1 m in minimum time with |u| <= 1 and v <= 1/2: t_f = 5/2, switches at 1/2 and 2."""
-    problem = go.Problem("speed limit")
-    leg = problem.phase("leg", cart())
-    leg.time(initial=0.0, final=(0.5, 10.0))
+    problem, leg = one_phase("speed limit", cart(), initial=0.0, final=(0.5, 10.0))
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0), v=(None, 0.5))
@@ -263,12 +254,8 @@ def test_speed_limit_on_a_fixed_mesh(degree: int, scheme: str) -> None:
 @pytest.mark.parametrize("climb", [0.3, -0.3])
 def test_under_a_ceiling_that_moves_h_jumps_as_the_costate_does(height: float, climb: float) -> None:
     """Bryson-Denham from a moving lift: H(t+) = H(t-) + eta dc/dt where the ceiling is touched, or an arc begins."""
-    model = go.Model("cart")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("lift")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, _v, a = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("lift", model, 0.0, 1.0)
     leg.initial(x=0.0, v=1.0 + climb)
     leg.final(x=climb, v=climb - 1.0)
     leg.path("ceiling", x - climb * model.time, upper=height)

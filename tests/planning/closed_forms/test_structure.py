@@ -16,6 +16,7 @@ from testing.closed_forms import (
     integrate,
     solve,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -25,9 +26,7 @@ on_smooth_meshes = pytest.mark.parametrize("mesh", SMOOTH_MESHES.values(), ids=S
 
 
 def integrator(name: str = "integrator") -> go.Model:
-    model = go.Model(name)
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, *_ = dynamics(name, "x", "u", lambda x, u: {x: u})
     return model
 
 
@@ -83,9 +82,7 @@ def test_interior_point(mesh: go.Mesh, scheme: str) -> None:
 @on_linear_meshes
 def test_free_initial_time(mesh: go.Mesh, scheme: str) -> None:
     """min 2 (t_f - t_0) + 1/2 int u^2, t_f = 1: the start is at 1/2, where H = dPhi/dt_0 = -2."""
-    problem = go.Problem("free start")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=(-3.0, 0.9), final=1.0)
+    problem, leg = one_phase("free start", integrator(), initial=(-3.0, 0.9), final=1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(running(leg, "energy") + 2 * leg.duration)
@@ -128,9 +125,7 @@ def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> Non
 @on_linear_meshes
 def test_final_time_at_its_limit(mesh: go.Mesh, scheme: str) -> None:
     """With t_f <= 2/5 where 1/2 is best, H = dJ/dt_f = 2 - 1/(2 t_f^2) < 0 and the limit pushes with -H."""
-    problem = go.Problem("late is better")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=0.0, final=(0.1, 0.4))
+    problem, leg = one_phase("late is better", integrator(), initial=0.0, final=(0.1, 0.4))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + 2))
@@ -143,9 +138,7 @@ def test_final_time_at_its_limit(mesh: go.Mesh, scheme: str) -> None:
 @on_linear_meshes
 def test_explicit_time_and_free_final_time(mesh: go.Mesh, scheme: str) -> None:
     """min int u^2 / 2 + t, x from 0 to 1: t_f^3 = 1/2, H(t_f) = 0, dH/dt = 1."""
-    problem = go.Problem("the later the dearer")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=0.0, final=(0.1, 5.0))
+    problem, leg = one_phase("the later the dearer", integrator(), initial=0.0, final=(0.1, 5.0))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + leg.model.time))
@@ -167,12 +160,8 @@ def test_explicit_time_and_free_final_time(mesh: go.Mesh, scheme: str) -> None:
 
 def test_maximisation(scheme: str) -> None:
     """Cake eating: max int exp(-t/20) log c, k' = k/10 - c, k from 1 to 0; costates are those of -J."""
-    model = go.Model("cake")
-    k, c = model.state("k"), model.control("c")
-    model.ode({k: 0.1 * k - c})
-    problem = go.Problem("cake eating")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=10.0)
+    model, _k, c = dynamics("cake", "k", "c", lambda k, c: {k: 0.1 * k - c})
+    problem, leg = one_phase("cake eating", model, initial=0.0, final=10.0)
     leg.initial(k=1.0)
     leg.final(k=0.0)
     leg.bounds(k=(0.0, 10.0), c=(1e-3, 10.0))
@@ -210,9 +199,7 @@ def test_parameter(limit: float | None, mesh: go.Mesh, scheme: str) -> None:
     model = go.Model("drift")
     x, u, p = model.state("x"), model.control("u"), model.parameter("p", 0.0)
     model.ode({x: u + p})
-    problem = go.Problem("drift")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("drift", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     free = problem.parameter("p", lower=-1.0, upper=1.0 if limit is None else limit, guess=0.1)
@@ -238,9 +225,7 @@ def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
     model = go.Model("reactions")
     a, b, k = model.state("a"), model.state("b"), model.parameter("k", 1.0)
     model.ode({a: -k * a, b: k * a - b})
-    problem = go.Problem("most b")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("most b", model, initial=0.0, final=1.0)
     leg.initial(a=1.0, b=0.0)
     problem.parameter("k", lower=1.5, upper=10.0, guess=2.0)
     problem.maximize(leg.final_state("b"))
@@ -275,9 +260,7 @@ def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
 def test_power_of_an_integral(power: float, mesh: go.Mesh, scheme: str) -> None:
     """A cost I^p has the trajectory of I, and costates and H of I times dJ/dI = p I^(p - 1)."""
     T = 2.0
-    problem = go.Problem("power of an integral")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=0.0, final=T)
+    problem, leg = one_phase("power of an integral", integrator(), initial=0.0, final=T)
     leg.initial(x=1.0)
     problem.minimize(running(leg, "regulator") ** power)
     solution = solve(problem, mesh, scheme)
@@ -297,9 +280,7 @@ def test_power_of_an_integral(power: float, mesh: go.Mesh, scheme: str) -> None:
 @on_linear_meshes
 def test_nonlinear_constraint_on_an_integral(mesh: go.Mesh, scheme: str) -> None:
     """The isoperimetric problem with A^2 = 1 instead of A = 1: the multiplier -12 is divided by 2 A."""
-    problem = go.Problem("squared area")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("squared area", integrator(), initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.final(x=0.0)
     leg.guess(x=lambda t: t * (1 - t))
@@ -323,12 +304,8 @@ def test_nonlinear_constraint_on_an_integral(mesh: go.Mesh, scheme: str) -> None
 @on_smooth_meshes
 def test_path_equality_of_controls(mesh: go.Mesh, scheme: str) -> None:
     """x' = u + w, u - w = sin t, min 1/2 int u^2 + w^2: multiplier -sin(t) / 2."""
-    model = go.Model("two controls")
-    x, u, w = model.state("x"), model.control("u"), model.control("w")
-    model.ode({x: u + w})
-    problem = go.Problem("shared effort")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _x, u, w = dynamics("two controls", "x", "u w", lambda x, u, w: {x: u + w})
+    problem, leg = one_phase("shared effort", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     leg.path("difference", u - w - ca.sin(model.time), equals=0.0)
@@ -348,12 +325,8 @@ def test_path_equality_of_controls(mesh: go.Mesh, scheme: str) -> None:
 def test_path_equality_with_a_state(mesh: go.Mesh, scheme: str) -> None:
     """x' = u + w with w = x prescribed by a path constraint: lam' = mu, an unstable regulator, x'' = 2 x."""
     T, root = 1.0, np.sqrt(2.0)
-    model = go.Model("two controls")
-    x, u, w = model.state("x"), model.control("u"), model.control("w")
-    model.ode({x: u + w})
-    problem = go.Problem("prescribed")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=T)
+    model, x, u, w = dynamics("two controls", "x", "u w", lambda x, u, w: {x: u + w})
+    problem, leg = one_phase("prescribed", model, initial=0.0, final=T)
     leg.initial(x=1.0)
     leg.path("prescribed", w - x, equals=0.0)
     problem.minimize(leg.integral((u**2 + w**2) / 2))
@@ -380,9 +353,7 @@ def test_path_equality_with_a_state(mesh: go.Mesh, scheme: str) -> None:
 @on_smooth_meshes
 def test_active_mixed_inequality(mesh: go.Mesh, scheme: str) -> None:
     """max x(1), x' = u <= 1 - x all the way: x = 1 - exp(-t), lam = -exp(t - 1), mu = exp(t - 1)."""
-    problem = go.Problem("ever slower")
-    leg = problem.phase("leg", integrator())
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("ever slower", integrator(), initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.path("limit", leg.model.symbol("u") + leg.model.symbol("x"), upper=1.0)
     problem.maximize(leg.final_state("x"))

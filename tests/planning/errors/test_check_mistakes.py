@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 from testing.wrong_arguments import assert_clear, cart, refused, rest_to_rest, scalar, ship
 
 import gnc_opt as go
@@ -164,21 +165,15 @@ def test_declared_and_not_used_refused() -> None:
     q, a = model.state("q"), model.control("a")
     model.control("spare")
     model.ode({q: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     problem.minimize(leg.integral(a**2))
     with refused(
         go.ProblemError, "control 'spare' of phase 'leg' of problem 'p'", "no dynamics", "remove it"
     ):
         problem.check()
 
-    model = go.Model("plane")
-    r, force = model.state("r", 2), model.control("force", 3)
-    model.ode({r: force[:2]})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _r, force = dynamics("plane", "r:2", "force:3", lambda r, force: {r: force[:2]})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     problem.minimize(leg.integral(force[0] ** 2 + force[1] ** 2))
     with refused(go.ProblemError, "control 'force[2]'"):
         problem.check()
@@ -197,9 +192,7 @@ def test_unused_model_parameter_is_a_warning_at_the_users_line() -> None:
     x, u = other.state("x"), other.control("u")
     other.parameter("mass", 1.0)
     other.ode({x: u})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", other)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("p", other, 0.0, 1.0)
     problem.minimize(leg.integral(u**2))
     with pytest.warns(go.ProblemWarning, match="parameter 'mass' of model 'other' is used nowhere") as caught:
         go.solve(problem, mesh="2x2", tol=None)
@@ -213,12 +206,8 @@ def test_unused_model_parameter_is_a_warning_at_the_users_line() -> None:
 
 
 def test_functions_that_are_not_finite_at_the_guess_refused() -> None:
-    model = go.Model("log")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u * ca.log(x)})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _, u = dynamics("log", "x", "u", lambda x, u: {x: u * ca.log(x)})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     leg.initial(x=-1.0)
     problem.minimize(leg.integral(u**2))
     with refused(
@@ -251,12 +240,8 @@ def test_functions_that_are_not_finite_at_the_guess_refused() -> None:
     ):
         problem.check()
 
-    model = go.Model("root")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: ca.sqrt(u)})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("root", "x", "u", lambda x, u: {x: ca.sqrt(u)})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     leg.guess(u=0.0)
     problem.minimize(leg.final_state("x"))
     with refused(
@@ -290,12 +275,8 @@ def test_functions_that_are_not_finite_at_the_guess_refused() -> None:
 
 def test_singularity_at_a_bound_is_left_to_the_solver() -> None:
     """Fine: solvers stay off bounds, Gauss points off the ends of a phase."""
-    model = go.Model("root")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, u = dynamics("root", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     leg.bounds(x=(0.0, None))
@@ -305,12 +286,8 @@ def test_singularity_at_a_bound_is_left_to_the_solver() -> None:
 
 
 def test_large_models_are_not_printed_state_by_state() -> None:
-    model = go.Model("large")
-    x, u = model.state("x", 20), model.control("u", 20)
-    model.ode({x: ca.log(x) + u})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("large", "x:20", "u:20", lambda x, u: {x: ca.log(x) + u})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
     leg.initial(x=-1.0)
     problem.minimize(leg.integral(ca.sumsqr(u)))
     with pytest.raises(go.ProblemError) as caught:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import dynamics
 from testing.wrong_arguments import cart, refused, rest_to_rest, scalar, ship, voyage
 
 import gnc_opt as go
@@ -324,9 +325,7 @@ def test_cost_boundary_constraints_links_parameters_refused() -> None:
 
 
 def _two_legs() -> tuple[go.Problem, go.Phase, go.Phase]:
-    small = go.Model("small")
-    r, u = small.state("r", 2), small.control("u", 2)
-    small.ode({r: u})
+    small, _r, _u = dynamics("small", "r:2", "u:2", lambda r, u: {r: u})
     problem = go.Problem("mission")
     return problem, problem.phase("boost", ship()), problem.phase("coast", small)
 

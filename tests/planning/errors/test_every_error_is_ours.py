@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 from testing.wrong_arguments import cart, refused, rest_to_rest, ship, voyage
 
 import gnc_opt as go
@@ -119,9 +120,7 @@ def model() -> go.Model:
 
 
 def unfinished() -> tuple[go.Problem, go.Phase]:
-    problem = go.Problem("p")
-    leg = problem.phase("leg", cart())
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("p", cart(), 0.0, 1.0)
     return problem, leg
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing import ill_posed_problems as ill_posed
+from testing.models import dynamics, one_phase
 from testing.wrong_arguments import refused, rest_to_rest
 
 import gnc_opt as go
@@ -208,12 +209,8 @@ def test_an_interrupted_iterate_serves_as_a_guess() -> None:
 
 def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Problem:
     """A satellite that has no time for its orbit, its velocity inconclusive."""
-    model = go.Model("satellite")
-    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
-    model.ode({r: v, v: a})
-    problem = go.Problem("circle")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _r, v, a = dynamics("satellite", "r:2 v:2", "a:2", lambda r, v, a: {r: v, v: a})
+    problem, leg = one_phase("circle", model, initial=0.0, final=1.0)
     leg.initial(r=[1.0, 0.0])
     leg.final(r=[-1.0, 0.0])
     leg.path("slow", ca.dot(v, v), upper=0.01)

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -104,9 +105,7 @@ def test_there_and_back() -> None:
 def test_a_model_from_casadi_can_be_solved() -> None:
     q, v, a = ca.MX.sym("q"), ca.MX.sym("v"), ca.MX.sym("a")
     cart = go.Model.from_casadi("cart", [q, v], a, ca.vertcat(v, a))
-    problem = go.Problem("least effort")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("least effort", cart, initial=0.0, final=1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.integral(cart.symbol("a") ** 2))

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -16,9 +17,7 @@ def cart(rate: Callable[[Any, Any, Any], Any], path: Callable[[Any], Any] | None
     model = go.Model("cart")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u + rate(model.time, x, u)})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     if path is not None:
@@ -38,10 +37,7 @@ def cart(rate: Callable[[Any, Any, Any], Any], path: Callable[[Any], Any] | None
         ),
         (lambda t, x, u: ca.floor(x), "floor .*, which jumps"),
         (lambda t, x, u: x % 1.0, "floor .*, which jumps"),
-        (
-            lambda t, x, u: ca.fmax(x, u),
-            "fmax, which has a kink: use smooth_abs.* bounds.* split_control",
-        ),
+        (lambda t, x, u: ca.fmax(x, u), "fmax, which has a kink: use smooth_abs.* bounds.* split_control"),
     ],
 )
 def test_kinks_and_jumps_are_told_once(rate: Any, message: str) -> None:
@@ -61,9 +57,7 @@ def test_kinks_of_what_does_not_change_are_not_told() -> None:
     model = go.Model("cart")
     x, u, k = model.state("x"), model.control("u"), model.parameter("k", -2.0)
     model.ode({x: u - ca.fabs(k) * x})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.integral(u**2 + x**2))
     with warnings.catch_warnings():
@@ -119,9 +113,7 @@ def fuel(limit: Any) -> go.Problem:
     x, v = model.state("x"), model.state("v")
     a, size = model.split_control("a", unit="m/s^2")
     model.ode({x: v, v: a})
-    problem = go.Problem("fuel")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 3.0)
+    problem, leg = one_phase("fuel", model, 0.0, 3.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(a=limit)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.interpolate as reference
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.report import summary_dict
@@ -198,12 +199,8 @@ def hop(method: Any = "bspline", outside: Any = "linear", top: float = 0.5) -> g
     price = go.table(
         np.linspace(0.0, top, 6), np.linspace(0.0, top, 6) ** 2, method=method, outside=outside, name="price"
     )
-    model = go.Model("hop")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("hop")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, _v, u = dynamics("hop", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("hop", model, 0.0, 1.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     problem.minimize(leg.integral(u**2 + price(x)))

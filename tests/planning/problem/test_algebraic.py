@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import restated
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -24,9 +25,7 @@ def reorientation(algebraic: bool) -> go.Problem:
             q: 0.5 * (q4 * omega + ca.cross(q, omega)),
         }
     )
-    problem = go.Problem("reorientation")
-    slew = problem.phase("slew", model)
-    slew.time(initial=0.0, final=(10.0, 60.0))
+    problem, slew = one_phase("reorientation", model, initial=0.0, final=(10.0, 60.0), name="slew")
     slew.bounds(u=(-50.0, 50.0), q4=(-1.0, 1.0))
     slew.initial(omega=[0.0, 0.0, 0.0], q=[0.0, 0.0, 0.0])
     slew.final(omega=[0.0, 0.0, 0.0], q=[np.sin(angle / 2.0), 0.0, 0.0])

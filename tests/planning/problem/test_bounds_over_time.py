@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -11,9 +12,7 @@ def ride(name: str) -> tuple[go.Problem, object, object]:
     model = go.Model("cart")
     q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem(name)
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 20.0))
+    problem, leg = one_phase(name, model, 0.0, (0.1, 20.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.final_time)
@@ -49,9 +48,7 @@ def test_magnitude_of_a_vector_over_time() -> None:
     r, v = model.state("r", 2), model.state("v", 2)
     thrust, _ = model.vector_control("T", 2)
     model.ode({r: v, v: thrust})
-    problem = go.Problem("from rest to a place")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    problem, leg = one_phase("from rest to a place", model, 0.0, (0.1, 10.0))
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[3.0, 4.0])
     leg.norm_bounds(T=(0.0, lambda t: 1.0 + t))

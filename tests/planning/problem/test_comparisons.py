@@ -7,17 +7,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
 
 def leg() -> tuple[go.Problem, Any, Any, Any]:
-    model = go.Model("cart")
-    x, a = model.state("x", 2), model.control("a")
-    model.ode({x: ca.vertcat(x[1], a)})
-    problem = go.Problem("p")
-    phase = problem.phase("leg", model)
-    phase.time(initial=0.0, final=(0.1, 5.0))
+    model, x, a = dynamics("cart", "x:2", "a", lambda x, a: {x: ca.vertcat(x[1], a)})
+    problem, phase = one_phase("p", model, initial=0.0, final=(0.1, 5.0))
     return problem, phase, x, a
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import start_phase
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -30,9 +31,7 @@ def cart(size: int = 2) -> tuple[go.Model, Any]:
 def move(direction: Any) -> go.Problem:
     """One unit along a direction, rest to rest, with the least integral of the norm of the acceleration."""
     model, norm = cart(len(direction))
-    problem = go.Problem("move")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("move", model, initial=0.0, final=DURATION)
     zero = np.zeros(len(direction))
     leg.initial(r=zero, v=zero)
     leg.final(r=np.asarray(direction) / np.linalg.norm(direction), v=zero)
@@ -53,9 +52,7 @@ def landed() -> go.Solution:
     r, v = model.state("r", 2), model.state("v", 2)
     thrust, norm = model.vector_control("thrust", 2)
     model.ode({r: v, v: thrust - np.array([0.0, 1.0])})
-    problem = go.Problem("annulus")
-    leg = problem.phase("fall", model)
-    leg.time(initial=0.0, final=(1.0, 10.0))
+    problem, leg = one_phase("annulus", model, initial=0.0, final=(1.0, 10.0), name="fall")
     leg.initial(r=[0.0, 2.0], v=[0.0, 0.0])
     leg.final(r=[0.0, 0.0], v=[0.0, 0.0])
     leg.norm_bounds(thrust=(LEAST, 3.0))
@@ -183,9 +180,7 @@ def test_split_control_is_reported_as_declared() -> None:
     x, v = model.state("x"), model.state("v")
     a, size = model.split_control("a")
     model.ode({x: v, v: a})
-    problem = go.Problem("line")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    problem, leg = one_phase("line", model, initial=0.0, final=DURATION)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -15,9 +16,7 @@ def cart() -> tuple[go.Model, object]:
 
 def ride(name: str, final_time: object, distance: float) -> tuple[go.Problem, object, object]:
     model, a = cart()
-    problem = go.Problem(name)
-    leg = problem.phase("leg", model)
-    leg.time(0.0, final_time)
+    problem, leg = one_phase(name, model, 0.0, final_time)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=distance, v=0.0)
     return problem, leg, a

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -10,9 +11,7 @@ def ride(final_time: object = 1.0) -> tuple[go.Problem, object, object]:
     model = go.Model("cart")
     q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem("window")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, final_time)
+    problem, leg = one_phase("window", model, 0.0, final_time)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     return problem, leg, a

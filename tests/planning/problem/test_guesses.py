@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import bent, guess_simulation, start_phase, with_flown_guess
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -18,9 +19,7 @@ def spiral(model: go.Model | None = None) -> go.Problem:
     r, v = model.state("r", 2), model.state("v", 2)
     u = model.control("u", 2)
     model.ode({r: v, v: -r / ca.norm_2(r) ** 3 + u})
-    problem = go.Problem("spiral")
-    leg = problem.phase("burn", model)
-    leg.time(0.0, (1.0, 200.0))
+    problem, leg = one_phase("spiral", model, 0.0, (1.0, 200.0), name="burn")
     leg.initial(r=[1.0, 0.0], v=[0.0, 1.0])
     leg.bounds(u=([-0.01, -0.01], [0.01, 0.01]))
     problem.minimize(leg.final_time)
@@ -81,9 +80,7 @@ def pushed(*, plain: bool = False) -> go.Problem:
     T = model.control("T", 2) if plain else model.vector_control("T", 2)[0]
     q = model.control("q") if plain else model.split_control("q")[0]
     model.ode({v: T, w: q})
-    problem = go.Problem("pushed")
-    leg = problem.phase("burn", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("pushed", model, 0.0, 1.0, name="burn")
     leg.initial(v=[0.0, 0.0], w=0.0)
     if not plain:
         leg.norm_bounds(T=(0.0, 2.0))
@@ -204,12 +201,8 @@ def test_the_solution_of_a_simpler_problem() -> None:
 
 def aimed(**parameters: int) -> go.Problem:
     """A cart from rest whose parameters, of the sizes given, are drawn to 3, 4, ..."""
-    model = go.Model("cart")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("aimed")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("cart", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("aimed", model, 0.0, 1.0)
     leg.initial(x=0.0)
     cost = leg.integral(u**2)
     for name, size in parameters.items():
@@ -241,9 +234,7 @@ def filtered(bandwidth: float) -> go.Problem:
     x, v, a = (model.state(name) for name in "xva")
     u = model.control("u")
     model.ode({x: v, v: a, a: bandwidth * (u - a)})
-    problem = go.Problem("filtered")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=4.0)
+    problem, leg = one_phase("filtered", model, initial=0.0, final=4.0)
     leg.initial(x=1.0, v=0.0, a=0.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.final_state("x"))
@@ -273,13 +264,8 @@ def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPa
 
 def past_a_disc(centre: float = 0.0) -> go.Problem:
     """From (-5, 0) to (5, 0) m at rest in 10 s, at least 1 m from a point, told by a distance."""
-    model = go.Model("mover")
-    r, v = model.state("r", 2), model.state("v", 2)
-    a = model.control("a", 2)
-    model.ode({r: v, v: a})
-    problem = go.Problem("past a disc")
-    leg = problem.phase("move", model)
-    leg.time(initial=0.0, final=10.0)
+    model, r, _v, a = dynamics("mover", "r:2 v:2", "a:2", lambda r, v, a: {r: v, v: a})
+    problem, leg = one_phase("past a disc", model, initial=0.0, final=10.0, name="move")
     leg.initial(r=[-5.0, 0.0], v=[0.0, 0.0])
     leg.final(r=[5.0, 0.0], v=[0.0, 0.0])
     leg.path("distance", ca.norm_2(r - ca.DM([0.0, centre])), lower=1.0)
@@ -384,12 +370,8 @@ def test_what_boundary_constraints_do_not_tell() -> None:
 
 
 def cart() -> go.Problem:
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 10.0))
+    model, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("cart", model, initial=0.0, final=(0.5, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=(-3.0, 3.0))
     problem.minimize(leg.final_time)

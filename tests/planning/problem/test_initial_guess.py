@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import SUSTAINED, start_phase
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -23,9 +24,7 @@ def tilting(thrust: float = 8000.0, kilo: float = 1.0) -> go.Problem:
     lift = ca.vertcat(c * T[0] - s * T[1], s * T[0] + c * T[1])
     weight = np.array([0.0, GRAVITY / kilo])
     model.ode({r: v, v: lift / (MASS / kilo) - weight, angle: spin, spin: T[0] * LENGTH / 4000.0 * kilo})
-    problem = go.Problem("landing")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(20.0, 60.0))
+    problem, leg = one_phase("landing", model, initial=0.0, final=(20.0, 60.0))
     leg.initial(r=[0.0, 500.0 / kilo], v=[0.0, -25.0 / kilo], angle=0.0, spin=0.0)
     leg.final(r=[0.0, 0.0], v=[0.0, -1.0 / kilo], angle=0.0, spin=0.0)
     leg.norm_bounds(T=(0.0, thrust / kilo**2))

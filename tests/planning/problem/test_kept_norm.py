@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import idle_bounds
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -24,9 +25,7 @@ def slew(rate: str = "kept", scalars: bool = False, size: float = 1.0) -> go.Pro
         turned += 1e-6 * w[0] * q
     names = [f"q_{i}" for i in range(4)]
     model.ode({**(dict(zip(names, ca.vertsplit(turned), strict=True)) if scalars else {"q": turned}), w: u})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=TIME)
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=TIME, name="turn")
     first, last = size * np.eye(4)[0], [np.cos(ANGLE / 2), 0.0, 0.0, np.sin(ANGLE / 2)]
     leg.initial(**(dict(zip(names, first, strict=True)) if scalars else {"q": first}), w=[0.0, 0.0, 0.0])
     leg.final(**(dict(zip(names, last, strict=True)) if scalars else {"q": last}), w=[0.0, 0.0, 0.0])

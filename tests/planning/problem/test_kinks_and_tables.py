@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import restated
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -14,12 +15,8 @@ import gnc_opt as go
 @pytest.mark.parametrize("final", [None, 0.0, 0.5])
 def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | None) -> None:
     """A state without bounds that starts and ends at zero or above may be below it in between."""
-    model = go.Model("cart")
-    x, a = model.state("x"), model.control("a")
-    model.ode({x: a})
-    problem = go.Problem("L1 regulation")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    model, x, _a = dynamics("cart", "x", "a", lambda x, a: {x: a})
+    problem, leg = one_phase("L1 regulation", model, initial=0.0, final=3.0)
     leg.initial(x=1.0)
     leg.bounds(a=(-1.0, 1.0))
     if final is not None:
@@ -33,9 +30,7 @@ def test_divisors_keep_their_signs() -> None:
     model = go.Model("rocket")
     v, m, thrust = model.state("v"), model.state("m"), model.control("T")
     model.ode({v: thrust / (2 * m), m: -ca.fabs(thrust)})
-    problem = go.Problem("rocket")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    problem, leg = one_phase("rocket", model, initial=0.0, final=3.0)
     leg.initial(v=0.0, m=2.0)
     leg.final(v=1.0)
     leg.bounds(T=(-3.0, 3.0))
@@ -45,12 +40,8 @@ def test_divisors_keep_their_signs() -> None:
 
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
     """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
-    model = go.Model("speed")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, v, a = dynamics("speed", "v", "a", lambda v, a: {v: a})
+    problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     leg.initial(v=0.0)
     leg.final(v=1.0)
     problem.minimize(leg.integral(a**2 + ca.fabs(a + v)))
@@ -60,12 +51,8 @@ def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> Non
 
 
 def test_controls_that_only_their_sum_costs_are_not_determined() -> None:
-    model = go.Model("speed")
-    v, a, b = model.state("v"), model.control("a"), model.control("b")
-    model.ode({v: a + 2 * b})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, v, a, b = dynamics("speed", "v", "a b", lambda v, a, b: {v: a + 2 * b})
+    problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     leg.initial(v=0.0)
     leg.final(v=1.0)
     leg.bounds(a=(-3.0, 3.0), b=(-3.0, 3.0))
@@ -76,12 +63,8 @@ def test_controls_that_only_their_sum_costs_are_not_determined() -> None:
 
 def test_a_path_that_crosses_the_corners_of_a_table_it_pays_for() -> None:
     """No solution came of the table as it stands. Cubics between 0, 0.5 and 1: a = c t + d with a jump of its slope."""
-    model = go.Model("cart")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
+    model, x, _v, a = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("p", model, initial=0.0, final=2.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(x=(0.0, 1.0))
@@ -104,9 +87,7 @@ def powered(lower: float | None) -> go.Problem:
     x, v = model.state("x"), model.state("v")
     a, size = model.split_control("a")
     model.ode({x: v, v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=4.0)
+    problem, leg = one_phase("p", model, initial=0.0, final=4.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=3.0, v=0.0)
     leg.bounds(a_plus=(0.0, 1.0), a_minus=(0.0, 1.0), v=(0.0, 3.0))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.internals import restated
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -21,12 +22,8 @@ Cost = Callable[[Any, Any, Any], Any]
 
 def cart(cost: Cost, limit: Cost | None = None, bounds: Any = None) -> go.Problem:
     """A unit of travel, rest to rest, in two seconds."""
-    model = go.Model("cart")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=DURATION)
+    model, x, v, a = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("p", model, initial=0.0, final=DURATION)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     if bounds is not None:
@@ -54,21 +51,13 @@ PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] =
         lambda a: max(3 * a, 2 * a + 0.5),
         (0.5,),
     ),
-    "dead zone": (
-        lambda x, v, a: ca.fmax(ca.fabs(a) - 0.5, 0),
-        lambda a: max(abs(a) - 0.5, 0),
-        (-0.5, 0.5),
-    ),
+    "dead zone": (lambda x, v, a: ca.fmax(ca.fabs(a) - 0.5, 0), lambda a: max(abs(a) - 0.5, 0), (-0.5, 0.5)),
     "several": (
         lambda x, v, a: ca.fabs(a) + 2 * ca.fmax(a - 1, 0) + a,
         lambda a: abs(a) + 2 * max(a - 1, 0) + a,
         (0.0, 1.0),
     ),
-    "a part never seen": (
-        lambda x, v, a: ca.fmax(ca.fmax(a, -a), 0.1 * a - 1),
-        abs,
-        (0.0,),
-    ),
+    "a part never seen": (lambda x, v, a: ca.fmax(ca.fmax(a, -a), 0.1 * a - 1), abs, (0.0,)),
     "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
 }
 
@@ -105,12 +94,8 @@ def test_a_corner_that_moves_with_states_is_an_epigraph() -> None:
 
 
 def test_the_largest_of_several_controls_is_one_epigraph() -> None:
-    model = go.Model("plane")
-    v, a = model.state("v", 2), model.control("a", 2)
-    model.ode({v: a})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _v, a = dynamics("plane", "v:2", "a:2", lambda v, a: {v: a})
+    problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
     solved = restated(problem).phases["leg"]
     assert solved.model.controls.names == ("a", "epigraph")
@@ -259,12 +244,8 @@ def dead_zone(a: Any) -> Any:
 
 
 def driven(act: Callable[[Any], Any]) -> go.Problem:
-    model = go.Model("cart")
-    v, a = model.state("v"), model.control("a")
-    model.ode({v: act(a)})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    model, _v, a = dynamics("cart", "v", "a", lambda v, a: {v: act(a)})
+    problem, leg = one_phase("cart", model, initial=0.0, final=3.0)
     leg.initial(v=0.0)
     leg.final(v=1.0)
     problem.minimize(leg.integral(a**2))
@@ -288,12 +269,8 @@ def test_actuators_with_kinks_are_solved_as_stated_and_reported(act: Any, remedy
 
 def pushed(cost: Callable[[Any, Any], Any]) -> go.Problem:
     """Speeds of two axes that grow by one and by zero in a second."""
-    model = go.Model("plane")
-    v, a = model.state("v", 2), model.control("a", 2)
-    model.ode({v: a})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, v, a = dynamics("plane", "v:2", "a:2", lambda v, a: {v: a})
+    problem, leg = one_phase("plane", model, initial=0.0, final=1.0)
     leg.initial(v=[0.0, 0.0])
     leg.final(v=[1.0, 0.0])
     problem.minimize(leg.integral(cost(v, a)))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from testing.internals import Interval, one_way_states, ranges_of
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -88,9 +89,7 @@ def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
     model = go.Model("tank")
     level, other, u = model.state("level"), model.state("other"), model.control("u")
     model.ode({level: u * (1.05 - other), other: u})
-    problem = go.Problem("tank")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("tank", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), level=(0.0, 1.0), other=(0.0, 1.0))
     rising, _ = one_way_states(problem, leg)
     assert rising.tolist() == [False, True]
@@ -113,9 +112,7 @@ def test_budgets_are_told_from_what_comes_and_goes() -> None:
             free: u,  # has no bound
         }
     )
-    problem = go.Problem("vehicle")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("vehicle", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), w=(-1.0, 1.0), **dict.fromkeys(names[:-1], (0.0, 1.0)))
     rising, falling = one_way_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["dose", "energy"]
@@ -132,9 +129,7 @@ def test_a_budget_is_told_anew_for_other_numbers() -> None:
     fuel, u = model.state("fuel"), model.control("u")
     loss = model.parameter("loss", 2.0)
     model.ode({fuel: -loss * u})
-    problem = go.Problem("tank")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("tank", model, initial=0.0, final=1.0)
     leg.bounds(u=(0.0, 1.0), fuel=(0.0, 1.0))
     filled = problem.with_parameters(loss=-2.0)
     pumped = problem.with_bounds(u=(-1.0, 1.0))
@@ -143,9 +138,7 @@ def test_a_budget_is_told_anew_for_other_numbers() -> None:
 
 
 def test_a_list_of_two_is_the_range_of_a_scalar_and_the_value_of_a_vector() -> None:
-    model = go.Model("point")
-    r, u = model.state("r", 2), model.control("u")
-    model.ode({r: [u, 1.0]})
+    model, _r, _u = dynamics("point", "r:2", "u", lambda r, u: {r: [u, 1.0]})
     leg = go.Problem("probe").phase("leg", model)
     leg.bounds(u=[-1, 2])
     assert (leg.numbers.controls.lower, leg.numbers.controls.upper) == ([-1.0], [2.0])

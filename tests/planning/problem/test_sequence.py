@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.internals import end_values, guess_times
+from testing.models import dynamics
 
 import gnc_opt as go
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:
-    model = go.Model("cart")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
+    model, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
     leg = problem.phase(name, model)
     leg.bounds(u=limit)
     return leg
@@ -161,9 +160,7 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
     problem = go.Problem("waypoints")
     legs = []
     for name in ("a", "b", "c", "d"):
-        model = go.Model(name)
-        r, u = model.state("r", 2), model.control("u", 2)
-        model.ode({r: u})
+        model, _r, _u = dynamics(name, "r:2", "u:2", lambda r, u: {r: u})
         legs.append(problem.phase(name, model))
     problem.sequence(*legs, durations={"a": 1.0, "b": 3.0, "c": 2.0, "d": 1.0})
     legs[0].initial(r=[0.0, None])
@@ -183,9 +180,7 @@ def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases
 
 def test_a_link_back_hands_nothing_over() -> None:
     """A periodic flight is linked to itself: its guess begins where the phase says, and does not go round."""
-    model = go.Model("cart")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, *_ = dynamics("cart", "x", "u", lambda x, u: {x: u})
     problem = go.Problem("round")
     first, second = (problem.phase(name, model) for name in ("first", "second"))
     first.time(initial=0.0, final=1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import one_phase
 from testing.nonlinear_problems import (
     PROBLEMS,
     SCHEMES,
@@ -127,9 +128,7 @@ def test_nominal_values_do_not_change_costates(factor: float, scheme: str) -> No
         rate = model.state("rate", nominal=nominal)
         torque = model.control("torque")
         model.ode({angle: rate, rate: torque - angle + angle**3 / 6})
-        p = go.Problem("pendulum")
-        leg = p.phase("leg", model)
-        leg.time(initial=0.0, final=2.0)
+        p, leg = one_phase("pendulum", model, initial=0.0, final=2.0)
         leg.initial(angle=1.0, rate=0.0)
         leg.final(angle=0.0, rate=0.0)
         p.minimize(leg.integral(torque**2 / 2))

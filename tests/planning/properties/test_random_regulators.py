@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from testing.models import one_phase
 from testing.nonlinear_problems import SCHEMES
 
 import gnc_opt as go
@@ -33,9 +34,7 @@ def regulator(rng: np.random.Generator, n: int, m: int) -> tuple[go.Problem, dic
     model = go.Model("linear")
     x, u = model.state("x", n), model.control("u", m)
     model.ode({x: ca.DM(a) @ x + ca.DM(b) @ u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("regulator", model, initial=0.0, final=1.0)
     leg.initial(x=start)
     end = leg.final_state("x")
     running = leg.integral((x.T @ ca.DM(q) @ x + u.T @ ca.DM(r) @ u) / 2)

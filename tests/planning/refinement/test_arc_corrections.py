@@ -12,12 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
-from testing.internals import (
-    Junction,
-    PhaseCollocation,
-    PhaseStructure,
-    Smooth,
-)
+from testing.internals import Junction, PhaseCollocation, PhaseStructure, Smooth
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
@@ -82,9 +78,7 @@ def speeding(rate: Callable[[Any, Any], Any] = lambda a, t: a, mesh: Any = "10x3
     model = go.Model("cart")
     v, a = model.state("v"), model.control("a")
     model.ode({v: rate(a, model.time)})
-    problem = go.Problem("fast")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 4.0)
+    problem, leg = one_phase("fast", model, 0.0, 4.0)
     leg.initial(v=0.0)
     leg.bounds(a=(-1.0, 1.0), v=(-1.0, 1.0))
     problem.minimize(leg.integral(a**2 - v, "cost"))
@@ -112,13 +106,8 @@ LOW, UP, FREE, SINGULAR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR, ArcKin
 
 def gantry(distance: float, speed: float) -> go.Problem:
     """Least time from rest to rest along two axes at once, |a| <= 1 and |v| <= speed in both."""
-    model = go.Model("gantry")
-    x, v = model.state("x", 2), model.state("v", 2)
-    a = model.control("a", 2)
-    model.ode({x: v, v: a})
-    problem = go.Problem("gantry")
-    leg = problem.phase("move", model)
-    leg.time(initial=0.0, final=(0.5, 20.0))
+    model, _x, _v, _a = dynamics("gantry", "x:2 v:2", "a:2", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("gantry", model, initial=0.0, final=(0.5, 20.0), name="move")
     leg.initial(x=[0.0, 0.0], v=[0.0, 0.0])
     leg.final(x=[distance, distance], v=[0.0, 0.0])
     leg.bounds(v=([-speed] * 2, [speed] * 2), a=([-1.0] * 2, [1.0] * 2))
@@ -157,9 +146,7 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
     attitude = 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w))
     rate = np.linalg.inv(inertia) @ (-torque - ca.cross(w, inertia @ w + h))
     craft.ode({q: attitude, w: rate, h: torque})
-    problem = go.Problem("slew from standstill")
-    leg = problem.phase("slew", craft)
-    leg.time(initial=0.0, final=(5.0, 300.0))
+    problem, leg = one_phase("slew from standstill", craft, initial=0.0, final=(5.0, 300.0), name="slew")
     leg.initial(q=[0, 0, 0, 1.0], w=[0, 0, 0], h=[0, 0, 0])
     leg.final(q=[*(np.sin(np.pi / 4) / np.sqrt(3) * np.ones(3)), np.cos(np.pi / 4)], w=[0, 0, 0])
     leg.bounds(torque=([-0.1] * 3, [0.1] * 3), h=([-0.5] * 3, [0.5] * 3))
@@ -188,9 +175,7 @@ def test_a_slew_about_one_axis_reverses_two_torques_at_half_time() -> None:
     inertia = ca.DM([120.0, 100.0, 80.0])
     turn = 0.5 * ca.vertcat(q[3] * w + ca.cross(q[:3], w), -ca.dot(q[:3], w))
     craft.ode({q: turn, w: (T - ca.cross(w, inertia * w)) / inertia})
-    problem = go.Problem("slew")
-    leg = problem.phase("slew", craft)
-    leg.time(0.0, final=(5.0, 300.0))
+    problem, leg = one_phase("slew", craft, 0.0, final=(5.0, 300.0), name="slew")
     leg.initial(q=[0.0, 0.0, 0.0, 1.0], w=[0.0, 0.0, 0.0])
     leg.final(q=[0.5, 0.0, 0.0, np.sqrt(0.75)], w=[0.0, 0.0, 0.0])
     leg.bounds(T=(-1.0, 1.0), q=(-1.1, 1.1))
@@ -253,9 +238,7 @@ def coarse() -> go.Solution:
     cart = go.Model("cart")
     q, v, a = cart.state("q", unit="m"), cart.state("v", unit="m/s"), cart.control("a", unit="m/s^2")
     cart.ode({q: v, v: a})
-    ocp = go.Problem("take-off")
-    leg = ocp.phase("leg", cart)
-    leg.time(initial=0.0, final=2.0)
+    ocp, leg = one_phase("take-off", cart, initial=0.0, final=2.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=0.5 + TAU**2 / 24)
     leg.bounds(a=(-1.0, 1.0), q=(0.0, 10.0))
@@ -408,9 +391,7 @@ def flight_of_vector_limits(start: list[float], target: list[float], fuel: bool 
     r, v = model.state("r", size), model.state("v", size)
     a, norm = model.vector_control("a", size)
     model.ode({r: v, v: a})
-    problem = go.Problem("top speed")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=7.0 if fuel else (0.1, 20.0))
+    problem, leg = one_phase("top speed", model, initial=0.0, final=7.0 if fuel else (0.1, 20.0))
     leg.initial(r=[0.0] * size, v=start)
     leg.final(r=target, v=[0.0] * size)
     leg.norm_bounds(a=(0.0, 1.0))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
@@ -45,13 +46,8 @@ UNREACHABLE = go.SolverOptions(tolerance=1e-30, extra={"ipopt.acceptable_iter": 
 @pytest.fixture(scope="module")
 def cart() -> go.Solution:
     """Rest to rest in 1 s with the least effort and a limit that binds at both ends, from a coarse mesh."""
-    model = go.Model("cart")
-    x, v = model.state("x"), model.state("v")
-    u = model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, _v, u = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.bounds(u=(-5.0, 5.0), x=(-1.0, 2.0), v=(-1.0, 3.0))
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
@@ -111,9 +107,7 @@ def corner_turn() -> go.Solution:
     v, course = model.state("v"), model.state("course")
     load, throttle = model.control("load"), model.control("throttle")
     model.ode({v: 12 * throttle - 2 - 1e-4 * v**2 - 40 * load**2 / v, course: 9.81 * load / v})
-    problem = go.Problem("turn")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=(2.0, 80.0))
+    problem, leg = one_phase("turn", model, initial=0.0, final=(2.0, 80.0), name="turn")
     leg.initial(v=250.0, course=0.0)
     leg.final(course=np.pi)
     leg.bounds(load=(0.0, 5.0), throttle=(0.0, 1.0), v=(60.0, 400.0))
@@ -174,7 +168,7 @@ def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     assert WorkBudget(math.inf).iterations_left(first, 100) is None
 
 
-@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+@pytest.mark.parametrize("share", [0.25, 0.6])
 def test_an_answer_that_is_stopped_is_no_worse_than_one_before(
     share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

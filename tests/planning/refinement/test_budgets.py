@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -58,9 +59,7 @@ def test_a_rocket_that_burns_out(of_fuel: bool) -> None:
     force = model.control("T")
     mass = dry + tank if of_fuel else tank
     model.ode({h: v, v: force / mass - 1.0, tank: -force / exhaust})
-    problem = go.Problem("rocket")
-    leg = problem.phase("up", model)
-    leg.time(initial=0.0, final=1.5)
+    problem, leg = one_phase("rocket", model, initial=0.0, final=1.5, name="up")
     empty = 0.0 if of_fuel else dry
     leg.initial(h=0.0, v=0.0, tank=empty + 0.4)
     leg.bounds(T=(0.0, thrust), tank=(empty, None))
@@ -85,12 +84,8 @@ def test_the_bound_of_a_budget_still_holds() -> None:
 
 def test_a_state_that_is_paid_back_keeps_its_bound() -> None:
     """A battery that recharges may be full in between: x' = u, |u| <= 1, x <= 1, and the mean of x is largest."""
-    model = go.Model("battery")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("battery")
-    leg = problem.phase("day", model)
-    leg.time(initial=0.0, final=4.0)
+    model, x, _u = dynamics("battery", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("battery", model, initial=0.0, final=4.0, name="day")
     leg.initial(x=0.0)
     leg.final(x=0.0)
     leg.bounds(u=(-1.0, 1.0), x=(None, 1.0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import fsolve
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -46,9 +47,7 @@ def test_bangs_between_arcs_on_limits_are_no_noise() -> None:
     x, v, swing, rate = (model.state(name) for name in ("x", "v", "swing", "rate"))
     a = model.control("a")
     model.ode({x: v, v: a, swing: rate, rate: -(GRAVITY * swing + a) / LENGTH})
-    problem = go.Problem("crane")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(5.0, 40.0))
+    problem, leg = one_phase("crane", model, initial=0.0, final=(5.0, 40.0))
     leg.initial(x=0.0, v=0.0, swing=0.0, rate=0.0)
     leg.final(x=WAY, v=0.0, swing=0.0, rate=0.0)
     leg.bounds(a=(-1.0, 1.0), swing=(-SWING, SWING), v=(-FASTEST, FASTEST))

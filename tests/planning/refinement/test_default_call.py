@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
 
 def dash(limit: float = 1.0) -> go.Problem:
     """Return rest to rest over 1 m in minimum time, 2 / sqrt(limit)."""
-    cart = go.Model("cart")
-    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
-    cart.ode({q: v, v: a})
-    problem = go.Problem("dash")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    cart, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("dash", cart, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-limit, limit))
@@ -71,9 +68,7 @@ def test_a_phase_without_controls_is_refined_and_judged() -> None:
     x, h = ball.state("x"), ball.state("h")
     vx, vh = ball.state("vx"), ball.state("vh")
     ball.ode({x: vx, h: vh, vx: 0.0, vh: -9.81})
-    problem = go.Problem("throw")
-    flight = problem.phase("flight", ball)
-    flight.time(initial=0.0, final=(0.1, 10.0))
+    problem, flight = one_phase("throw", ball, initial=0.0, final=(0.1, 10.0), name="flight")
     flight.initial(x=0.0, h=2.0)
     flight.final(h=0.0)
     flight.bounds(vx=(0.0, 20.0), vh=(-20.0, 20.0))
@@ -89,13 +84,8 @@ def test_a_phase_without_controls_is_refined_and_judged() -> None:
 @pytest.mark.parametrize("unit", [1.0, 7.3])
 def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     """From rest to rest over 1 m in 1 s with least effort: a = 6 - 12 t m/s2, with limits on a and x right there."""
-    model = go.Model("double integrator")
-    x, v = model.state("x"), model.state("v")
-    a = model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("touched")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _x, _v, a = dynamics("double integrator", "x v", "a", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("touched", model, initial=0.0, final=1.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=unit, v=0.0)
     leg.bounds(a=(-6.0 * unit, 6.0 * unit), x=(0.0, unit))
@@ -118,10 +108,7 @@ def test_a_bound_reached_before_the_first_point_is_resolved() -> None:
     slope = np.sqrt(limit**3 / (3.0 * (limit / 4.0 - 1.0)))
     start = 0.5 - limit / slope
     problem = go.Problem("clipped")
-    model = go.Model("double integrator")
-    x, v = model.state("x"), model.state("v")
-    a = model.control("a")
-    model.ode({x: v, v: a})
+    model, _x, _v, a = dynamics("double integrator", "x v", "a", lambda x, v, a: {x: v, v: a})
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=1.0)
     leg.initial(x=0.0, v=0.0)

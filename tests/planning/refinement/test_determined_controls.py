@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -18,9 +19,7 @@ def lift(distance: float, speed: float, acceleration: float, jerk: float) -> go.
     x, v, a = (model.state(name) for name in "xva")
     j = model.control("j")
     model.ode({x: v, v: a, a: j})
-    problem = go.Problem("lift")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 60.0))
+    problem, leg = one_phase("lift", model, initial=0.0, final=(0.5, 60.0))
     leg.initial(x=0.0, v=0.0, a=0.0)
     leg.final(x=distance, v=0.0, a=0.0)
     leg.bounds(j=(-jerk, jerk), a=(-acceleration, acceleration), v=(-speed, speed))
@@ -61,9 +60,7 @@ def test_a_car_touches_a_disc_that_is_narrower_than_its_turn() -> None:
     car = go.Model("car")
     p, heading, w = car.state("p", 2), car.state("heading"), car.control("w")
     car.ode({p: ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: w})
-    problem = go.Problem("past a disc")
-    leg = problem.phase("way", car)
-    leg.time(initial=0.0, final=(length, 3 * length))
+    problem, leg = one_phase("past a disc", car, initial=0.0, final=(length, 3 * length), name="way")
     leg.initial(p=[0, 0])
     leg.final(p=[length, 0])
     leg.bounds(w=(-1 / turn, 1 / turn), heading=(-1.5, 1.5))
@@ -120,9 +117,7 @@ def test_a_crane_whose_swing_is_limited_shows_its_bangs_on_a_finer_mesh() -> Non
     p, v, theta, rate = (crane.state(name) for name in ("p", "v", "theta", "rate"))
     a = crane.control("a")
     crane.ode({p: v, v: a, theta: rate, rate: -(GRAVITY * ca.sin(theta) + a * ca.cos(theta)) / LENGTH})
-    problem = go.Problem("crane")
-    leg = problem.phase("leg", crane)
-    leg.time(initial=0.0, final=(1.0, 40.0))
+    problem, leg = one_phase("crane", crane, initial=0.0, final=(1.0, 40.0))
     leg.initial(p=0.0, v=0.0, theta=0.0, rate=0.0)
     leg.final(p=DISTANCE, v=0.0, theta=0.0, rate=0.0)
     leg.bounds(a=(-1.0, 1.0), theta=(-ANGLE, ANGLE), v=(-SPEED, SPEED))
@@ -136,9 +131,7 @@ def test_a_crane_whose_swing_is_limited_shows_its_bangs_on_a_finer_mesh() -> Non
 
 def test_a_speed_limit_holds_across_a_waypoint() -> None:
     """D / V + V / A from rest to rest; a waypoint that is passed at top speed costs nothing and no costate jumps."""
-    cart = go.Model("cart")
-    x, v, a = cart.state("x"), cart.state("v"), cart.control("a")
-    cart.ode({x: v, v: a})
+    cart, *_ = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
     problem = go.Problem("waypoint")
     first, second = problem.phase("first", cart), problem.phase("second", cart)
     for leg in (first, second):

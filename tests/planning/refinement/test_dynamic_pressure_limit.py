@@ -10,6 +10,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -32,9 +33,7 @@ def ascent(most: float) -> go.Problem:
             m: -thrust / EXHAUST,
         }
     )
-    problem = go.Problem("ascent")
-    leg = problem.phase("ascent", model)
-    leg.time(initial=0.0, final=(100.0, 500.0))
+    problem, leg = one_phase("ascent", model, initial=0.0, final=(100.0, 500.0), name="ascent")
     leg.initial(h=100.0, vx=1.0, vz=20.0, m=120e3)
     leg.final(h=180e3, vx=5000.0, vz=0.0)
     leg.bounds(throttle=(0.1, 1.0), pitch=(-0.5, 1.6))

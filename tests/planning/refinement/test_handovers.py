@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -47,9 +48,7 @@ def turned() -> go.Solution:
             psi: G * n * ca.sin(bank) / (v * ca.cos(gamma)),
         }
     )
-    problem = go.Problem("half turn")
-    leg = problem.phase("turn", model)
-    leg.time(initial=0.0, final=(2.0, 80.0))
+    problem, leg = one_phase("half turn", model, initial=0.0, final=(2.0, 80.0), name="turn")
     leg.initial(h=3e3, v=250.0, gamma=0.0, psi=0.0)
     leg.final(h=3e3, gamma=0.0, psi=np.pi)
     leg.bounds(n=(0.0, HEAVY), bank=(-2.5, 2.5), throttle=(IDLE, FULL))

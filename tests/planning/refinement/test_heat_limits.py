@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -21,12 +22,8 @@ TAKEN_OVER = WARM + 3.0 - (1.5 * np.log(1.5) + 0.5)
 
 
 def heated(distance: float, falling: bool) -> go.Problem:
-    model = go.Model("charging")
-    x, heat, u = model.state("x"), model.state("heat"), model.control("u")
-    model.ode({x: u, heat: u**2 - heat})
-    problem = go.Problem("heat limit")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 20.0))
+    model, x, _heat, u = dynamics("charging", "x heat", "u", lambda x, heat, u: {x: u, heat: u**2 - heat})
+    problem, leg = one_phase("heat limit", model, initial=0.0, final=(0.5, 20.0))
     leg.initial(x=0.0, heat=0.0)
     leg.final(x=distance)
     leg.bounds(u=(0.0, 1.5), heat=(None, 1.0))

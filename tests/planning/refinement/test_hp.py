@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from testing.internals import PassLimits, estimate_errors, refine_mesh
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
@@ -23,12 +24,8 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 
 def regulator(duration: float = 10.0) -> go.Problem:
     """min 1/2 int x^2 + u^2, x' = u, x(0) = 1: x = cosh(T - t) / cosh T, J = tanh(T) / 2."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=duration)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("regulator", model, initial=0.0, final=duration)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     return problem
@@ -36,12 +33,8 @@ def regulator(duration: float = 10.0) -> go.Problem:
 
 def layered(rate: float = 100.0) -> go.Problem:
     """min 1/2 int x^2 + u^2 / rate^2 over 1 s, x' = u: a boundary layer exp(-rate t), J = tanh(rate) / (2 rate)."""
-    model = go.Model("fast integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("layer")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, u = dynamics("fast integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("layer", model, initial=0.0, final=1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + (u / rate) ** 2) / 2))
     return problem
@@ -54,9 +47,7 @@ def pendulum() -> go.Problem:
     model = go.Model("pendulum")
     angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
     model.ode({angle: rate, rate: torque - ca.sin(angle)})
-    problem = go.Problem("pendulum")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=6.0)
+    problem, leg = one_phase("pendulum", model, initial=0.0, final=6.0)
     leg.initial(angle=0.0, rate=0.0)
     leg.final(angle=np.pi, rate=0.0)
     problem.minimize(leg.integral(torque**2 / 2))
@@ -64,9 +55,7 @@ def pendulum() -> go.Problem:
 
 
 def double_integrator(speed_limit: float | None = None, height: float | None = None) -> go.Problem:
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
     problem = go.Problem("double integrator")
     leg = problem.phase("leg", model)
     if height is not None:  # Bryson & Denham: J = 4 / (9 height) for height <= 1/6
@@ -88,12 +77,8 @@ def double_integrator(speed_limit: float | None = None, height: float | None = N
 
 def chatter() -> go.Problem:
     """min int x^2 + (u^2 - 1)^2, x' = u: infimum 0 for a control that switches infinitely often."""
-    model = go.Model("chatter")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("chatter")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, u = dynamics("chatter", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("chatter", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.final(x=0.0)
     leg.bounds(u=(-2.0, 2.0))
@@ -106,9 +91,7 @@ def two_phases() -> go.Problem:
     problem = go.Problem("two phases")
     legs = []
     for name, start, end in (("first", 0.0, 5.0), ("second", 5.0, 10.0)):
-        model = go.Model(name)
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
+        model, x, u = dynamics(name, "x", "u", lambda x, u: {x: u})
         leg = problem.phase(name, model)
         leg.time(initial=start, final=end)
         legs.append((leg, leg.integral((x**2 + u**2) / 2)))
@@ -384,12 +367,8 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
 
 def test_a_limit_on_a_path_is_left_at_a_boundary() -> None:
     """From 0 to 3 m with accelerations in (-2, 1) as a path constraint: t_f = 3 s, switch at 2 s."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    free = go.Problem("limits as a path")
-    leg = free.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 20.0))
+    model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    free, leg = one_phase("limits as a path", model, initial=0.0, final=(0.1, 20.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=3.0, v=0.0)
     leg.path("acceleration", a, lower=-2.0, upper=1.0)
@@ -419,12 +398,8 @@ def test_what_is_accurate_already_is_left_alone() -> None:
 
 def exact_states(duration: float) -> go.Problem:
     """min 1/2 int x^2 + u^2, x' = u, x(0) = 1: lam = -u = sinh(T - t) / cosh T."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=duration)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("regulator", model, initial=0.0, final=duration)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     return problem
@@ -432,12 +407,8 @@ def exact_states(duration: float) -> go.Problem:
 
 def bounded_height(height: float = 1 / 9, as_path: bool = False) -> go.Problem:
     """Bryson & Denham: for height <= 1/6 the state bound acts for 3 height <= t <= 1 - 3 height."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("height")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("height", model, initial=0.0, final=1.0)
     leg.initial(q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
     if as_path:
@@ -449,12 +420,8 @@ def bounded_height(height: float = 1 / 9, as_path: bool = False) -> go.Problem:
 
 
 def hypersensitive(final_time: float) -> go.Problem:
-    model = go.Model("cubic")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: -(x**3) + u})
-    problem = go.Problem("hyper-sensitive")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=final_time)
+    model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: -(x**3) + u})
+    problem, leg = one_phase("hyper-sensitive", model, initial=0.0, final=final_time)
     leg.initial(x=1.5)
     leg.final(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -28,9 +29,7 @@ def level_turn(speed: float) -> go.Problem:
     wing = 0.5 * v**2 * WING
     drag = 0.022 * wing + 0.14 * (n * WEIGHT) ** 2 / wing
     model.ode({v: (throttle * THRUST - drag) / MASS, psi: G / v * (n**2 - 1) ** 0.5})
-    problem = go.Problem("level turn")
-    turn = problem.phase("turn", model)
-    turn.time(initial=0.0, final=(1.0, 80.0))
+    problem, turn = one_phase("level turn", model, initial=0.0, final=(1.0, 80.0), name="turn")
     turn.initial(v=speed, psi=0.0)
     turn.final(psi=np.pi)
     turn.bounds(n=(1.05, MOST), throttle=(0.0, 1.0), v=(70.0, 400.0))

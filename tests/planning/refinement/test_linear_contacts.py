@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -21,9 +22,7 @@ def way_past_a_disc() -> go.Problem:
     p, heading = car.state("p", 2, unit="m"), car.state("heading", unit="rad")
     turn = car.control("turn", unit="rad/s")
     car.ode({p: ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: turn})
-    problem = go.Problem("past a disc")
-    way = problem.phase("way", car)
-    way.time(initial=0.0, final=(LENGTH, 3 * LENGTH))
+    problem, way = one_phase("past a disc", car, initial=0.0, final=(LENGTH, 3 * LENGTH), name="way")
     way.initial(p=[0.0, 0.0])
     way.final(p=[LENGTH, 0.0])
     way.bounds(turn=(-2.0, 2.0), heading=(-1.5, 1.5))
@@ -50,13 +49,8 @@ def test_an_arc_between_singular_arcs(mesh: str) -> None:
 
 def test_an_arc_between_bangs() -> None:
     """Least time of an axis whose jerk and speed are bounded (S curve): T = D / v + 2 sqrt(v / j)."""
-    axis = go.Model("axis")
-    x, v, a = axis.state("x"), axis.state("v"), axis.state("a")
-    jerk = axis.control("jerk")
-    axis.ode({x: v, v: a, a: jerk})
-    problem = go.Problem("S curve")
-    leg = problem.phase("leg", axis)
-    leg.time(initial=0.0, final=(0.5, 30.0))
+    axis, *_ = dynamics("axis", "x v a", "jerk", lambda x, v, a, jerk: {x: v, v: a, a: jerk})
+    problem, leg = one_phase("S curve", axis, initial=0.0, final=(0.5, 30.0))
     leg.initial(x=0.0, v=0.0, a=0.0)
     leg.final(x=6.0, v=0.0, a=0.0)
     leg.bounds(jerk=(-2.0, 2.0), v=(-1.0, 1.0))

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -25,12 +26,8 @@ LIMITS: dict[str, Limit] = {
 
 def sled(limit: Limit) -> go.Problem:
     """Up to a speed in the least time: full thrust until it is the most that the mass left bears, then that."""
-    model = go.Model("sled")
-    v, m, T = model.state("v"), model.state("m"), model.control("T")
-    model.ode({v: T / m, m: -T / EXHAUST})
-    problem = go.Problem("sled")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 20.0))
+    model, _v, m, T = dynamics("sled", "v m", "T", lambda v, m, T: {v: T / m, m: -T / EXHAUST})
+    problem, leg = one_phase("sled", model, initial=0.0, final=(0.5, 20.0))
     leg.initial(v=0.0, m=MASS)
     leg.final(v=SPEED)
     leg.bounds(T=(0.0, FULL), m=(0.5, MASS))
@@ -62,9 +59,7 @@ def test_a_limit_of_thrust_per_mass_is_switched_on_and_off() -> None:
     r, v, m = model.state("r", 2), model.state("v", 2), model.state("m")
     T = model.control("T", 2)
     model.ode({r: v, v: T / m, m: -0.05 * ca.norm_2(T)})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    problem, leg = one_phase("p", model, initial=0.0, final=3.0)
     leg.initial(r=[0.0, 0.0], v=[0.0, 0.0], m=40.0)
     leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
     leg.bounds(m=(1.0, 40.0))

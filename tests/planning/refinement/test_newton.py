@@ -10,16 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from testing.constructed_solutions import (
-    cart as constructed_cart,
-)
-from testing.constructed_solutions import (
-    costates,
-    interval,
-    phase,
-    solution,
-)
+from testing.constructed_solutions import cart as constructed_cart
+from testing.constructed_solutions import costates, interval, phase, solution
 from testing.internals import Interval, PhaseStructure, PiecewisePolynomial, Plan, Scheme, Switches, detect
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -30,9 +24,7 @@ from gnc_opt.planning.refinement.switching import newton as n
 from gnc_opt.planning.refinement.switching import step as switch_step
 from gnc_opt.planning.refinement.switching import warm_start as v
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
-from gnc_opt.planning.refinement.switching.flight import (
-    _interpolated,
-)
+from gnc_opt.planning.refinement.switching.flight import _interpolated
 from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
 from gnc_opt.planning.refinement.switching.step import (
     SwitchStep,
@@ -56,9 +48,7 @@ def carts(*distances: float, initial: float = 0.0) -> go.Problem:
     v = model.state("v", len(distances))
     a = model.control("a", len(distances))
     model.ode({q: v, v: a})
-    problem = go.Problem("carts")
-    leg = problem.phase("leg", model)
-    leg.time(initial=initial, final=(initial + 0.1, initial + 100.0))
+    problem, leg = one_phase("carts", model, initial=initial, final=(initial + 0.1, initial + 100.0))
     leg.initial(q=np.array(distances), v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=([-1.0] * len(distances), [1.0] * len(distances)))
@@ -68,12 +58,8 @@ def carts(*distances: float, initial: float = 0.0) -> go.Problem:
 
 def oscillator() -> go.Problem:
     """x'' + x = u, |u| <= 1, from 5 at rest to the origin in least time."""
-    model = go.Model("oscillator")
-    q, v, u = model.state("q"), model.state("v"), model.control("u")
-    model.ode({q: v, v: u - q})
-    problem = go.Problem("oscillator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 20.0))
+    model, _q, _v, _u = dynamics("oscillator", "q v", "u", lambda q, v, u: {q: v, v: u - q})
+    problem, leg = one_phase("oscillator", model, initial=0.0, final=(0.1, 20.0))
     leg.initial(q=5.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -132,12 +118,8 @@ def test_switches_of_several_controls_pass_each_other() -> None:
 
 def fuller() -> go.Problem:
     """x'' = u, |u| <= 1, from 1 at rest to the origin at rest in 3 s, at the least integral of x^2."""
-    model = go.Model("cart")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("Fuller")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    model, x, _v, _u = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("Fuller", model, initial=0.0, final=3.0)
     leg.initial(x=1.0, v=0.0)
     leg.final(x=0.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -177,12 +159,8 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
 
 def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
     """The angle's cosine and sine are both held at the end: one of them follows, and has no multiplier of its own."""
-    model = go.Model("pointing")
-    c, s, w, a = model.state("c"), model.state("s"), model.state("w"), model.control("a")
-    model.ode({c: -s * w, s: c * w, w: a})
-    problem = go.Problem("pointing")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    model, _c, _s, _w, _a = dynamics("pointing", "c s w", "a", lambda c, s, w, a: {c: -s * w, s: c * w, w: a})
+    problem, leg = one_phase("pointing", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(c=1.0, s=0.0, w=0.0)
     leg.final(c=0.0, s=1.0, w=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -264,12 +242,8 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
 
     The integral of a^2, constant for |a| = 1, is there to be carried along.
     """
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("far")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 6.0)
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("far", model, 0.0, 6.0)
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.constrain("stop", leg.final_state("v"), equals=0.0)
@@ -287,12 +261,8 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-9])
 def test_the_flow_itself_is_as_accurate_as_it_is_told_to_be(accuracy: float) -> None:
     """v' = a - v^2 / 10, rest to rest over 1 m: SciPy's own answer, to the accuracy and its root."""
-    model = go.Model("dragged")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - 0.1 * v**2})
-    problem = go.Problem("dragged")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    model, _q, _v, _a = dynamics("dragged", "q v", "a", lambda q, v, a: {q: v, v: a - 0.1 * v**2})
+    problem, leg = one_phase("dragged", model, 0.0, (0.1, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -528,12 +498,8 @@ def test_when_a_flow_is_accurate(
 
 def pulled() -> go.Problem:
     """From 5 at rest to the origin in least time, x'' + x = u, |u| <= 1, and what half of u^2 adds up to."""
-    model = go.Model("oscillator")
-    q, v, u = model.state("q"), model.state("v"), model.control("u")
-    model.ode({q: v, v: u - q})
-    problem = go.Problem("oscillator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 20.0))
+    model, _q, _v, u = dynamics("oscillator", "q v", "u", lambda q, v, u: {q: v, v: u - q})
+    problem, leg = one_phase("oscillator", model, initial=0.0, final=(0.1, 20.0))
     leg.initial(q=5.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -695,12 +661,8 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     With H = lam_q v + lam_v a + a^2 / 2 the multipliers of given ends are H - 7 and -(H + 2), -lam - (0, 5) and
     lam - (3, 0), and that of the control is -(a + lam_v).
     """
-    model = go.Model("cart")
-    q, speed, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: speed, speed: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 9.0) if free else 1.0)
+    model, _q, _speed, a = dynamics("cart", "q v", "a", lambda q, speed, a: {q: speed, speed: a})
+    problem, leg = one_phase("cart", model, 0.0, (0.5, 9.0) if free else 1.0)
     ends = 7 * leg.initial_time + 2 * leg.final_time + 5 * leg.initial_state("v") + 3 * leg.final_state("q")
     problem.minimize(ends + 0.5 * leg.integral(a**2))
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
@@ -734,9 +696,7 @@ def carts_of_simultaneous(braking: float) -> go.Problem:
     model = go.Model("carts_of_simultaneous")
     q, v, a = model.state("q", 3), model.state("v", 3), model.control("a", 3)
     model.ode({q: v, v: a + ca.vertcat(0.0, 0.0, braking * (model.time - 1.0))})
-    problem = go.Problem("together")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 2.0))
+    problem, leg = one_phase("together", model, 0.0, (0.5, 2.0))
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=([-1.0] * 3, [1.0] * 3))
     leg.final(v=([-9.0, 0.0, -9.0], [9.0, 0.0, 9.0]))

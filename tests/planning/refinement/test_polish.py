@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from testing.models import dynamics, one_phase
 from testing.nonlinear_problems import orbit_raising, reorientation, van_der_pol
 
 import gnc_opt as go
@@ -19,9 +20,7 @@ VERDICT = 1e-9
 
 
 def double_integrator() -> tuple[go.Model, object]:
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
     return model, a
 
 
@@ -30,9 +29,7 @@ def brachistochrone(bounded: bool) -> go.Problem:
     x, y, v = bead.state("x"), bead.state("y"), bead.state("v")
     angle = bead.control("angle")
     bead.ode({x: v * ca.sin(angle), y: v * ca.cos(angle), v: 9.81 * ca.cos(angle)})
-    problem = go.Problem("brachistochrone")
-    leg = problem.phase("leg", bead)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("brachistochrone", bead, initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0, y=0.0, v=0.0)
     leg.final(x=2.0, y=1.0)
     if bounded:
@@ -61,12 +58,8 @@ def test_brachistochrone_is_a_cycloid(bounded: bool) -> None:
 
 def test_scalar_regulator() -> None:
     """Minimise the integral of (x^2 + u^2)/2 over [0, 1] from 1: lambda = P x, P = tanh(1 - t)."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("scalar LQ")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("scalar LQ", model, initial=0.0, final=1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     solution = solve_indirect(go.solve(problem, mesh="2x2", tol=None))
@@ -82,9 +75,7 @@ def test_scalar_regulator() -> None:
 def test_least_energy_transfer(scheme: str) -> None:
     """From rest at 1 to rest at 0 in 1 s: a = -6 + 12 t, J = 6."""
     model, a = double_integrator()
-    problem = go.Problem("least energy")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("least energy", model, initial=0.0, final=1.0)
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     problem.minimize(leg.integral(a**2 / 2))
@@ -119,9 +110,7 @@ def test_unbounded_problems_pass_a_tight_verdict(build: object) -> None:
 def test_free_initial_time_and_nonlinear_functions_of_integrals() -> None:
     model, a = double_integrator()
     q = model.symbol("q")
-    problem = go.Problem("root of energy")
-    leg = problem.phase("leg", model)
-    leg.time(initial=(-5.0, 5.0), final=3.0)
+    problem, leg = one_phase("root of energy", model, initial=(-5.0, 5.0), final=3.0)
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     energy, moment = leg.integral(a**2 / 2), leg.integral(q**2 * a)
@@ -173,9 +162,7 @@ def test_a_polished_solution_is_an_ordinary_one(tmp_path: Path) -> None:
 
 def test_refusals_name_the_culprit() -> None:
     model, _ = double_integrator()
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("minimum time", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -192,12 +179,8 @@ def test_refusals_name_the_culprit() -> None:
 
 
 def test_singular_control_is_refused() -> None:
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("tracking")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("tracking", model, initial=0.0, final=2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral((x - 0.3 * model.time) ** 2))
@@ -209,9 +192,7 @@ def test_active_path_constraint_and_state_bound_are_refused() -> None:
     """Bryson & Denham: q <= 0.1 while the velocity is turned round."""
     for kind in ("path constraint 'ceiling'", "state 'q'"):
         model, a = double_integrator()
-        problem = go.Problem("ceiling")
-        leg = problem.phase("leg", model)
-        leg.time(initial=0.0, final=1.0)
+        problem, leg = one_phase("ceiling", model, initial=0.0, final=1.0)
         leg.initial(q=0.0, v=1.0)
         leg.final(q=0.0, v=-1.0)
         if kind.startswith("path"):
@@ -225,13 +206,8 @@ def test_active_path_constraint_and_state_bound_are_refused() -> None:
 
 def test_a_control_that_is_zero_all_along_is_determined_too() -> None:
     """It has no magnitude; what it is measured by must not depend on the others' either."""
-    model = go.Model("two")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("one of two")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, _y, u, w = dynamics("two", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("one of two", model, 0.0, 1.0)
     leg.initial(x=0.0, y=0.0)
     leg.final(x=1e4, y=0.0)
     problem.minimize(leg.integral(0.5 * (u**2 + w**2)))

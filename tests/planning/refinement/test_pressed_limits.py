@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -21,9 +22,7 @@ def hard_turn(speed: float, angle: float) -> go.Problem:
     v, psi = model.state("v", unit="m/s"), model.state("psi", unit="rad")
     n = model.control("n")
     model.ode({v: -DRAG * v**2 - INDUCED * n**2 / v**2, psi: G * n / v})
-    problem = go.Problem("hard turn")
-    turn = problem.phase("turn", model)
-    turn.time(initial=0.0, final=(1.0, 60.0))
+    problem, turn = one_phase("hard turn", model, initial=0.0, final=(1.0, 60.0), name="turn")
     turn.initial(v=speed, psi=0.0)
     turn.final(psi=angle)
     turn.bounds(n=(0.0, MOST), v=(50.0, 500.0))

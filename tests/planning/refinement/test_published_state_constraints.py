@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -18,12 +19,7 @@ LIMIT = -0.25
 def van_der_pol_rates(t: float, z: np.ndarray) -> list[float]:
     """States and costates of a free arc, u = -lam_x / 2."""
     x, y, p, q = z
-    return [
-        (1 - y**2) * x - y - p / 2,
-        x,
-        -2 * x - p * (1 - y**2) - q,
-        -2 * y + p * (2 * x * y + 1),
-    ]
+    return [(1 - y**2) * x - y - p / 2, x, -2 * x - p * (1 - y**2) - q, -2 * y + p * (2 * x * y + 1)]
 
 
 def held_control(y: float) -> float:
@@ -52,12 +48,8 @@ def van_der_pol_open(unknowns: np.ndarray) -> list[float]:
 
 def test_vdp_state_of_first_order() -> None:
     """Least int x^2 + y^2 + u^2 over 10 s, x >= -1/4: an arc on the limit, by shooting at both of its ends."""
-    model = go.Model("Van der Pol")
-    x, y, u = model.state("x"), model.state("y"), model.control("u")
-    model.ode({x: (1 - y**2) * x - y + u, y: x})
-    problem = go.Problem("vdp_state")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=10.0)
+    model, x, y, u = dynamics("Van der Pol", "x y", "u", lambda x, y, u: {x: (1 - y**2) * x - y + u, y: x})
+    problem, leg = one_phase("vdp_state", model, initial=0.0, final=10.0)
     leg.initial(x=0.0, y=1.0)
     leg.bounds(x=(LIMIT, None), u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2 + y**2 + u**2))
@@ -72,13 +64,8 @@ def test_vdp_state_of_first_order() -> None:
 
 def robbins(last: float) -> go.Problem:
     """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0."""
-    model = go.Model("third order")
-    x, v, a = (model.state(name) for name in ("x", "v", "a"))
-    u = model.control("u")
-    model.ode({x: v, v: a, a: u})
-    problem = go.Problem("Robbins")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=last)
+    model, x, _v, _a, u = dynamics("third order", "x v a", "u", lambda x, v, a, u: {x: v, v: a, a: u})
+    problem, leg = one_phase("Robbins", model, initial=0.0, final=last)
     leg.initial(x=1.0, v=-2.0, a=0.0)
     leg.bounds(x=(0.0, None))
     problem.minimize(leg.integral(3 * x + u**2 / 2, "effort"))

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
@@ -22,12 +23,8 @@ from problems.classics import van_der_pol
 
 def rest_to_rest() -> go.Problem:
     """Over 3 m with accelerations between -2 and 1 m/s^2: one switch, t = 3 s."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 20.0))
+    model, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.1, 20.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=3.0, v=0.0)
     leg.bounds(a=(-2.0, 1.0))
@@ -37,12 +34,8 @@ def rest_to_rest() -> go.Problem:
 
 def swing() -> go.Problem:
     """Smooth and nonlinear: x' = u - x^3 from 1.5 to 1 with least effort."""
-    model = go.Model("cubic")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u - x**3})
-    problem = go.Problem("cubic")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=8.0)
+    model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: u - x**3})
+    problem, leg = one_phase("cubic", model, initial=0.0, final=8.0)
     leg.initial(x=1.5)
     leg.final(x=1.0)
     problem.minimize(leg.integral((x**2 + u**2) / 2))
@@ -322,9 +315,7 @@ def test_an_arc_that_chatters_is_told() -> None:
     rate = aircraft.control("rate")
     turn = 9.81 / 20.0 * ca.tan(bank)
     aircraft.ode({r: 20.0 * ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: turn, bank: rate})
-    problem = go.Problem("turn")
-    leg = problem.phase("turn", aircraft)
-    leg.time(initial=0.0, final=(3.0, 120.0))
+    problem, leg = one_phase("turn", aircraft, initial=0.0, final=(3.0, 120.0), name="turn")
     leg.initial(r=[0.0, 0.0], heading=0.0, bank=0.0)
     leg.final(r=[-200.0, 300.0], heading=np.pi, bank=0.0)
     leg.bounds(rate=(-0.5, 0.5), bank=(-0.7, 0.7))
@@ -409,12 +400,8 @@ def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(
 
 def two_wells(start: float, sign: float = 1.0) -> go.Problem:
     """min (e^2 - 1)^2 + 0.3 e + 0.01 int u^2 for x' = u, x(0) = 0, x(1) = e: a minimum on either side."""
-    model = go.Model("drift")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("two wells")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, _x, u = dynamics("drift", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("two wells", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     leg.guess(x=(0.0, start), u=start)
     end = leg.final_state("x")

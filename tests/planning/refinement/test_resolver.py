@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from testing.internals import PassLimits, Plan, optimise_switches, points_of, solve_mesh
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Resolver
@@ -221,12 +222,8 @@ def test_a_smooth_guess_is_as_accurate_again() -> None:
 
     energy = brentq(lambda e: integral(e, lambda q: 1.0) - duration, 1e-3, 1e3, xtol=1e-13)
     cost = integral(energy, lambda q: 2 * q**6 + energy) - start**4 / 2
-    m = go.Model("spring")
-    q, u = m.state("q"), m.control("u")
-    m.ode({q: u - q**3})
-    p = go.Problem("spring")
-    leg = p.phase("leg", m)
-    leg.time(initial=0.0, final=duration)
+    m, _q, u = dynamics("spring", "q", "u", lambda q, u: {q: u - q**3})
+    p, leg = one_phase("spring", m, initial=0.0, final=duration)
     leg.initial(q=0.1)
     leg.final(q=0.0)
     p.minimize(leg.integral(u**2))
@@ -235,10 +232,10 @@ def test_a_smooth_guess_is_as_accurate_again() -> None:
 
 
 def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
-    """Forty variations: each by the known matrices and by matrices of its own, equal to the closed form."""
+    """Fifteen variations: each by the known matrices and by matrices of its own, equal to the closed form."""
     problem = fast.solution.need_problem("")
-    for k in range(40):
-        distance = 0.3 * 1.08**k
+    for k in range(15):
+        distance = 0.3 * 1.2**k
         assert fast.solve(problem.with_initial(q=-distance)).objective == pytest.approx(
             2 * distance**0.5, rel=1e-9
         )

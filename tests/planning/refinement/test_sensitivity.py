@@ -11,6 +11,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 from testing.nonlinear_problems import orbit_raising, reorientation, van_der_pol
 
 import gnc_opt as go
@@ -50,9 +51,7 @@ def brachistochrone() -> go.Problem:
     angle = bead.control("angle")
     g, drag = bead.parameter("g", 9.81), bead.parameter("drag", 0.1)
     bead.ode({x: v * ca.sin(angle), y: v * ca.cos(angle), v: g * ca.cos(angle) - drag * v})
-    problem = go.Problem("brachistochrone with drag")
-    leg = problem.phase("leg", bead)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("brachistochrone with drag", bead, initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0, y=0.0, v=0.0)
     leg.final(x=1.0, y=1.0)
     leg.bounds(angle=(-0.5, 2.0))  # no whole turns
@@ -195,9 +194,7 @@ def test_switch_time_of_a_bang_bang_solution() -> None:
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     c = model.parameter("c", 1.0)
     model.ode({q: v, v: c * a})
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("minimum time", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.2)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -212,12 +209,8 @@ def test_switch_time_of_a_bang_bang_solution() -> None:
 
 def wall(form: str, v0: float = 1.0) -> go.Problem:
     """Bryson and Denham's problem with its limit as a bound of the state or as a path constraint."""
-    model = go.Model("double integrator")
-    x, v, a = model.state("x"), model.state("v"), model.control("a")
-    model.ode({x: v, v: a})
-    problem = go.Problem("wall")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, _v, a = dynamics("double integrator", "x v", "a", lambda x, v, a: {x: v, v: a})
+    problem, leg = one_phase("wall", model, initial=0.0, final=1.0)
     leg.initial(x=0.0, v=v0)
     leg.final(x=0.0, v=-1.0)
     if form == "bound":
@@ -252,9 +245,7 @@ def regulator(*, weight: float = 1.0, bound: float | None = None) -> go.Problem:
     x, u = model.state("x"), model.control("u")
     k = model.parameter("k", 1.0)
     model.ode({x: u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
+    problem, leg = one_phase("regulator", model, initial=0.0, final=2.0)
     leg.initial(x=1.0)
     leg.bounds(u=(-1.0, bound))
     problem.minimize(leg.integral(weight * (u - k) ** 2) + leg.final_state("x"))
@@ -273,9 +264,7 @@ def test_undetermined_control_is_named() -> None:
     x, u, w = model.state("x"), model.control("u"), model.control("w")
     k = model.parameter("k", 1.0)
     model.ode({x: k * (u + w)})
-    problem = go.Problem("over-actuated")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    problem, leg = one_phase("over-actuated", model, initial=0.0, final=1.0)
     leg.initial(x=1.0)
     leg.final(x=0.0)
     problem.minimize(leg.integral((u + w) ** 2))
@@ -284,12 +273,8 @@ def test_undetermined_control_is_named() -> None:
 
 
 def test_singular_arc_is_named() -> None:
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("singular")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("singular", model, initial=0.0, final=2.0)
     leg.initial(x=1.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt import ArcKind
@@ -37,9 +38,7 @@ def solution() -> go.Solution:
             w: ARM / INERTIA * (f[1] - f[0]),
         }
     )
-    ocp = go.Problem("round a pole")
-    leg = ocp.phase("leg", quad)
-    leg.time(initial=0.0, final=(0.5, 10.0))
+    ocp, leg = one_phase("round a pole", quad, initial=0.0, final=(0.5, 10.0))
     leg.initial(x=0.0, z=0.0, theta=0.0, vx=0.0, vz=0.0, w=0.0)
     leg.final(x=4.0, z=0.0, theta=0.0, vx=0.0, vz=0.0, w=0.0)
     leg.bounds(f=([0.3, 0.3], [5.0, 5.0]))

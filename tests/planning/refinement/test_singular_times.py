@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
+from testing.models import one_phase
 
 import gnc_opt as go
 from problems.classics import van_der_pol
@@ -33,12 +34,7 @@ def van_der_pol_residual(times: np.ndarray) -> list[float]:
 
     def back(_: float, s: np.ndarray) -> list[float]:
         x, y, lam_x, lam_y = s
-        return [
-            y,
-            -x + y * (1 - x**2) + 1,
-            -(x - lam_y * (1 + 2 * x * y)),
-            -(y + lam_x + lam_y * (1 - x**2)),
-        ]
+        return [y, -x + y * (1 - x**2) + 1, -(x - lam_y * (1 + 2 * x * y)), -(y + lam_x + lam_y * (1 - x**2))]
 
     lam_y = solve_ivp(back, (entry, first), [x, y, -y, 0.0], **TIGHT).y[3, -1]
     return [float(end), float(lam_y)]
@@ -59,9 +55,7 @@ def catalyst() -> go.Problem:
     a, b = model.state("a"), model.state("b")
     u = model.control("u")
     model.ode({a: u * (10 * b - a), b: u * (a - 10 * b) - (1 - u) * b})
-    problem = go.Problem("catalyst mixing")
-    bed = problem.phase("bed", model)
-    bed.time(initial=0.0, final=1.0)
+    problem, bed = one_phase("catalyst mixing", model, initial=0.0, final=1.0, name="bed")
     bed.initial(a=1.0, b=0.0)
     bed.bounds(u=(0.0, 1.0))
     problem.maximize(1 - bed.final_state("a") - bed.final_state("b"))
@@ -119,9 +113,7 @@ def test_a_cart_swings_its_pole_up_with_a_singular_arc() -> None:
             omega: -(pull * c + (cart + pole) * g * s) / (length * mass),
         }
     )
-    problem = go.Problem("swing-up")
-    leg = problem.phase("swing", model)
-    leg.time(0.0, final=(0.3, 10.0))
+    problem, leg = one_phase("swing-up", model, 0.0, final=(0.3, 10.0), name="swing")
     leg.initial(q=0.0, theta=0.0, v=0.0, omega=0.0)
     leg.final(q=1.0, theta=np.pi, v=0.0, omega=0.0)
     leg.bounds(F=(-10.0, 10.0), q=(-0.5, 1.5))

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -22,12 +23,8 @@ DRAG, LENGTH, SLOW = 0.1, 10.0, 0.1
 
 @pytest.mark.parametrize("mesh", ["10x4", "20x4"])
 def test_force_then_power_then_speed_are_at_their_limits(mesh: str) -> None:
-    model = go.Model("car")
-    x, v, f = model.state("x"), model.state("v"), model.control("f")
-    model.ode({x: v, v: f})
-    problem = go.Problem("power limit")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(5.0, 100.0))
+    model, _x, v, f = dynamics("car", "x v", "f", lambda x, v, f: {x: v, v: f})
+    problem, leg = one_phase("power limit", model, initial=0.0, final=(5.0, 100.0))
     leg.initial(x=0.0, v=0.0)
     leg.final(x=WAY, v=0.0)
     leg.bounds(f=(-BRAKE, FORCE), v=(0.0, FASTEST))
@@ -69,12 +66,8 @@ def least_time(cells: int = 100_000) -> float:
 
 
 def test_a_limit_that_depends_on_the_place_is_held_with_drag() -> None:
-    model = go.Model("train")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u - DRAG * v**2})
-    problem = go.Problem("speed limit by place")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(2.0, 60.0))
+    model, x, v, _u = dynamics("train", "x v", "u", lambda x, v, u: {x: v, v: u - DRAG * v**2})
+    problem, leg = one_phase("speed limit by place", model, initial=0.0, final=(2.0, 60.0))
     leg.initial(x=0.0, v=SLOW)
     leg.final(x=LENGTH, v=SLOW)
     leg.bounds(u=(-1.0, 1.0))
@@ -92,12 +85,8 @@ def test_another_control_helps_where_the_first_one_gives_out() -> None:
 
     There a comes to its bound, and leaves it, as continuously as b begins and ends: b = m' - 1 between.
     """
-    model = go.Model("two engines")
-    v, a, b = model.state("v"), model.control("a"), model.control("b")
-    model.ode({v: a + b})
-    problem = go.Problem("moving limit")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.5)
+    model, v, _a, b = dynamics("two engines", "v", "a b", lambda v, a, b: {v: a + b})
+    problem, leg = one_phase("moving limit", model, initial=0.0, final=3.5)
     leg.initial(v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     leg.path("limit", v - 0.8 * model.time + 0.25 * ca.cos(2 * (model.time - 1)), upper=0.5)

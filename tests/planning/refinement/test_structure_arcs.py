@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from testing.internals import PhaseStructure, Smooth
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
@@ -29,13 +30,8 @@ def junctions(solution: go.Solution, channel: str) -> list[float]:
 
 def speed_limited(limit: float, length: float = 1.0) -> go.Problem:
     """Rest to rest over some length in minimum time, |acceleration| <= 1, |speed| <= limit."""
-    model = go.Model("double integrator")
-    x, v = model.state("x"), model.state("v")
-    u = model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("speed limit")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 10.0))
+    model, *_ = dynamics("double integrator", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("speed limit", model, 0.0, (0.5, 10.0))
     leg.initial(x=0.0, v=0.0)
     leg.final(x=length, v=0.0)
     leg.bounds(u=(-1.0, 1.0), v=(-limit, limit))
@@ -78,13 +74,8 @@ def test_singular_arc_between_bangs() -> None:
 
     The singular arc is x = sin t, u = cos t; the bangs meet it where 1 - 2 t = sin t and 3/2 - 2 (3 - t) = sin t.
     """
-    model = go.Model("pursuit")
-    x = model.state("x")
-    u = model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("pursuit")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 3.0)
+    model, x, _u = dynamics("pursuit", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("pursuit", model, 0.0, 3.0)
     leg.initial(x=1.0)
     leg.final(x=1.5)
     leg.bounds(u=(-2.0, 2.0))
@@ -107,13 +98,8 @@ def test_singular_arc_between_bangs() -> None:
 
 def saturated_regulator() -> go.Problem:
     """x' = u, |u| <= 1, half the integral of x^2 + u^2 over 4 s, x(0) = 3."""
-    model = go.Model("integrator")
-    x = model.state("x")
-    u = model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("saturated regulator")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 4.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("saturated regulator", model, 0.0, 4.0)
     leg.initial(x=3.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(0.5 * leg.integral(x**2 + u**2))
@@ -148,13 +134,8 @@ def test_kink_on_a_mixed_constraint() -> None:
     Free with u = c until c (1 + t_k) = a, then x = a - c exp(-(t - t_k)) to x(T) = L; mu = c sinh(t - t_k).
     """
     a, span, length = 2.0, 2.0, 1.5
-    model = go.Model("integrator")
-    x = model.state("x")
-    u = model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("mixed constraint")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, span)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("mixed constraint", model, 0.0, span)
     leg.initial(x=0.0)
     leg.final(x=length)
     leg.bounds(u=(-10.0, 10.0))
@@ -189,13 +170,8 @@ def test_kinks_are_told_from_switches() -> None:
 
 def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:
     """Rest to rest in unit time: the optimum u = 6 - 12 t is smooth of degree 1; of degree 0 there is none."""
-    model = go.Model("double integrator")
-    x, v = model.state("x"), model.state("v")
-    u = model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("smooth")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, _v, u = dynamics("double integrator", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("smooth", model, 0.0, 1.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(v=0.0)
     problem.minimize(leg.integral(u**2) - 24.0 * leg.final_state("x"))
@@ -231,12 +207,8 @@ def test_held_arcs_are_checked() -> None:
 @pytest.mark.parametrize("k", [0.1, -0.2])
 def test_a_control_in_which_h_bends_jumps_from_bound_to_bound(k: float) -> None:
     """A thrust of u + k u^3 takes 2 / sqrt(1 + k) over 1 m; H is convex in u before the switch, concave behind it."""
-    cart = go.Model("cart")
-    q, v, u = cart.state("q"), cart.state("v"), cart.control("u")
-    cart.ode({q: v, v: u + k * u**3})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", cart)
-    leg.time(0.0, (0.1, 10.0))
+    cart, *_ = dynamics("cart", "q v", "u", lambda q, v, u: {q: v, v: u + k * u**3})
+    problem, leg = one_phase("rest to rest", cart, 0.0, (0.1, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -254,12 +226,8 @@ def test_short_arcs_where_h_is_convex_are_found() -> None:
     bounds while |tan(t - c)| < 2 e; where lam_x < 0 it jumps, half a turn later.
     """
     e = 0.02
-    model = go.Model("oscillator")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v + e * u**2, v: u - x})
-    problem = go.Problem("oscillator to rest")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (1.0, 30.0))
+    model, *_ = dynamics("oscillator", "x v", "u", lambda x, v, u: {x: v + e * u**2, v: u - x})
+    problem, leg = one_phase("oscillator to rest", model, 0.0, (1.0, 30.0))
     leg.initial(x=7.0, v=0.0)
     leg.final(x=0.0, v=0.0)
     leg.bounds(u=(-1.0, 1.0))

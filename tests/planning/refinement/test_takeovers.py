@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -24,9 +25,7 @@ def driven() -> go.Solution:
     model = go.Model("car")
     x, v, u = model.state("x"), model.state("v"), model.control("u")
     model.ode({x: v, v: u - ca.exp(-((x - 5.0) ** 2) / WIDTH)})
-    problem = go.Problem("hill")
-    leg = problem.phase("drive", model)
-    leg.time(initial=0.0, final=END)
+    problem, leg = one_phase("hill", model, initial=0.0, final=END, name="drive")
     leg.initial(x=0.0, v=0.0)
     leg.final(x=10.0, v=0.0)
     leg.bounds(u=(-MOST, MOST), v=(None, 1.0))
@@ -91,9 +90,7 @@ def test_least_time_over_the_hill_is_full_power_the_limit_of_speed_and_full_brak
     model = go.Model("car")
     x, v, u = model.state("x"), model.state("v"), model.control("u")
     model.ode({x: v, v: u - ca.exp(-((x - 5.0) ** 2) / WIDTH)})
-    problem = go.Problem("hill in the least time")
-    leg = problem.phase("drive", model)
-    leg.time(initial=0.0, final=(2.0, 40.0))
+    problem, leg = one_phase("hill in the least time", model, initial=0.0, final=(2.0, 40.0), name="drive")
     leg.initial(x=0.0, v=0.0)
     leg.final(x=10.0, v=0.0)
     leg.bounds(u=(-MOST, MOST), v=(None, 1.0))

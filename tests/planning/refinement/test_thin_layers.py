@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -34,12 +35,8 @@ def along_bound() -> float:
 
 def test_a_kink_in_a_layer_at_the_end_of_a_long_phase() -> None:
     """Segments of equal length along the free arc would be three hundred time constants long."""
-    model = go.Model("cubic")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: -(x**3) + u})
-    problem = go.Problem("bounded")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3000.0)
+    model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: -(x**3) + u})
+    problem, leg = one_phase("bounded", model, initial=0.0, final=3000.0)
     leg.initial(x=1.5)
     leg.final(x=1.0)
     leg.bounds(u=(-1.0, MOST))

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -63,9 +64,7 @@ def test_a_rover_turns_round_rocks_as_the_shortest_way_does() -> None:
     x, y, theta, v = (model.state(name) for name in ("x", "y", "theta", "v"))
     a, w = model.control("a"), model.control("w")
     model.ode({x: v * ca.cos(theta), y: v * ca.sin(theta), theta: w, v: a})
-    problem = go.Problem("rover among rocks")
-    leg = problem.phase("drive", model)
-    leg.time(initial=0.0, final=(3.0, 60.0))
+    problem, leg = one_phase("rover among rocks", model, initial=0.0, final=(3.0, 60.0), name="drive")
     leg.initial(x=0.0, y=0.0, theta=0.0, v=0.0)
     leg.final(x=GOAL[0], y=GOAL[1], v=0.0)
     leg.bounds(a=(-PUSH, PUSH), w=(-TURN, TURN), v=(0.0, FAST))
@@ -82,12 +81,8 @@ def test_a_rover_turns_round_rocks_as_the_shortest_way_does() -> None:
 
 
 def lift(way: float) -> go.Problem:
-    model = go.Model("lift")
-    x, v, a, jerk = model.state("x"), model.state("v"), model.state("a"), model.control("jerk")
-    model.ode({x: v, v: a, a: jerk})
-    problem = go.Problem("lift")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(1.0, 40.0))
+    model, *_ = dynamics("lift", "x v a", "jerk", lambda x, v, a, jerk: {x: v, v: a, a: jerk})
+    problem, leg = one_phase("lift", model, initial=0.0, final=(1.0, 40.0))
     leg.initial(x=0.0, v=0.0, a=0.0)
     leg.final(x=way, v=0.0, a=0.0)
     leg.bounds(jerk=(-1.0, 1.0), a=(-DOWN, UP))
@@ -125,9 +120,7 @@ def bend() -> go.Solution:
     x, y, vx, vy = (model.state(name) for name in ("x", "y", "vx", "vy"))
     ax, ay = model.control("ax"), model.control("ay")
     model.ode({x: vx, y: vy, vx: ax, vy: ay})
-    problem = go.Problem("bend")
-    leg = problem.phase("bend", model)
-    leg.time(initial=0.0, final=(1.0, 30.0))
+    problem, leg = one_phase("bend", model, initial=0.0, final=(1.0, 30.0), name="bend")
     leg.initial(x=30.0, y=0.0, vx=0.0, vy=ENTRY)
     leg.final(x=-30.0, y=0.0)
     leg.path("grip", (ax**2 + ay**2) / GRIP**2, upper=1.0)

@@ -7,18 +7,15 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
 
 def impossible() -> go.Problem:
     """Rest to rest over 1 m within 1 s, half of what the acceleration allows."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("too little time")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("too little time", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -47,10 +44,7 @@ def test_a_failed_solve_arrives_with_its_last_iterate() -> None:
     np.testing.assert_allclose(joined.hamiltonian(times), original.hamiltonian(times), rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [go.GncOptError, go.ModelError, go.ProblemError, go.UnknownNameError],
-)
+@pytest.mark.parametrize("kind", [go.GncOptError, go.ModelError, go.ProblemError, go.UnknownNameError])
 def test_other_errors_arrive_as_they_are(kind: type[go.GncOptError]) -> None:
     arrived = pickle.loads(pickle.dumps(kind("state 'x' is missing.")))
     assert type(arrived) is kind

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -16,9 +17,7 @@ def cart(limit: float | None = None) -> go.Problem:
     model = go.Model("cart")
     q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     if limit is not None:
@@ -31,9 +30,7 @@ def minimum_time() -> go.Problem:
     """Rest to rest over 1 m at 1 m/s^2 at most: 2 s, switching at 1 s."""
     problem = cart()
     model = problem.phases["leg"].model
-    timed = go.Problem("minimum time")
-    leg = timed.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    timed, leg = one_phase("minimum time", model, 0.0, (0.1, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -7,15 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, phase, solution
-from testing.internals import (
-    SCHEMES,
-    Attempt,
-    Held,
-    PhaseCollocation,
-    Scheme,
-    start_from_guess,
-    transcribe,
-)
+from testing.internals import SCHEMES, Attempt, Held, PhaseCollocation, Scheme, start_from_guess, transcribe
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -155,12 +148,8 @@ def test_a_path_constraint_that_is_stated_twice_belongs_to_the_side_where_it_is_
 @pytest.mark.parametrize(("unit", "second"), [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-3), (1.0, 1e3)])
 def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, second: float) -> None:
     """Beside costates of all sizes, in a program of arbitrary numbers."""
-    model = go.Model("one")
-    x, a = model.state("x", 2), model.control("a")
-    model.ode({x: a * np.ones(2)})
-    problem = go.Problem("one")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, _x, _a = dynamics("one", "x:2", "a", lambda x, a: {x: a * np.ones(2)})
+    problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.final_state("x")[0])
     transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
     part, random = transcription.parts["leg"].collocation, np.random.default_rng(4)
@@ -474,12 +463,8 @@ LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RE
 
 def plane() -> go.Problem:
     """q' = v, v' = a; paths on v + a, on q v, whose gradient turns along the flight, and on q."""
-    model = go.Model("plane")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, q, v, a = dynamics("plane", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
     for label, value in (("mixed", v + a), ("product", q * v), ("height", q)):
         leg.path(label, value, upper=9.0)
     problem.minimize(leg.integral(a**2))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.loops import scheduled
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
@@ -26,9 +27,7 @@ def solution() -> go.Solution:
     m = model.state("m", unit="kg")
     a = model.control("a", 2, unit="m/s^2")
     model.ode({r: v, v: a, m: -1.0})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
     leg.initial(r=[0.0, 0.0], v=0.0, m=5.0)
     leg.final(r=[1.0, 2.0], v=0.0)
     problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2))

@@ -11,6 +11,7 @@ import pytest
 import scipy
 from testing.constructed_solutions import interval
 from testing.internals import SCHEMES, Attempt, Scheme, transcribe
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import least_multipliers
@@ -183,12 +184,8 @@ def test_sums_with_the_weights_are_integrals_over_shares_of_the_phase(scheme: Sc
 
 def coupled() -> go.Problem:
     """x' = u, y' = x u, in a free time: every second derivative has something to say. u is at its limit first."""
-    model = go.Model("coupled")
-    x, y, u = model.state("x"), model.state("y"), model.control("u")
-    model.ode({x: u, y: x * u + y**2})
-    problem = go.Problem("coupled")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 6.0))
+    model, x, y, u = dynamics("coupled", "x y", "u", lambda x, y, u: {x: u, y: x * u + y**2})
+    problem, leg = one_phase("coupled", model, 0.0, (0.5, 6.0))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=1.0)
     leg.bounds(u=(-3.0, 1.5))
@@ -215,12 +212,8 @@ def test_a_solution_meets_the_first_order_conditions(point: ProgramPoint) -> Non
 def test_multipliers_of_a_control_at_its_limit_are_densities() -> None:
     """x' = u, least x at T = 4 with u >= -1: mu = -1 per second, -4 per phase, at every point; in any units."""
     for unit in (1.0, 1e3):
-        model = go.Model("down")
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
-        problem = go.Problem("down")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 4.0)
+        model, _x, u = dynamics("down", "x", "u", lambda x, u: {x: u})
+        problem, leg = one_phase("down", model, 0.0, 4.0)
         leg.initial(x=0.0)
         leg.bounds(u=(-unit, 2 * unit))
         leg.path("floor", u, upper=1.9 * unit)
@@ -285,12 +278,8 @@ def test_other_scales_are_those_that_are_asked_for() -> None:
 
 def turn(components: int) -> go.Problem:
     """Least w^2 of a unit vector that turns by 1 rad in 1 s; of its end one component is prescribed, or both."""
-    model = go.Model("pointer")
-    q, w = model.state("q", 2), model.control("w")
-    model.ode({q: w * ca.vertcat(-q[1], q[0])})
-    problem = go.Problem("turn")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, w = dynamics("pointer", "q:2", "w", lambda q, w: {q: w * ca.vertcat(-q[1], q[0])})
+    problem, leg = one_phase("turn", model, 0.0, 1.0)
     leg.initial(q=[1.0, 0.0])
     wanted = np.array([np.cos(1.0), np.sin(1.0)])
     problem.constrain("end", leg.final_state("q")[-components:], equals=wanted[-components:])

@@ -19,6 +19,7 @@ from testing.internals import (
     collocation_rule,
     phase_functions,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.model import integration
@@ -32,12 +33,8 @@ from gnc_opt.planning.solution.saturated_control import SaturatedControl
 
 def fall(rate_of_v: Any = lambda x, v, u: u) -> go.Problem:
     """x'' = u from rest at 0 to -1 in 1 s: x is below zero at once."""
-    model = go.Model("fall")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: rate_of_v(x, v, u)})
-    problem = go.Problem("fall")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, _v, u = dynamics("fall", "x v", "u", lambda x, v, u: {x: v, v: rate_of_v(x, v, u)})
+    problem, leg = one_phase("fall", model, 0.0, 1.0)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=-1.0)
     problem.minimize(leg.integral(u**2))
@@ -209,12 +206,8 @@ def test_costs_of_tries_add_up() -> None:
 
 def test_integrals_by_name() -> None:
     """x' = u = 1 / 2 from 0 to 1 in 2 s: the integral of u^2 is 1 / 2, that of x is 1."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("two integrals")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("two integrals", model, 0.0, 2.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     leg.integral(x, name="area")
@@ -229,9 +222,7 @@ def test_integrals_by_name() -> None:
 
 def test_numbers_are_numbers_and_vectors_are_vectors() -> None:
     """Two parameters of one component and of two, and constraints likewise: (p - 1)^2 + |q - (2, 3)|^2, q held at 1."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     problem = go.Problem("parameters")
     p, q = problem.parameter("p"), problem.parameter("q", 2)
     leg = problem.phase("leg", model)
@@ -256,12 +247,8 @@ def test_costs_at_both_ends(scheme: Scheme) -> None:
 
     A constraint that does not bind says what it is: x_0 x_f - 2 t_f.
     """
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("both ends")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("both ends", model, 0.0, 1.0)
     first, last = leg.initial_state("x"), leg.final_state("x")
     problem.constrain("product", first * last - 2 * leg.final_time, upper=5.0)
     problem.minimize((first - 1) ** 2 + 3 * (last - 2) ** 2 + leg.integral(u**2))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
 from testing.internals import free, propagate
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -80,12 +81,8 @@ def test_hamiltonian_and_its_derivatives(right: PhaseSamples) -> None:
 
 def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamples) -> None:
     """Friction at rest must not depend on how an end is rounded."""
-    model = go.Model("friction")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - 0.1 * ca.sign(v)})
-    problem = go.Problem("friction")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, _v, a = dynamics("friction", "q v", "a", lambda q, v, a: {q: v, v: a - 0.1 * ca.sign(v)})
+    problem, leg = one_phase("friction", model, 0.0, 1.0)
     problem.minimize(leg.integral(a**2))
     rough = samples(problem, weights=(1.0,), breaks=(0.0, 0.25, 1.0))
     inside = np.diff(rough.times_within)
@@ -144,12 +141,8 @@ def test_path_constraints_are_judged_by_the_distance_to_what_they_allow() -> Non
 
 def test_without_a_gradient_an_excess_counts_by_what_the_value_changes() -> None:
     """1/4 beyond (q - 1/2)^2 >= 1/4 in the centre at 1/2 s, of values that vary by 1/4."""
-    model = go.Model("line")
-    q, a = model.state("q"), model.control("a")
-    model.ode({q: a})
-    problem = go.Problem("line")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, q, a = dynamics("line", "q", "a", lambda q, a: {q: a})
+    problem, leg = one_phase("line", model, 0.0, 1.0)
     leg.path("away", (q - 0.5) ** 2, lower=0.25)
     problem.minimize(leg.integral(a**2))
     found = samples(problem, lambda t, k: [t], lambda t, k: 1 + 0 * t, lambda t, k: 0 * t, weights=(1.0,))
@@ -197,9 +190,7 @@ def test_what_runs_away_is_given_up() -> None:
     model = go.Model("unstable")
     x, still, u = model.state("x"), model.state("still"), model.control("u")
     model.ode({x: 60 * x + u, still: 0 * u})
-    problem = go.Problem("unstable")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("unstable", model, 0.0, 1.0)
     problem.minimize(leg.integral(u**2))
     run = propagate(
         phase(problem, lambda t, k: [1 + 0 * t, 0 * t], lambda t, k: 0 * t, lambda t, k: [t, t]),
@@ -311,9 +302,7 @@ def test_a_vector_has_a_row_for_each_component() -> None:
     model = go.Model("plane")
     r, u = model.state("r", 2, unit="m"), model.control("u", 2)
     model.ode({r: u})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
     problem.minimize(leg.integral(u[0] ** 2 + u[1] ** 2))
     found = phase(
         problem, lambda t, k: [t, 2 * t], lambda t, k: [1 + 0 * t, 2 + 0 * t], lambda t, k: [0 * t, 0 * t]

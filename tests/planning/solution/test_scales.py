@@ -10,15 +10,11 @@ import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
 from testing.internals import Interval, control_spans, free, phase_functions
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.scales import (
-    RESOLUTION,
-    end_spans,
-    state_spans,
-    without_effect,
-)
+from gnc_opt.planning.solution.scales import RESOLUTION, end_spans, state_spans, without_effect
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
 
@@ -37,9 +33,7 @@ def built(states: dict[str, int], controls: int, rates: Any) -> go.Problem:
     x = [model.state(name, size) for name, size in states.items()]
     u = [model.control(f"u{i}") for i in range(controls)]
     model.ode(dict(zip(x, rates(*x, *u), strict=True)))
-    problem = go.Problem("by hand")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("by hand", model, 0.0, 1.0)
     problem.minimize(leg.integral(u[0] ** 2))
     return problem
 
@@ -170,9 +164,7 @@ def controls(
     x = model.state("x")
     u = model.control("u", rows)
     model.ode({x: u if rows == 1 else u[0]})
-    problem = go.Problem("controls")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("controls", model, 0.0, 1.0)
     problem.minimize(leg.integral(x**2))
     box = bounds or free(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
 from testing.internals import Attempt, NlpResult, RefinementIteration
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.model import Layout, Variable
@@ -103,12 +104,8 @@ def test_at_a_boundary_between_segments_the_right_hand_side_is_meant() -> None:
 
 
 def test_vector_controls_have_a_switching_function_each() -> None:
-    model = go.Model("plane")
-    r, u = model.state("r", 2), model.control("u", 2)
-    model.ode({r: u})
-    problem = go.Problem("plane")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _r, u = dynamics("plane", "r:2", "u:2", lambda r, u: {r: u})
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
     problem.minimize(leg.integral(u[0] ** 2 + 3 * u[1]))
     found = solution(
         problem, phase(problem, lambda t, k: [t, t], lambda t, k: [2 * t, t], lambda t, k: [5 + 0 * t, 7 + t])
@@ -246,12 +243,8 @@ def test_an_unbounded_problem_names_what_runs_off_once_each() -> None:
 
 
 def test_what_is_not_finite_is_named_with_its_time() -> None:
-    model = go.Model("root")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u + ca.sqrt(x)})
-    problem = go.Problem("root")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("root", "x", "u", lambda x, u: {x: u + ca.sqrt(x)})
+    problem, leg = one_phase("root", model, 0.0, 1.0)
     leg.guess(x=(1.0, 1.0))
     problem.minimize(leg.integral(u**2))
     tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
@@ -368,10 +361,7 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     found = tries.solve_mesh(
         problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
     )
-    assert [entry[:3] for entry in taken] == [
-        (moved, 7, SolverOptions().mu_init),
-        (None, 50, tries.COLD_MU),
-    ]
+    assert [entry[:3] for entry in taken] == [(moved, 7, SolverOptions().mu_init), (None, 50, tries.COLD_MU)]
     assert (
         taken[0][3] is None and taken[1][3].status is Status.ITERATION_LIMIT
     )  # what the first one took counts
@@ -392,9 +382,7 @@ def test_missing_bounds_in_least_time_are_named() -> None:
         q, v, w = model.state("q"), model.state("v"), model.state("w")
         a, b, heading = model.control("a"), model.control("b"), model.control("heading")
         model.ode({q: v, v: a + b, w: ca.cos(heading)})
-        problem = go.Problem("least time")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, (0.0, 10.0))
+        problem, leg = one_phase("least time", model, 0.0, (0.0, 10.0))
         leg.bounds(b=(-1.0, 1.0))
         problem.minimize(2 * leg.final_time)
         return problem, leg
@@ -417,12 +405,8 @@ def test_missing_bounds_in_least_time_are_named() -> None:
 
 def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> None:
     """The least time is its lower limit, which nothing can beat; the printed lines name the missing bounds."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("least time")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.01, 10.0))
+    model, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("least time", model, 0.0, (0.01, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.final_time)

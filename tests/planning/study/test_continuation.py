@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.internals import predict
+from testing.models import dynamics
 from testing.problem_families import rest_to_rest, stiff
 
 import gnc_opt as go
@@ -147,9 +148,7 @@ def two_phases(duration: float = 4.0) -> go.Problem:
     problem = go.Problem("two phases")
     legs = []
     for name in ("first", "second"):
-        model = go.Model("cart")
-        x, v, u = model.state("x"), model.state("v"), model.control("u")
-        model.ode({x: v, v: u})
+        model, *_ = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
         legs.append(problem.phase(name, model))
     problem.sequence(*legs, durations={"first": 0.5 * duration, "second": 0.5 * duration})
     legs[0].initial(x=0.0, v=0.0)

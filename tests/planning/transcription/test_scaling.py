@@ -15,17 +15,14 @@ from testing.internals import (
     scale_variables,
     start_from_guess,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:
-    model = go.Model("double integrator")
-    x, v, u = model.state("x"), model.state("v"), model.control("u")
-    model.ode({x: v, v: u})
-    problem = go.Problem("double integrator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=4.0)
+    model, *_ = dynamics("double integrator", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("double integrator", model, initial=0.0, final=4.0)
     leg.bounds(**control_bounds)
     return problem, leg
 
@@ -72,9 +69,7 @@ def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
     latitude, heading = model.state("latitude", unit="rad"), model.state("heading", unit="rad")
     turn = model.control("turn", unit="rad/s")
     model.ode({latitude: 1e-3 * ca.cos(heading), heading: turn})
-    problem = go.Problem("east")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=100.0)
+    problem, leg = one_phase("east", model, initial=0.0, final=100.0)
     leg.bounds(turn=(-0.01, 0.01))
     leg.initial(latitude=0.0, heading=np.pi / 2)
     nearby = phase_magnitudes(leg)[0][0]
@@ -125,12 +120,8 @@ def test_path_constraints_tell_how_large_a_control_may_be() -> None:
 
 def test_constraints_without_room_for_a_control_tell_no_magnitude() -> None:
     """On a sphere the guess leaves the other components no room; where it starts, a limit may leave none either."""
-    model = go.Model("m")
-    v, d = model.state("v", 3), model.control("d", 3)
-    model.ode({v: d})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, v, d = dynamics("m", "v:3", "d:3", lambda v, d: {v: d})
+    problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     leg.path("unit", ca.sumsqr(d), equals=1.0)
     leg.guess(d=[[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]], time=[0.0, 1.0])
     np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0, 1.0, 1.0])
@@ -170,12 +161,8 @@ def test_a_guess_that_tracks_perfectly() -> None:
 
 def test_state_that_sums_up_an_unbounded_control() -> None:
     """Bryson-Denham as Mayer problem: q collects u^2/2, both unknown to the guess; J = 4 / (9 l) = 4."""
-    model = go.Model("Bryson-Denham")
-    x, v, q, u = model.state("x"), model.state("v"), model.state("q"), model.control("u")
-    model.ode({x: v, v: u, q: u**2 / 2})
-    problem = go.Problem("Bryson-Denham")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, *_ = dynamics("Bryson-Denham", "x v q", "u", lambda x, v, q, u: {x: v, v: u, q: u**2 / 2})
+    problem, leg = one_phase("Bryson-Denham", model, initial=0.0, final=1.0)
     leg.initial(x=0.0, v=1.0, q=0.0)
     leg.final(x=0.0, v=-1.0)
     leg.bounds(x=(None, 1 / 9))
@@ -201,9 +188,7 @@ def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
     model = go.Model("boat")
     x, y, heading = model.state("x"), model.state("y"), model.control("heading")
     model.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
-    problem = go.Problem("Zermelo")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.5, 20.0))
+    problem, leg = one_phase("Zermelo", model, initial=0.0, final=(0.5, 20.0))
     leg.initial(x=3.66, y=-1.86)
     leg.final(x=0.0, y=0.0)
     leg.bounds(heading=(-2 * np.pi, 2 * np.pi))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
 from testing.great_circle import great_circle
+from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import added, failed
 
@@ -24,9 +25,7 @@ def at_rest(*, beside: bool = True, unit: float = 1.0, cost: float = 1.0) -> go.
     if beside:
         equations[model.state("clock")] = 1.0 + 0 * u
     model.ode(equations)
-    problem = go.Problem("at rest")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("at rest", model, 0.0, 2.0)
     leg.initial(**dict.fromkeys(leg.model.states.names, 0.0))
     leg.final(x=0.0)
     problem.minimize(cost * leg.integral((u / unit) ** 2 - (x / unit) ** 2))
@@ -78,15 +77,10 @@ def test_an_idle_control_is_measured_by_what_the_other_is_worth() -> None:
 @pytest.mark.parametrize("bend", [-1.0, 0.0])
 def test_an_idle_control_without_curvature_stays_singular_and_a_maximum_fails(bend: float) -> None:
     """w beside a clock that a second control drives: H = b^2 / 2 + bend w^2 / 2 at w = 0."""
-    model = go.Model("beside")
-    x, y = model.state("x"), model.state("y")
-    w, b = model.control("w"), model.control("b")
-    model.ode({x: w, y: b})
+    model, _x, _y, w, b = dynamics("beside", "x y", "w b", lambda x, y, w, b: {x: w, y: b})
 
     def problem(bend: float) -> go.Problem:
-        result = go.Problem("beside")
-        leg = result.phase("leg", model)
-        leg.time(0.0, 1.0)
+        result, leg = one_phase("beside", model, 0.0, 1.0)
         leg.initial(x=0.0, y=0.0)
         leg.final(x=0.0, y=1.0)
         result.minimize(leg.integral(0.5 * b**2 + 0.5 * bend * w**2))
@@ -107,12 +101,8 @@ def sled(rest: float, friction: float) -> go.Solution:
     The switch is at sqrt(3 / 2) s, the end at 5 / sqrt(6) s; H = -1 gives the costates. ``rest`` is the velocity that
     rounding leaves at both ends; ``friction`` is that of the problem by which it is judged.
     """
-    model = go.Model("sled")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - friction * ca.sign(v)})
-    problem = go.Problem("sled")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    model, *_ = dynamics("sled", "q v", "a", lambda q, v, a: {q: v, v: a - friction * ca.sign(v)})
+    problem, leg = one_phase("sled", model, 0.0, (0.1, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -146,12 +136,8 @@ def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
 @pytest.mark.parametrize("noise", [1e-30, 1e-9])
 def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise: float, size: float) -> None:
     """A pendulum can be brought to rest in many ways: costates and what they bend by are rounding, of any sign."""
-    model = go.Model("pendulum")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a - ca.sin(q)})
-    problem = go.Problem("pendulum")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
+    problem, leg = one_phase("pendulum", model, 0.0, 2.0)
     leg.initial(q=1.0, v=0.0)
     leg.bounds(a=(-20.0, 20.0))
     problem.minimize(size * (leg.final_state("q") ** 2 + leg.final_state("v") ** 2))
@@ -172,12 +158,8 @@ def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise
 
 def test_a_flight_that_needs_no_control_has_yardsticks() -> None:
     """Thrown by itself from floor to floor: controls, costates and the push of the floor are rounding."""
-    model = go.Model("ball")
-    h, v, a = model.state("h"), model.state("v"), model.control("a")
-    model.ode({h: v, v: a - 1.0})
-    problem = go.Problem("throw")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _h, _v, a = dynamics("ball", "h v", "a", lambda h, v, a: {h: v, v: a - 1.0})
+    problem, leg = one_phase("throw", model, 0.0, 1.0)
     leg.initial(h=0.0)
     leg.final(h=0.0)
     leg.bounds(h=(0.0, None))
@@ -197,9 +179,7 @@ def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None
     model = go.Model("orbit")
     r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
     model.ode({r: v, v: -3.986e14 * r / ca.sumsqr(r) ** 1.5 + a})
-    problem = go.Problem("ahead")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, lasts)
+    problem, leg = one_phase("ahead", model, 0.0, lasts)
     angle = rate * lasts + ahead / radius
     leg.initial(r=[radius, 0.0], v=[0.0, radius * rate])
     leg.final(
@@ -220,9 +200,7 @@ def test_a_constant_push_without_limits_has_a_yardstick(
     unit: float, origin: float, coupling: float, best: bool
 ) -> None:
     """(u - 1)^2 + k^2 + c k s, s being how far the end is off 1: a minimum at u = 1, k = 0 for c < 2, else a saddle."""
-    model = go.Model("pushed")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u - origin})
+    model, _x, u = dynamics("pushed", "x", "u", lambda x, u: {x: u - origin})
     problem = go.Problem("pushed")
     k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
     leg = problem.phase("leg", model)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -21,9 +22,7 @@ def chain(
     x = [model.state(name) for name in "qva"[:order]]
     u = model.control("u")
     model.ode(dict(zip(x, [*x[1:], u], strict=True)))
-    problem = go.Problem("chain")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, last)
+    problem, leg = one_phase("chain", model, 0.0, last)
     leg.initial(**start)
     leg.final(**end)
     if how == "path":
@@ -106,12 +105,8 @@ def test_touch_of_order_three() -> None:
 
 def floor(at: str, moving: float, height: float, kept: float) -> go.Verdict:
     """From 1 to a free end, or from a free end to 1, with a price of 3 on that end and a floor that is met there."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("floor")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("floor", model, 0.0, 1.0)
     leg.path("floor", x + moving * model.time, lower=height)
     start = at == "start"
     getattr(leg, "final" if start else "initial")(x=1.0)
@@ -140,9 +135,7 @@ def test_atoms_push_a_parameter_that_is_the_limit() -> None:
     """The ceiling is bought: 4 / (9 h) + price h is least for a height of 0.1, with an arc and an atom at each end."""
     height = 0.1
     problem = go.Problem("bought ceiling")
-    model = go.Model("chain")
-    q, v, u = model.state("q"), model.state("v"), model.control("u")
-    model.ode({q: v, v: u})
+    model, q, _v, u = dynamics("chain", "q v", "u", lambda q, v, u: {q: v, v: u})
     leg = problem.phase("leg", model)
     ceiling = problem.parameter("h", lower=0.01, upper=0.3, guess=0.1)
     leg.time(0.0, 1.0)

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import one_phase
 
 import gnc_opt as go
 
@@ -16,9 +17,7 @@ def judged(gust: Any = None, spike: Any = None, limit: Any = None, upper: float 
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a + (0.0 if gust is None else gust(model.time, q))})
-    problem = go.Problem("narrow")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("narrow", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     if limit is not None:

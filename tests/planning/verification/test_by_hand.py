@@ -12,15 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.given_scales import given_scales
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
-from gnc_opt.planning.optimality.costate_jumps import (
-    StateConstraintSides,
-    jumps_explained,
-    pushed_beside,
-)
+from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, jumps_explained, pushed_beside
 from gnc_opt.planning.optimality.kkt import variation_weights
 from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature, _variables
 from gnc_opt.planning.optimality.switches import Switches
@@ -31,9 +28,7 @@ from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import least_squares
 from gnc_opt.planning.verification.control_conditions import undetermined
-from gnc_opt.planning.verification.costate_conditions import (
-    _unexplained,
-)
+from gnc_opt.planning.verification.costate_conditions import _unexplained
 from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
 from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
 from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
@@ -50,9 +45,7 @@ def plain(matrix: Any, cost: Any = None) -> go.Problem:
     model = go.Model("plain")
     x, u = model.state("x", 2), model.control("u")
     model.ode({x: ca.mtimes(ca.DM(matrix), x) + ca.vertcat(0, u)})
-    problem = go.Problem("plain")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("plain", model, 0.0, 2.0)
     problem.minimize(leg.final_state("x")[0] if cost is None else leg.integral(cost(model.time, x, u)))
     return problem
 
@@ -123,12 +116,8 @@ def test_difference_in_shares_of_the_larger() -> None:
 
 def test_spans_of_integrals() -> None:
     """t from 0 to 2 s: 2 above its least and below its largest value; 10 + t^2: 8/3 above, 16/3 below."""
-    model = go.Model("clocks")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("clocks")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, *_ = dynamics("clocks", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("clocks", model, 0.0, 2.0)
     t = model.time
     problem.minimize(
         leg.integral(t)
@@ -149,12 +138,8 @@ def test_spans_of_integrals() -> None:
 
 def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     """States move by 2 and 4 within the box flown, the final time by 2, and k, which has no range, by its size of 3."""
-    model = go.Model("two")
-    x, y, u = model.state("x"), model.state("y"), model.control("u")
-    model.ode({x: 1.0, y: u})
-    problem = go.Problem("two")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (1.0, 4.0))
+    model, *_ = dynamics("two", "x y", "u", lambda x, y, u: {x: 1.0, y: u})
+    problem, leg = one_phase("two", model, 0.0, (1.0, 4.0))
     k = problem.parameter("k")
     problem.constrain("a", leg.initial_state("x") + 5 * leg.final_state("y"), upper=100.0)
     problem.constrain("b", 7 * leg.final_time, upper=100.0)
@@ -179,30 +164,6 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     np.testing.assert_allclose(found.parameters, [9.0])
     np.testing.assert_allclose(found.constraints[:2], [20.0, 14.0])
     assert 0 < found.constraints[2] < 1e-3  # nothing changes it: a share of its size
-
-
-# --- conjugate points -------------------------------------------------------------------------------------
-
-
-def quadratic_problem() -> go.Problem:
-    """x' = A(t) x + B u and a cost that is quadratic in both, with products; A grows with time."""
-    model = go.Model("linear")
-    states = model.state("q"), model.state("r")
-    x, u = ca.vertcat(*states), model.control("u", 2)
-    t = model.time
-    a = ca.vertcat(ca.horzcat(0.1, 1 + 0.5 * t), ca.horzcat(-2.0, 0.3))
-    rates = ca.mtimes(a, x) + ca.mtimes(ca.DM(B), u)
-    model.ode({states[0]: rates[0], states[1]: rates[1]})
-    problem = go.Problem("quadratic")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
-    z = ca.vertcat(x, u)
-    problem.minimize(leg.integral(0.5 * ca.dot(z, ca.mtimes(ca.DM(WEIGHT), z))))
-    return problem
-
-
-B = np.array([[1.0, 0.5], [0.0, 2.0]])
-WEIGHT = np.array([[3.0, 0.5, 0.2, -0.4], [0.5, -1.0, 0.6, 0.1], [0.2, 0.6, 2.0, 0.3], [-0.4, 0.1, 0.3, 4.0]])
 
 
 # --- pushes -----------------------------------------------------------------------------------------------
@@ -341,9 +302,7 @@ def test_multipliers_nearest_to_the_solutions_own() -> None:
 
 
 def free_cart() -> go.Problem:
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, q, *_ = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     problem = go.Problem("cart")
     k = problem.parameter("k", lower=0.0, upper=5.0)
     leg = problem.phase("leg", model)
@@ -564,12 +523,8 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
 
 def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:
     """-1000 q at its limit of -1000 to 5e-4: a multiplier holds the end, though no entry of the row is positive."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(v=0.0)
     problem.constrain("far enough", -1000 * leg.final_state("q"), upper=-1000.0)

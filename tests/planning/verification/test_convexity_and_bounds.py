@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Verdict
@@ -29,9 +30,7 @@ def stated(change: Any = None, rate: Any = None, cost: Any = None, final: Any = 
     x, v, u = model.state("x"), model.state("v"), model.control("u")
     k = model.parameter("k", 1.0)
     model.ode({x: v, v: u + k if rate is None else rate(model.time, x, u, k)})
-    problem = go.Problem("move")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=final)
+    problem, leg = one_phase("move", model, initial=0.0, final=final)
     leg.initial(x=0.0, v=0.0)
     leg.final(x=1.0, v=0.0)
     leg.bounds(u=(-3.0, 3.0))
@@ -115,12 +114,8 @@ def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: f
 
     With the strongest push nothing else gets there below that peak: a strict minimum.
     """
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("least peak of speed")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 3.0)
+    model, _q, v, _a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("least peak of speed", model, 0.0, 3.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -188,12 +183,8 @@ def test_what_may_have_many(other: dict[str, Any]) -> None:
 
 
 def pushed_by_two(cost: Any) -> go.Problem:
-    model = go.Model("two engines")
-    x, u = model.state("x"), model.control("u", 2)
-    model.ode({x: u[0] + u[1]})
-    problem = go.Problem("engines")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, u = dynamics("two engines", "x", "u:2", lambda x, u: {x: u[0] + u[1]})
+    problem, leg = one_phase("engines", model, initial=0.0, final=1.0)
     leg.initial(x=1.0)
     leg.bounds(u=([-1.0, -1.0], [1.0, 1.0]))
     problem.minimize(leg.integral(cost(x, u)))
@@ -222,12 +213,8 @@ def test_a_later_phase_starts_where_end_conditions_put_it(joined: tuple[str, ...
 
 def test_a_singular_minimum_that_no_curvature_tells_is_the_only_one() -> None:
     """Least int x^2 with |u| <= 1 from x = 1: down for 1 s, then nothing; 1 / 3. No test by switch times tells it."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("down")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("down", model, initial=0.0, final=3.0)
     leg.initial(x=1.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))
@@ -242,9 +229,7 @@ def priced(price: Any, order: int = 1, most: float = 1.0) -> go.Verdict:
     model = go.Model("chain")
     x, u = [model.state(name) for name in "qv"[:order]], model.control("u")
     model.ode(dict(zip(x, [*x[1:], u], strict=True)))
-    problem = go.Problem("priced")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("priced", model, 0.0, 2.0)
     leg.initial(**dict.fromkeys("qv"[:order], 0.0))
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(price(model.time, x[0], u)))
@@ -277,9 +262,7 @@ def two_carts(first: float, second: float, drag: float = 0.2) -> go.Problem:
     carts = go.Model("carts")
     q, v, a = carts.state("q", 2, unit="m"), carts.state("v", 2, unit="m/s"), carts.control("a", 2)
     carts.ode({q: v, v: ca.vertcat(a[0], a[1] - drag * v[1] ** 3)})
-    problem = go.Problem("two carts arrive together")
-    leg = problem.phase("leg", carts)
-    leg.time(0.0, (0.1, 20.0))
+    problem, leg = one_phase("two carts arrive together", carts, 0.0, (0.1, 20.0))
     leg.initial(q=[first, second], v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=([-1.0, -1.0], [1.0, 1.0]))
@@ -346,9 +329,7 @@ def follower() -> go.Problem:
         model.control("torque"),
     )
     model.ode({angle: rate, rate: torque - ca.sin(angle), q: ca.sin(angle)})
-    problem = go.Problem("swing")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 20.0))
+    problem, leg = one_phase("swing", model, 0.0, (0.1, 20.0))
     leg.initial(angle=1.0, rate=0.0, q=0.0)
     leg.final(angle=0.0, rate=0.0)
     leg.bounds(torque=(-2.0, 2.0))
@@ -378,9 +359,7 @@ def test_what_hangs_together_has_no_bound() -> None:
     model = go.Model("pendulum")
     angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
     model.ode({angle: rate, rate: torque - ca.sin(angle)})
-    problem = go.Problem("effort")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("effort", model, 0.0, 1.0)
     leg.initial(angle=1.0, rate=0.0)
     leg.final(angle=0.0)
     problem.minimize(leg.integral(torque**2) + leg.final_state("rate") ** 2)
@@ -393,9 +372,7 @@ def cart(**given) -> tuple[go.Problem, go.Phase]:
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a + given.get("wind", 0.0) * model.time + given.get("lift", 0.0) * v**2})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, given.get("time", (0.1, 10.0)))
+    problem, leg = one_phase("cart", model, 0.0, given.get("time", (0.1, 10.0)))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=given.get("speed", 0.0))
     leg.bounds(a=given.get("push", (-1.0, 1.0)), v=given.get("speeds"))
@@ -438,12 +415,8 @@ def test_what_is_not_ok_is_not_certified() -> None:
 
 def test_a_payoff_is_bounded_from_above() -> None:
     """The swing's height limits the cart, not the other way round: alone it would rise to 1."""
-    model = go.Model("riser")
-    y, z, u = model.state("y"), model.state("z"), model.control("u")
-    model.ode({y: u, z: y**2 + ca.sin(z)})
-    problem = go.Problem("as high as possible")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics("riser", "y z", "u", lambda y, z, u: {y: u, z: y**2 + ca.sin(z)})
+    problem, leg = one_phase("as high as possible", model, 0.0, 1.0)
     leg.initial(y=0.0, z=0.0)
     leg.bounds(u=(-1.0, 1.0), z=(None, 0.2))
     problem.maximize(leg.final_state("y"))
@@ -511,9 +484,7 @@ def test_ties_by_constraints_may_be_cut_where_that_alone_frees_a_part() -> None:
     model = go.Model("rover")
     x, heading, turn = model.state("x"), model.state("heading"), model.control("turn")
     model.ode({x: ca.cos(heading), heading: turn})
-    problem = go.Problem("turn")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 9.0))
+    problem, leg = one_phase("turn", model, 0.0, (0.1, 9.0))
     leg.initial(x=0.0, heading=0.0)
     leg.final(heading=2.0)
     leg.bounds(turn=(-1.0, 1.0))
@@ -526,9 +497,7 @@ def test_ties_by_constraints_may_be_cut_where_that_alone_frees_a_part() -> None:
 
 def test_a_cost_that_needs_all_states_leaves_no_relaxation() -> None:
     _, leg = cart(time=3.0)
-    weighed = go.Problem("weighed")
-    other = weighed.phase("leg", leg.model)
-    other.time(0.0, 1.0)
+    weighed, other = one_phase("weighed", leg.model, 0.0, 1.0)
     weighed.minimize(other.final_state("q"))
     assert relaxations(weighed) == []
 
@@ -553,9 +522,7 @@ def tracking(most: float, controls: int = 1, sense: float = 1.0) -> go.Problem:
     cart = go.Model("cart")
     q, v, a = cart.state("q"), cart.state("v"), cart.control("a", controls)
     cart.ode({q: v, v: ca.sum1(a)})
-    problem = go.Problem("follow")
-    leg = problem.phase("leg", cart)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("follow", cart, 0.0, 2.0)
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=([-most] * controls, [most] * controls))
     cost = leg.integral((q - cart.time**2 / 2) ** 2)
@@ -612,12 +579,8 @@ def test_a_flight_beside_the_perfect_one_fails() -> None:
 
 def stiff(weight: float, wrong: bool) -> go.Verdict:
     """Two pushes against each other, which a weight holds together: (u - w - 1)^2 is left to gain."""
-    model = go.Model("pair")
-    x, u, w = model.state("x"), model.control("u"), model.control("w")
-    model.ode({x: u})
-    problem = go.Problem("stiff")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u, w = dynamics("pair", "x", "u w", lambda x, u, w: {x: u})
+    problem, leg = one_phase("stiff", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-5.0, 5.0), w=(-5.0, 5.0))
     problem.minimize(3.0 * leg.integral((weight * (u + w) ** 2 + (u - w - 1) ** 2) / 2 - 4.0))

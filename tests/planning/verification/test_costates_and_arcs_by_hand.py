@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.given_scales import given_scales
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -43,13 +44,8 @@ TOLERANCE = 1e-5
 
 def pair(bend: float = 0.0, cost: float = 1.0) -> go.Problem:
     """x' = u, y' = w at ``cost`` times the integral of x + bend u^2 / 2 + w^2 / 2; a path p = x + y."""
-    model = go.Model("pair")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("pair", model, 0.0, 2.0)
     leg.path("p", x + y, upper=100.0)
     problem.minimize(leg.integral(cost * (x + bend * u**2 / 2 + w**2 / 2)))
     return problem
@@ -178,12 +174,8 @@ def test_arcs_of_few_samples_are_switches(arcs: Any) -> None:
 )  # fmt: skip
 def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     """x' = u at the cost of sign x^2: K = 2 sign over the ranges 2 of u and 1.5 s, in shares of H."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("integrator")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("integrator", model, 0.0, 2.0)
     problem.minimize(leg.integral(sign * x**2))
     s = by_hand.samples(
         problem,
@@ -201,13 +193,8 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
 
 def test_controls_that_curve_h_together_are_not_affine() -> None:
     """u w has no curvature in either: where both rest at zero, the arc's first derivative is of order zero."""
-    model = go.Model("pair")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("pair", model, 0.0, 2.0)
     problem.minimize(leg.integral(x + u * w))
     s = by_hand.samples(
         problem,
@@ -227,13 +214,8 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
 
 def test_directions_that_constraints_take_are_measured_in_the_controls_units() -> None:
     """3 u + w x + x = c along: in units (2, 0.5) what is left is orthogonal to (6, 0.5 x)."""
-    model = go.Model("pair")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("pair", model, 0.0, 2.0)
     leg.path("p", 3 * u + w * x + x, upper=7.0)
     problem.minimize(leg.final_state("x"))
     s = by_hand.samples(
@@ -328,13 +310,8 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
 @pytest.mark.parametrize("bend", [2.0, 0.0, -2.0])
 def test_least_curvature_over_the_spans(bend: float) -> None:
     """bend u^2 / 2 + w^2 / 2 + u w / 2, along the flight and in shares of what half the spans are worth."""
-    model = go.Model("pair")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, _x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("pair", model, 0.0, 2.0)
     problem.minimize(leg.integral(bend * u**2 / 2 + w**2 / 2 + u * w / 2 * ca.exp(-model.time)))
     s = flown(
         problem, u=(0.5, -0.5), lam=(-1.0, 0.5), control_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0])
@@ -575,12 +552,8 @@ FREE = by_hand.interval(-np.inf, np.inf)
 
 def drifting(paths: bool = False) -> go.Problem:
     """x' = (1, u), and perhaps c = x_0 + 3 u and d = x_1."""
-    model = go.Model("drift")
-    x, u = model.state("x", 2), model.control("u")
-    model.ode({x: ca.vertcat(1, u)})
-    problem = go.Problem("drift")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, u = dynamics("drift", "x:2", "u", lambda x, u: {x: ca.vertcat(1, u)})
+    problem, leg = one_phase("drift", model, 0.0, 2.0)
     if paths:
         leg.path("mixed", x[0] + 3 * u, upper=100.0)
         leg.path("pure", x[1], upper=100.0)
@@ -716,8 +689,7 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     lower, upper, multipliers = np.full(n, -99.0), np.full(n, 99.0), np.zeros((n, 8))
     lower[row], upper[row], multipliers[row, j] = value - 0.2, value + 0.1, sign * 5.0
     leg = replace(
-        base.leg,
-        **{f"{kind}_bounds": by_hand.interval(lower, upper), f"{kind}_multipliers": multipliers},
+        base.leg, **{f"{kind}_bounds": by_hand.interval(lower, upper), f"{kind}_multipliers": multipliers}
     )
     s = PhaseSamples.of(leg, base.functions)
     solution = by_hand.solution(problem, leg)
@@ -749,10 +721,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
 def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
     """lam_0' = lam_1' = 0 is right: costates (3 - a t, 1) leave a times the segment, and jump by b."""
     for slope, jump in ((0.5, 0.0), (0.0, 0.25), (0.0, -0.25)):
-        s = drift(
-            drifting(),
-            lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]),
-        )
+        s = drift(drifting(), lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]))
         condition = adjoint([s], given_scales([s], cost=4.0, radius=3.0), 1e-6)
         violation = slope * 1.5 if slope else abs(jump)
         assert condition.value == pytest.approx(violation * 3.0 / 4.0, rel=1e-9)
@@ -783,9 +752,7 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
 ) -> None:
     """In shares of what the cost changes by it, 0 <= k <= 5; of a trajectory that does not know of it."""
     problem = go.Problem("k")
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
     k = problem.parameter("k", lower=0.0, upper=5.0)
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)

@@ -9,17 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.accessory import fine_times
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.verification import (
-    reduced_hessian,
-)
-from gnc_opt.planning.verification import (
-    singular_arcs as singular,
-)
+from gnc_opt.planning.verification import reduced_hessian
+from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.reduced_hessian import Curvature
 from gnc_opt.planning.verification.singular_arcs import SingularArc
 
@@ -81,15 +78,7 @@ NOTHING = Curvature(np.nan, np.nan, np.zeros(1), 0.0)
         (curved(-5e-5), None, (1.0,), "", UNTOLD, 5e-5, "flat"),
         (curved(-2e-4, 1e-7), None, (1.0,), "", UNTOLD, 2e-4, "flat"),
         (curved(5e-7), None, (1.0,), "", UNTOLD, -5e-7, "flat"),
-        (
-            replace(curved(-2e-4), least_gain=3.1),
-            None,
-            (1.0,),
-            "",
-            UNTOLD,
-            2e-4,
-            "which is rounding",
-        ),
+        (replace(curved(-2e-4), least_gain=3.1), None, (1.0,), "", UNTOLD, 2e-4, "which is rounding"),
         (replace(curved(-2e-4), least_gain=2.9), None, (1.0,), "", FAIL, 2e-4, "gains 3 in the cost"),
         (curved(-2e-4), curved(-3e-4), (2.0,), "", FAIL, 3e-4, "gains"),
         (curved(-2e-4), curved(2e-4), (2.0,), "", UNTOLD, 2e-4, "only just active"),
@@ -142,12 +131,7 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(reduced_hessian, "_place", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_jumping_control", lambda samples: "")
     cone: Any = SimpleNamespace(
-        point=None,
-        unit=None,
-        further=None,
-        strong=None,
-        weak=np.zeros(1),
-        admits=lambda *given: True,
+        point=None, unit=None, further=None, strong=None, weak=np.zeros(1), admits=lambda *given: True
     )
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
@@ -158,12 +142,8 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
 
 
 def resting(duration: float = 2.0, start: float = 1.0) -> PhaseSamples:
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("integrator")
-    leg = problem.phase("leg", model)
-    leg.time(start, start + duration)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("integrator", model, start, start + duration)
     problem.minimize(leg.integral(u**2))
     flat = lambda t, k: np.array([1 + 0 * t])  # noqa: E731
     breaks = start + duration * np.array([0.0, 0.25, 1.0])

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -16,12 +17,8 @@ from gnc_opt.planning import ConditionResult
 @pytest.mark.parametrize("unit", [1.0, 1e5, 1e-4])
 def test_a_budget_is_no_degenerate_constraint_in_any_unit(unit: float) -> None:
     """Far with a given effort: the budget bends by as much as it slopes, for variations of what the flight moves."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("budget")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("budget", model, 0.0, 1.0)
     leg.initial(x=0.0)
     problem.constrain("effort", leg.integral((u / unit) ** 2), upper=4.0)
     problem.minimize((leg.final_state("x") / unit - 3) ** 2)
@@ -33,12 +30,8 @@ def test_a_budget_is_no_degenerate_constraint_in_any_unit(unit: float) -> None:
 
 def turned(unit: bool) -> go.Solution:
     """Least effort between directions on a circle, whose length is kept by itself and perhaps asked for as well."""
-    model = go.Model("circle")
-    c, s, w = model.state("c"), model.state("s"), model.control("w")
-    model.ode({c: -w * s, s: w * c})
-    problem = go.Problem("turn")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _c, _s, w = dynamics("circle", "c s", "w", lambda c, s, w: {c: -w * s, s: w * c})
+    problem, leg = one_phase("turn", model, 0.0, 1.0)
     leg.initial(c=1.0, s=0.0)
     leg.guess(time=[0.0, 1.0], c=[1.0, np.cos(1.0)], s=[0.0, np.sin(1.0)])
     if unit:
@@ -60,12 +53,8 @@ def test_constraints_that_say_the_same_twice_are_no_harm(unit: bool) -> None:
 def test_a_point_target_of_a_distance_has_the_minimum_of_a_point() -> None:
     """|x(1)|^2 = 0 has no gradient where it holds; x(1) = 0 says the same and has one."""
     for degenerate in (True, False):
-        model = go.Model("integrator")
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
-        problem = go.Problem("to a point")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 1.0)
+        model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+        problem, leg = one_phase("to a point", model, 0.0, 1.0)
         leg.initial(x=1.0)
         if degenerate:
             problem.constrain("distance", leg.final_state("x") ** 2, upper=0.0)
@@ -79,12 +68,8 @@ def test_a_point_target_of_a_distance_has_the_minimum_of_a_point() -> None:
 
 def down_and_up(end: Callable[[go.Problem, Any], Any]) -> go.Verdict:
     """x' = u with |u| <= 1 from 0 to an end at 0, the integral of x least: down for half of 1 s, then up."""
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("down and up")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, _u = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("down and up", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     end(problem, leg)
@@ -111,12 +96,8 @@ def test_end_conditions_of_a_bang_bang_control() -> None:
 @pytest.mark.parametrize("most", [0.0, 0.5])
 def test_abnormal_multipliers_beside_normal_ones_are_no_harm(most: float) -> None:
     """y' = w^2 with y(1) <= 0 leaves w = 0 alone, whatever it costs; the cost wants that too, and multipliers exist."""
-    model = go.Model("two channels")
-    x, y, u, w = model.state("x"), model.state("y"), model.control("u"), model.control("w")
-    model.ode({x: u, y: w**2})
-    problem = go.Problem("beside")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, _y, u, w = dynamics("two channels", "x y", "u w", lambda x, y, u, w: {x: u, y: w**2})
+    problem, leg = one_phase("beside", model, 0.0, 1.0)
     leg.initial(x=0.0, y=0.0)
     leg.final(x=1.0, y=(None, most))
     problem.minimize(leg.integral(u**2 + w**2))

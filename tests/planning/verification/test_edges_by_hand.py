@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +13,7 @@ import scipy
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.given_scales import given_scales
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -23,34 +23,14 @@ from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, N
 from gnc_opt.planning.optimality.multiplier_estimate import _or_one, estimate
 from gnc_opt.planning.optimality.switches import GRAZES, Switches, _vanishing
 from gnc_opt.planning.optimality.switching_problem import Unknowns
-from gnc_opt.planning.optimality.trajectory_fit import (
-    Samples,
-    _Controls,
-    _interpolants,
-    _Jump,
-    _kinks_of,
-    _place,
-    _unmarked_jumps,
-    fit,
-)
+from gnc_opt.planning.optimality.trajectory_fit import Samples, _Controls, _Jump, _kinks_of, _place, fit
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.solution.quality import Worst
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
-from gnc_opt.planning.verification import (
-    control_conditions as controls,
-)
+from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification import (
-    singular_arcs as singular,
-)
-from gnc_opt.planning.verification.bang_bang_second_order import (
-    _on_bound,
-    _precedences,
-    _worst_crossing,
-    least_squares,
-)
-from gnc_opt.planning.verification.critical_cone import _close_arcs
+from gnc_opt.planning.verification import singular_arcs as singular
+from gnc_opt.planning.verification.bang_bang_second_order import _on_bound, _worst_crossing, least_squares
 from gnc_opt.planning.verification.feasibility import _worst_miss
 from gnc_opt.planning.verification.goh import straight
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem, has_costates, missing_number
@@ -81,9 +61,7 @@ def bang(
     x = model.state("x", 3)
     u = [model.control(name) for name in "uwr"]
     model.ode({x: ca.vertcat(*u)})
-    problem = go.Problem("three")
-    leg = problem.phase("leg", model)
-    leg.time(begin, begin + 2.0)
+    problem, leg = one_phase("three", model, begin, begin + 2.0)
     problem.minimize(leg.final_time)
     levels = np.array([[-1.0, 1.0, 1.0], [0.0, 0.0, 4.0], [2.0, 2.0, 2.0]]) * unit
     slopes = (lambda t: np.array([0.7 - t, 1.2 - t, -1 + 0 * t])) if lam is None else lam
@@ -143,12 +121,8 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
             np.array([0.0, 1.0 - 2e-5, 1.0, 2.0]) if short_first else np.array([0.0, 1.0, 1.0 + 2e-5, 2.0])
         )
         switch, brief = 1.0, 1
-        model = go.Model("one")
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
-        problem = go.Problem("one")
-        leg = problem.phase("leg", model)
-        leg.time(0.0, 2.0)
+        model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
+        problem, leg = one_phase("one", model, 0.0, 2.0)
         problem.minimize(leg.final_time)
         s = by_hand.samples(
             problem,
@@ -180,30 +154,9 @@ def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
     np.testing.assert_allclose(multipliers, [-2.0, -2.0], rtol=1e-6)
 
 
-def test_precedences_are_those_of_the_places_of_each_phase() -> None:
-    """Two switches of the second phase come at one time; free starts and parameters follow the times."""
-    unknowns: Any = SimpleNamespace(
-        scale=np.ones(9), places={"one": np.array([0, 1, 2, 8]), "two": np.array([3, 4, 5, 6, 7, 8])}
-    )
-    one = Switches(np.array([0.5]), np.array([0]), np.zeros(1), np.array([0.0, 1.0]), np.ones(1), ("",))
-    two = Switches(
-        np.array([1.5, 1.5]), np.array([0, 1]), np.zeros(2), np.array([1.0, 2.0]), np.ones(2), ("", "")
-    )
-    switches = {"one": one, "two": two}
-    for order, sign in (((0, 1), 1.0), ((1, 0), -1.0)):
-        rows = _precedences(unknowns, {"one": (0,), "two": order}, switches)
-        expected = np.zeros((1, 9))
-        expected[0, [4, 5]] = -sign, sign
-        np.testing.assert_array_equal(rows, expected)
-    none = _precedences(unknowns, {"one": (0,)}, switches)
-    assert none.shape == (0, 9)
-
-
 def test_unknowns_of_two_phases() -> None:
     """Scales are durations and spans; worths those of H, of each switch's control, of states, of the dearest phase."""
-    model = go.Model("one")
-    x, y, u = model.state("x"), model.state("y"), model.control("u")
-    model.ode({x: u, y: 1.0})
+    model, *_ = dynamics("one", "x y", "u", lambda x, y, u: {x: u, y: 1.0})
     problem = go.Problem("two")
     q = problem.parameter("q", lower=0.0, upper=5.0)
     r = problem.parameter("r", lower=2.0, upper=2.0)
@@ -286,17 +239,6 @@ def test_least_direction_where_everything_curves_downwards() -> None:
     assert _least_direction(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
 
 
-def test_arcs_are_closed_at_each_of_two_limits() -> None:
-    """A line that is pushed at 1 and at -1 holds what is doubtful at either, and not what is at 0.5."""
-    line = [np.arange(5)]
-    values = np.array([1.0, -1.0, 1.0, -1.0, 0.5])
-    pushed = np.array([True, True, False, False, False])
-    held, doubtful = pushed.copy(), np.array([False, False, True, True, True])
-    _close_arcs(line, values, pushed, held, doubtful)
-    np.testing.assert_array_equal(held, [True, True, True, True, False])
-    np.testing.assert_array_equal(doubtful, [False, False, False, False, True])
-
-
 # --- samples ----------------------------------------------------------------------------------------------
 
 
@@ -312,36 +254,6 @@ def test_two_jumps_are_movable_in_their_order() -> None:
     levels = np.concatenate([u, [3.0, -1.0, -1.0, -1.0]])
     ways = np.concatenate([x, [-1.5, -1.5, -2.0, -2.5]])
     assert fit(Samples(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x).mesh.movable == (2, 9, 12)
-
-
-def test_which_interpolant_is_taken_is_told_interval_by_interval() -> None:
-    """Of a time the interval to its left ends with it; before the first and after the last sample their own count."""
-    t = np.arange(6.0)
-    u = np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
-    controls_at = _Controls(Samples(t, u[None], u[None]), [])
-    smooth, akima = _interpolants(t, u)
-    for k in range(5):
-        controls_at._kinked[:] = False
-        controls_at._kinked[k] = True
-        for j in range(5):
-            middle = j + 0.5
-            expected = akima(j + 0.3) if j == k else smooth(j + 0.3)
-            assert controls_at(j + 0.3, middle)[0, 0] == pytest.approx(float(expected), rel=1e-12)
-    controls_at._kinked[:] = [True, False, False, False, True]
-    assert controls_at(-0.2, -0.1)[0, 0] == pytest.approx(float(akima(-0.2)))
-    assert controls_at(5.2, 5.1)[0, 0] == pytest.approx(float(akima(5.2)))
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_few_samples_are_interpolated_by_polynomials_wherever_they_are(n: int) -> None:
-    t = 1e4 + np.array([0.0, 1e-3, 3e-3])[:n]
-    u = 5.0 + 1e3 * (t - 1e4) - 2e5 * (t - 1e4) ** 2
-    smooth, other = _interpolants(t, u)
-    assert smooth is other
-    np.testing.assert_allclose(smooth(t), u, rtol=1e-9)
-    if n == 3:
-        at = 1e4 + np.array([5e-4, 2e-3])
-        np.testing.assert_allclose(smooth(at), 5.0 + 1e3 * (at - 1e4) - 2e5 * (at - 1e4) ** 2, rtol=1e-7)
 
 
 def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
@@ -425,12 +337,8 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
 
 def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
     """u is without slope and curvature from 0.5 s of 2 s on."""
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _u = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(x))
     s = by_hand.samples(
         problem,
@@ -483,12 +391,8 @@ def test_the_first_missing_number_has_its_place() -> None:
 
 
 def test_integrals_without_integrands_have_no_span() -> None:
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one", model, 0.0, 1.0)
     problem.minimize(leg.final_state("x"))
     one = (lambda t, k: np.array([t]),) * 3
     assert integral_spans(by_hand.samples(problem, *one, weights=())).shape == (0,)
@@ -505,12 +409,8 @@ def test_a_trajectory_without_controls_needs_none() -> None:
 
 @pytest.mark.parametrize("maximised", [False, True])
 def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: bool) -> None:
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
@@ -520,31 +420,6 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     found = _solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
-
-
-@pytest.mark.parametrize(
-    ("told", "missing", "judged"),
-    [(True, np.inf, False), (False, 0.0, False), (False, np.inf, False)],
-)
-def test_variations_are_judged_only_with_all_numbers(
-    monkeypatch: pytest.MonkeyPatch, told: bool, missing: float, judged: bool
-) -> None:
-    module = importlib.import_module(
-        "gnc_opt.planning.verification.engine"
-    )  # the name is that of the function, too
-    problem = by_hand.cart()
-    leg = by_hand.phase(problem)
-    asked = []
-    monkeypatch.setattr(module, "has_costates", lambda *given: told)
-    monkeypatch.setattr(module, "missing_number", lambda *given: Worst(missing, "there"))
-    monkeypatch.setattr(module, "_second_order", lambda *given: asked.append(1) or [])
-    verdict = go.verify(by_hand.solution(problem, leg, objective=6.0))
-    assert bool(asked) is judged
-    if not judged:
-        second = verdict["second order"]
-        assert second.result is ConditionResult.INCONCLUSIVE and second.sufficient
-        assert second.where == ("not evaluated, as other conditions fail" if told else "everywhere")
-    assert verdict.not_checked == ("" if told else "no costates")
 
 
 # --- more corners -----------------------------------------------------------------------------------------
@@ -562,9 +437,7 @@ def test_both_ends_of_a_spectrum_must_have_settled() -> None:
 def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that what they curve by counts as it is; the others are scaled to unit gradients."""
     point: Any = SimpleNamespace(
-        x=np.zeros(2),
-        transcription=None,
-        jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
+        x=np.zeros(2), transcription=None, jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]]))
     )
     monkeypatch.setattr(null_space, "variation_weights", lambda transcription: np.array([1.0, 4.0]))
     found = NullSpace.of(point, np.array([False, False, True, True]))
@@ -580,12 +453,8 @@ def test_ones_take_the_place_of_nothing() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> None:
     """Farthest in one direction in 1 s at |u| <= 1: the costate is minus the direction, the bound pushes along it."""
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("far")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("far", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(-sign * leg.final_state("x"))
@@ -610,12 +479,8 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
 
 def test_given_times_do_not_change_the_cost() -> None:
     """The final time is given, the initial one is not: it moves by the 2 s of the phase."""
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("times")
-    leg = problem.phase("leg", model)
-    leg.time((-9.0, 9.0), 2.0)
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("times", model, (-9.0, 9.0), 2.0)
     problem.minimize(1000 * leg.final_time + 3 * leg.initial_time)
     base = by_hand.phase(
         problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
@@ -626,27 +491,9 @@ def test_given_times_do_not_change_the_cost() -> None:
     assert found.cost == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize("maximised", [False, True])
-def test_what_is_judged_is_maximised_as_its_problem_says(maximised: bool) -> None:
-    problem = go.Problem("way")
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
-    (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
-    one = (lambda t, k: np.array([t]),) * 3
-    stored = by_hand.solution(problem, by_hand.phase(problem, *one), maximised=not maximised)
-    assert from_problem(stored).maximised is maximised
-
-
 def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = go.Model("one")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _u = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(x**2))
     s = by_hand.samples(
         problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
@@ -656,14 +503,6 @@ def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.Monkey
     (arc,) = singular.singular_arcs(problem, s, *controls.undetermined(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the switching function has too large a derivative of order 0"
-
-
-def test_unmarked_jumps_begin_in_the_middle_of_their_interval() -> None:
-    """Ten times the changes beside it; one given twice is none of them."""
-    t = np.array([1.0, 2.0, 4.0, 5.0, 5.0, 6.0, 7.0])
-    u = np.array([[0.0, 0.1, 5.0, 5.1, 9.0, 9.1, 9.2], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])
-    (jump,) = _unmarked_jumps(Samples(t, u, u), np.array([3]))
-    assert (jump.after, jump.time, jump.channels, jump.of_slope) == (1, 3.0, (0,), False)
 
 
 def test_the_first_sample_without_a_number_ends_the_flight() -> None:
@@ -690,14 +529,6 @@ def test_a_verdict_is_kept_for_the_default_tolerance() -> None:
     assert go.verify(solution) is first and go.verify(solution, tol=1e-4) is not first
 
 
-def test_a_fit_takes_the_interpolant_that_carries_the_states() -> None:
-    """Beside a kink that is not located, in seven samples, a spline ripples by 1e-2."""
-    t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
-    u = np.maximum(t - 1.2, 0.0)
-    fitted = fit(Samples(t, np.array([u**2 / 2, t]), u[None]), lambda t, x, u: np.array([u[0], 1 + 0 * t]))
-    np.testing.assert_allclose(fitted.u(np.array([0.2, 0.6]))[0], 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(("turn", "seen"), [(0.015, False), (0.03, True)])
 def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool) -> None:
     """In 0.1 s by a thousandth of the range of 2."""
@@ -710,34 +541,14 @@ def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool
         assert kink.channels == (2,) and kink.of_slope
 
 
-def test_interpolants_are_the_spline_and_the_modified_akima_spline() -> None:
-    """Between a flat stretch and a slope Akima's own has an undershoot where the modified one stays flat."""
-    t, u = np.arange(7.0), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
-    smooth, akima = _interpolants(t, u)
-    slopes = np.diff(u)
-    # Weights |m3 - m2| + |m3 + m2| / 2 and |m1 - m0| + |m1 + m0| / 2 of the slopes beside the sample at 3.
-    left, right = abs(slopes[4] - slopes[3]) + abs(slopes[4] + slopes[3]) / 2, 0.0
-    right = abs(slopes[2] - slopes[1]) + abs(slopes[2] + slopes[1]) / 2
-    expected = (left * slopes[2] + right * slopes[3]) / (left + right)
-    assert float(akima(3.0, 1)) == pytest.approx(expected)
-    left = abs(slopes[3] - slopes[2]) + abs(slopes[3] + slopes[2]) / 2
-    right = abs(slopes[1] - slopes[0]) + abs(slopes[1] + slopes[0]) / 2
-    assert float(akima(2.0, 1)) == pytest.approx((left * slopes[1] + right * slopes[2]) / (left + right))
-    assert float(akima(1.5)) == 0.0 and abs(float(smooth(1.5))) > 1e-2
-
-
 @pytest.mark.parametrize("cost", [1.0, 1e3])
 def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) -> None:
     """bend u^2 / 2 over a range of 5."""
     for factor, told in ((0.9, True), (1.1, False), (-5.0, True)):
         bend = 0.0
         for _ in range(2):  # H's scale depends on the curvature only a little
-            model = go.Model("one")
-            x, u = model.state("x"), model.control("u")
-            model.ode({x: u})
-            problem = go.Problem("one")
-            leg = problem.phase("leg", model)
-            leg.time(0.0, 2.0)
+            model, x, u = dynamics("one", "x", "u", lambda x, u: {x: u})
+            problem, leg = one_phase("one", model, 0.0, 2.0)
             problem.minimize(leg.integral(cost * (x + bend * u**2 / 2)))
             s = by_hand.samples(
                 problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 + 0 * t]),

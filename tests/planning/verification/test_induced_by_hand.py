@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
@@ -76,9 +77,7 @@ def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(
     cart = go.Model("cart with a filter")
     q, v, w, a = cart.state("q"), cart.state("v"), cart.state("w"), cart.control("a")
     cart.ode({q: v, v: a, w: rate * (q - w)})
-    problem = go.Problem("filtered")
-    leg = problem.phase("leg", cart)
-    leg.time(0.0, (0.1, 10.0))
+    problem, leg = one_phase("filtered", cart, 0.0, (0.1, 10.0))
     leg.initial(q=1.0, v=0.0, w=1.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

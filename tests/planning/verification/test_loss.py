@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing import constructed_solutions as by_hand
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.report import summary_dict
@@ -18,9 +19,7 @@ def farthest(sign: float = 1.0) -> go.Problem:
     model = go.Model("cart")
     q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
     model.ode({q: v, v: a})
-    problem = go.Problem("farthest")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("farthest", model, 0.0, 2.0)
     leg.initial(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     if sign > 0:
@@ -82,9 +81,7 @@ def test_unit_of_a_cost(cost: Any, unit: str) -> None:
     model = go.Model("rocket")
     m, s, u = model.state("m", unit="kg"), model.state("s", unit="m"), model.control("u", unit="kg/s")
     model.ode({m: -u, s: 1.0})
-    problem = go.Problem("units")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (1.0, 2.0))
+    problem, leg = one_phase("units", model, 0.0, (1.0, 2.0))
     wait = problem.parameter("wait", lower=0.0, upper=1.0, unit="s")
     problem.minimize(cost(leg, wait, u))
     assert problem.cost_unit == unit

@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
-from testing.internals import (
-    Interval,
-    Samples,
-    StateConstraintSides,
-    estimate,
-    fit,
-    transcribe,
-)
+from testing.internals import Interval, Samples, StateConstraintSides, estimate, fit, transcribe
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.costate_jumps import path_gradients
@@ -32,9 +26,7 @@ def linear(paths: bool = False) -> go.Problem:
     model = go.Model("linear")
     x, u = model.state("x", 2), model.control("u")
     model.ode({x: ca.mtimes(ca.DM(MATRIX), x) + ca.vertcat(0, u)})
-    problem = go.Problem("linear")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("linear", model, 0.0, 2.0)
     if paths:
         leg.path("mixed", x[0] + u + x[1] ** 2, upper=100.0)
         leg.path("pure", ca.dot(ca.DM(PURE), x) + x[0] * x[1], upper=100.0)
@@ -75,12 +67,8 @@ def test_gradients_and_sides_of_paths() -> None:
 
 def cart(unit: float) -> go.Problem:
     """From rest over 1 m in 1 s with the least energy; the distance is a limit, in its own unit."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("cart")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("cart", model, 0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(v=0.0)
     problem.constrain("far enough", -unit * leg.final_state("q"), upper=-unit)

@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
-from gnc_opt.planning.verification.hamiltonian_minimum import (
-    POINTS,
-    _Search,
-    coupled_gains,
-    lattice,
-    limits,
-)
+from gnc_opt.planning.verification.hamiltonian_minimum import POINTS, _Search, coupled_gains, lattice, limits
 from gnc_opt.tolerances import EQUAL
 
 Array = NDArray[np.float64]
@@ -27,13 +22,8 @@ Array = NDArray[np.float64]
 
 def coupled(cost: Any, *paths: tuple[Any, float, float], bounds: Any = None) -> go.Problem:
     """x' = u, y' = w at the integral of a cost in (t, x, u, w); paths in the same, between limits."""
-    model = go.Model("coupled")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("coupled")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _y, u, w = dynamics("coupled", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("coupled", model, 0.0, 2.0)
     for k, (path, low, high) in enumerate(paths):
         leg.path(f"c{k}", path(model.time, x, u, w), lower=low, upper=high)
     problem.minimize(leg.integral(cost(model.time, x, u, w)))

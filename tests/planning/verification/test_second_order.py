@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 from testing.wrong_solutions import one_switch
 
 import gnc_opt as go
@@ -23,18 +24,11 @@ from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
     """Undamped oscillator to rest in minimum time: several switches, one costate dof each."""
-    model = go.Model("oscillator")
-    x, v = model.state("x"), model.state("v")
-    u = model.control("u")
-    model.ode({x: v, v: -x + u})
-    problem = go.Problem("oscillator to rest")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 30.0))
+    model, *_ = dynamics("oscillator", "x v", "u", lambda x, v, u: {x: v, v: -x + u})
+    problem, leg = one_phase("oscillator to rest", model, 0.0, (0.1, 30.0))
     # A straight line leads to t = pi, where the miss is least locally; a decaying oscillation does not.
     leg.guess(
-        time=[0.0, 8.0],
-        x=lambda t: 5 * np.cos(t) * (1 - t / 8),
-        v=lambda t: -5 * np.sin(t) * (1 - t / 8),
+        time=[0.0, 8.0], x=lambda t: 5 * np.cos(t) * (1 - t / 8), v=lambda t: -5 * np.sin(t) * (1 - t / 8)
     )
     leg.initial(x=5.0, v=0.0)
     leg.final(x=0.0, v=0.0)
@@ -111,12 +105,8 @@ def test_structure_survives_a_file(refined: go.Solution, tmp_path: object) -> No
 
 def drifting(start: float) -> go.Problem:
     """x' = u, |u| <= 1, over 2 s from a free x0; the cost weighs x by the time since the start as well."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("drifting")
-    leg = problem.phase("leg", model)
-    leg.time(start, start + 2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("drifting", model, start, start + 2.0)
     leg.bounds(u=(-1.0, 1.0), x=(-5.0, 5.0))
     since = model.time - start
     running = leg.integral(-0.8 * x - 0.1 * x**2 + 0.3 * since * x)
@@ -219,12 +209,8 @@ def test_a_push_counts_by_its_share_of_the_cost(weight: float, kind: str) -> Non
 
 def weighted(weight: float) -> go.Solution:
     """Rest to rest over 100 m in minimum time, which costs ``weight`` per second."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 100.0))
+    model, _q, v, _a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("minimum time", model, 0.0, (0.1, 100.0))
     leg.initial(q=100.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -239,12 +225,8 @@ def weighted(weight: float) -> go.Solution:
 
 def test_a_single_arc_has_no_switch_to_judge() -> None:
     """x' = u from 0 to 1 in minimum time: u = 1 throughout, and as many conditions as unknowns."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("one way")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    model, *_ = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one way", model, 0.0, (0.1, 10.0))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -291,9 +273,7 @@ def test_only_what_is_active_takes_directions(
 
 
 def cart(problem: go.Problem) -> go.Phase:
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    model, *_ = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
     leg = problem.phase("leg", model)
     leg.bounds(a=(-1.0, 1.0))
     return leg
@@ -327,13 +307,8 @@ def test_range_of_an_initial_value_at_its_limit() -> None:
 
 def pair(kappa: float) -> go.Solution:
     """Two controls that switch at 1 s together; the cost falls by kappa / 2 times the square of what parts them."""
-    model = go.Model("pair")
-    x, y = model.state("x"), model.state("y")
-    u, w = model.control("u"), model.control("w")
-    model.ode({x: u, y: w})
-    problem = go.Problem("pair")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, y, *_ = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("pair", model, 0.0, 2.0)
     leg.initial(x=0.0, y=0.0)
     leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
     ends = leg.final_state("x") - leg.final_state("y")
@@ -358,12 +333,8 @@ def test_simultaneous_switches_may_part(kappa: float, result: ConditionResult) -
 
 def test_equal_carts_switch_together() -> None:
     """Every order of their switches is as good and leaves no direction; both switching functions vanish at 1 s."""
-    model = go.Model("carts")
-    q, v, a = model.state("q", 2), model.state("v", 2), model.control("a", 2)
-    model.ode({q: v, v: a})
-    problem = go.Problem("two carts")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    model, _q, _v, _a = dynamics("carts", "q:2 v:2", "a:2", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("two carts", model, 0.0, (0.1, 10.0))
     leg.initial(q=[1.0, 1.0], v=[0.0, 0.0])
     leg.final(q=[0.0, 0.0], v=[0.0, 0.0])
     leg.bounds(a=([-1.0, -1.0], [1.0, 1.0]))
@@ -380,9 +351,7 @@ def through_phases(pull: float) -> go.Solution:
     problem = go.Problem("stronger later")
     legs = []
     for name, strength in (("weak", 1.0), ("strong", pull)):
-        model = go.Model(name)
-        q, v, a = model.state("q"), model.state("v"), model.control("a")
-        model.ode({q: v, v: strength * a})
+        model, *_ = dynamics(name, "q v", "a", lambda q, v, a, k=strength: {q: v, v: k * a})
         legs.append(problem.phase(name, model))
         legs[-1].bounds(a=(-1.0, 1.0))
     legs[0].time(0.0, 0.5)
@@ -425,9 +394,7 @@ def test_each_phase_of_several_has_switches_of_its_own(split: float, result: Con
     problem = go.Problem("pair of phases")
     total, ends = 0.0, []
     for name in ("first", "second"):
-        model = go.Model(name)
-        x, u = model.state("x"), model.control("u")
-        model.ode({x: u})
+        model, x, _u = dynamics(name, "x", "u", lambda x, u: {x: u})
         leg = problem.phase(name, model)
         leg.time(0.0, 2.0)
         leg.initial(x=0.0)

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -22,9 +23,7 @@ def cart(model_name: str, rate) -> tuple[go.Model, go.Model]:
 def stepped(rate) -> go.Problem:
     """From rest to rest in 2 s with the least effort."""
     model, a = cart("cart", rate)
-    problem = go.Problem("through a step")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("through a step", model, 0.0, 2.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.integral(a**2))
@@ -121,16 +120,12 @@ def test_what_is_not_crossed_or_does_not_jump_is_judged(rate) -> None:
 
 def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
     """It goes to y = 0, waits and returns; |y| has any slope there, and CasADi's is none."""
-    model = go.Model("waits")
-    y, u = model.state("y"), model.control("u")
-    model.ode({y: u})
-    problem = go.Problem("down, rest, up")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 4.0)
+    model, y, u = dynamics("waits", "y", "u", lambda y, u: {y: u})
+    problem, leg = one_phase("down, rest, up", model, 0.0, 4.0)
     leg.initial(y=1.0)
     leg.final(y=1.0)
     problem.minimize(leg.integral(u**2 + 4.0 * ca.fabs(y)))
-    t = np.linspace(0.0, 4.0, 161)
+    t = np.linspace(0.0, 4.0, 41)
     down = np.minimum(t, 1.0)
     side = np.where(t <= 2.0, down, np.minimum(4.0 - t, 1.0))
     # u^2 = 4 y while it moves: y = (1 - t)^2
@@ -148,13 +143,9 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
     ("top", "outside", "result"), [(0.5, "linear", "INCONCLUSIVE"), (2.0, "linear", "PASS")]
 )
 def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
-    model = go.Model("hop")
-    y, u = model.state("y"), model.control("u")
-    model.ode({y: u})
+    model, y, u = dynamics("hop", "y", "u", lambda y, u: {y: u})
     price = go.table(np.linspace(0.0, top, 6), np.linspace(0.0, top, 6) ** 2, outside=outside, name="price")
-    problem = go.Problem("hop")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("hop", model, 0.0, 1.0)
     leg.initial(y=0.0)
     leg.final(y=1.0)
     problem.minimize(leg.integral(u**2 + price(y)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -21,16 +22,14 @@ def switched(share: float, time: float) -> go.Verdict:
     x, q, v = model.state("x"), model.state("q"), model.state("v")
     u, a = model.control("u"), model.control("a")
     model.ode({x: u, q: v, v: a})
-    problem = go.Problem("cart and switch")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("cart and switch", model, 0.0, 2.0)
     leg.initial(x=0.0, q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
     leg.bounds(u=(-1, 1), q=(None, HEIGHT))
     end = leg.final_state("x") - (2 * time - 2)
     problem.minimize(leg.integral(a**2) + leg.integral((model.time - time) * u) - share / 2 * end**2)
     entry = 3 * HEIGHT
-    t = np.unique(np.concatenate([np.linspace(0, 2, 161), [time, entry, 2 - entry]]))
+    t = np.unique(np.concatenate([np.linspace(0, 2, 81), [time, entry, 2 - entry]]))
     t = np.sort(np.append(t, time))
     first = np.arange(t.size) <= np.searchsorted(t, time)
     s = np.minimum(np.minimum(t, 2 - t) / entry, 1.0)
@@ -51,12 +50,8 @@ def test_a_switch_beside_an_arc_at_a_state_limit(time: float) -> None:
 
 def test_the_place_counts_switches_and_names_the_second_order() -> None:
     """Rest to rest in minimum time has one switch."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("rest to rest")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 10.0))
+    model, *_ = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from testing.internals import Interval
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from benchmarks.performance.scale import RADIUS, THRUST, spiral
@@ -251,9 +252,7 @@ def shear(**bounds: tuple[float, float]) -> go.Problem:
     boat = go.Model("boat")
     x, y, heading = boat.state("x"), boat.state("y"), boat.control("heading")
     boat.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
-    problem = go.Problem("shear")
-    leg = problem.phase("leg", boat)
-    leg.time(0.0, (0.1, 30.0))
+    problem, leg = one_phase("shear", boat, 0.0, (0.1, 30.0))
     leg.initial(x=3.66, y=-1.86)
     leg.final(x=0.0, y=0.0)
     leg.bounds(**bounds)
@@ -268,9 +267,7 @@ def space(turn: float, speed: float = 0.3, to: Sequence[float] = (1.0, 2.0, 0.7)
     azimuth, elevation = probe.control("azimuth"), probe.control("elevation")
     a, e = (angle * 2 * np.pi / turn for angle in (azimuth, elevation))
     probe.ode({r: v, v: ca.vertcat(ca.cos(e) * ca.cos(a), ca.cos(e) * ca.sin(a), ca.sin(e))})
-    problem = go.Problem("space")
-    leg = problem.phase("leg", probe)
-    leg.time(0.0, (0.1, 30.0))
+    problem, leg = one_phase("space", probe, 0.0, (0.1, 30.0))
     leg.initial(r=[0.0, 0.0, 0.0], v=[speed, 0.0, 0.0])
     leg.final(r=list(to))
     problem.minimize(leg.final_time)
@@ -334,12 +331,8 @@ def test_what_leaves_bounds_of_a_turn_is_failed(crossing: go.Solution) -> None:
 
 def test_bounds_that_leave_a_direction_out_are_limits() -> None:
     """Straight to where nothing but a course of 3.05 rad leads, beside which 3 rad is the nearest there is."""
-    boat = go.Model("boat")
-    x, heading = boat.state("x"), boat.control("heading")
-    boat.ode({x: ca.cos(heading - 3.05)})
-    problem = go.Problem("course")
-    leg = problem.phase("leg", boat)
-    leg.time(0.0, 1.0)
+    boat, *_ = dynamics("boat", "x", "heading", lambda x, heading: {x: ca.cos(heading - 3.05)})
+    problem, leg = one_phase("course", boat, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(heading=(-3.0, 3.0))
     problem.maximize(leg.final_state("x"))
@@ -348,10 +341,9 @@ def test_bounds_that_leave_a_direction_out_are_limits() -> None:
     assert found.control("heading")(0.5) == pytest.approx(3.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
-def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation(turn: float) -> None:
-    """Behind the start: over the pole, by a solver."""
-    target = np.array([-2.0, 0.1, -0.5])
+def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation() -> None:
+    """Behind the start: over the pole, by a solver; in degrees."""
+    turn, target = 360.0, np.array([-2.0, 0.1, -0.5])
     bounded = space(turn, to=target).with_bounds(azimuth=(0.0, turn), elevation=(-turn / 4, turn / 4))
     found = go.solve(bounded)
     v, d = np.array([0.3, 0.0, 0.0]), target
@@ -388,9 +380,7 @@ def test_a_better_heading_half_a_turn_away_is_seen(turn: float) -> None:
     x, heading = boat.state("x"), boat.control("heading")
     angle = heading * 2 * np.pi / turn
     boat.ode({x: 1.0 + 0.6 * ca.cos(2 * angle) - 0.5 * ca.cos(angle)})
-    problem = go.Problem("wells")
-    leg = problem.phase("leg", boat)
-    leg.time(0.0, (0.1, 9.0))
+    problem, leg = one_phase("wells", boat, 0.0, (0.1, 9.0))
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.final_time)
@@ -412,8 +402,8 @@ def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution)
     assert not go.verify_trajectory(crossing.problem, t, x, {"heading": off}).ok
 
 
-@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
-def test_azimuth_and_elevation_of_a_straight_thrust(turn: float) -> None:
+def test_azimuth_and_elevation_of_a_straight_thrust() -> None:
+    turn = 2 * np.pi
     found = go.solve(space(turn))
     final = np.max(np.roots([0.25, 0.0, -0.09, 0.6, -5.49]).real)  # |d - v t| = t^2 / 2
     assert found.objective == pytest.approx(final, abs=1e-8)
@@ -441,9 +431,7 @@ def landing() -> go.Problem:
     angle, thrust = lander.control("angle"), lander.control("thrust")
     a = thrust / m
     lander.ode({h: w, d: u, w: a * ca.sin(angle) - 1.0, u: a * ca.cos(angle), m: -0.5 * thrust})
-    problem = go.Problem("landing")
-    leg = problem.phase("leg", lander)
-    leg.time(0.0, (0.1, 20.0))
+    problem, leg = one_phase("landing", lander, 0.0, (0.1, 20.0))
     leg.initial(h=1.0, d=0.0, w=-0.2, u=0.5, m=1.0)
     leg.final(h=0.0, d=1.0, w=0.0, u=0.0)
     leg.bounds(thrust=(0.0, 3.0), m=(0.1, 1.0))
@@ -455,9 +443,7 @@ def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
     twin = go.Model("boat")
     x, y, heading, idle = twin.state("x"), twin.state("y"), twin.control("heading"), twin.control("idle")
     twin.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
-    problem = go.Problem("idle")
-    leg = problem.phase("leg", twin)
-    leg.time(0.0, 1.0)
+    problem, leg = one_phase("idle", twin, 0.0, 1.0)
     leg.integral(idle**2, "told")
     problem.minimize(leg.final_state("y"))
     t = np.linspace(0.0, 1.0, 5)
@@ -476,9 +462,7 @@ def waiting() -> go.Solution:
         *[(boats.state(f"x_{n}"), boats.state(f"y_{n}"), boats.control(n)) for n in names], strict=True
     )
     boats.ode({x[k]: ca.cos(heading[k]) - y[k] for k in (0, 1)} | {y[k]: ca.sin(heading[k]) for k in (0, 1)})
-    problem = go.Problem("boats")
-    leg = problem.phase("leg", boats)
-    leg.time(0.0, (0.1, 30.0))
+    problem, leg = one_phase("boats", boats, 0.0, (0.1, 30.0))
     leg.initial(x_first=3.66, y_first=-1.86, x_second=1.66, y_second=-0.86)
     leg.final(x_first=0.0, y_first=0.0, x_second=0.0, y_second=0.0)
     problem.minimize(leg.final_time)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from testing.internals import Interval, PiecewisePolynomial
+from testing.models import dynamics, one_phase
 from testing.wrong_solutions import added, with_leg
 
 import gnc_opt as go
@@ -33,9 +34,7 @@ def minimum_energy() -> go.Problem:
 
 
 def minimum_time() -> go.Problem:
-    problem = go.Problem("minimum time")
-    leg = problem.phase("leg", double_integrator())
-    leg.time(0.0, (0.1, 10.0))
+    problem, leg = one_phase("minimum time", double_integrator(), 0.0, (0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -102,9 +101,7 @@ def test_costate_of_wrong_magnitude_fails(bang_bang: go.Solution) -> None:
 def test_wrong_switch_structure_fails() -> None:
     """Coasting between the bangs is feasible and optimal for that structure, yet not for the problem."""
     model = double_integrator()
-    problem = go.Problem("with a useless coast")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
+    problem, leg = one_phase("with a useless coast", model, 0.0, (0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
@@ -157,12 +154,8 @@ def test_bound_enforced_only_at_nodes_fails() -> None:
 
 def test_maximum_of_the_hamiltonian_fails() -> None:
     """u = 0 is a stationary point of (u^2 - 1)^2, but a maximum."""
-    model = go.Model("well")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("double well")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("well", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("double well", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.final(x=0.0)
     leg.bounds(u=(-2.0, 2.0))
@@ -175,12 +168,8 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
 
 
 def test_singular_control_of_first_order_is_told() -> None:
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("singular")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("singular", model, 0.0, 2.0)
     leg.initial(x=0.5)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))  # u = -1 down to x = 0 at t = 0.5 s, then u = 0 is singular
@@ -217,15 +206,9 @@ def test_free_final_value_with_wrong_costate_fails(energy: go.Solution) -> None:
 
 def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
     """Hyper-sensitive problem: errors grow by exp(40), yet the solution is right."""
-    model = go.Model("hypersensitive")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: -(x**3) + u + 0 * x})
-    unstable = go.Model("unstable")
-    y, w = unstable.state("y"), unstable.control("w")
-    unstable.ode({y: 20 * y + w})
-    problem = go.Problem("stabilise")
-    leg = problem.phase("leg", unstable)
-    leg.time(0.0, 2.0)
+    _model, *_ = dynamics("hypersensitive", "x", "u", lambda x, u: {x: -(x**3) + u + 0 * x})
+    unstable, y, w = dynamics("unstable", "y", "w", lambda y, w: {y: 20 * y + w})
+    problem, leg = one_phase("stabilise", unstable, 0.0, 2.0)
     leg.initial(y=1.0)
     leg.final(y=0.0)
     problem.minimize(leg.integral(y**2 + w**2))

@@ -3,6 +3,7 @@
 import itertools
 
 import pytest
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt import Condition, ConditionResult, Verdict
@@ -56,12 +57,8 @@ def test_nothing_is_called_a_proof(necessary: ConditionResult, sufficient: Condi
 
 def test_smooth_solution_without_a_second_order_test_is_no_minimum() -> None:
     """The first order alone holds at maxima and saddles too."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("least effort")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("least effort", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(u**2))

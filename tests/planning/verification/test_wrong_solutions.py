@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from testing.models import dynamics, one_phase
 from testing.wrong_solutions import (
     added,
     bang_bang,
@@ -212,12 +213,8 @@ def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
 @pytest.mark.parametrize("unit", [1.0, 0.02, -50.0])
 def test_limit_reached_within_a_segment_in_other_units(weight: float, unit: float) -> None:
     """The jump is explained whatever the units of the cost and the state."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v * unit, v: a})
-    problem = go.Problem("ceiling")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v * unit, v: a})
+    problem, leg = one_phase("ceiling", model, 0.0, 1.0)
     leg.initial(q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
     leg.bounds(q=(None, 0.1 * unit) if unit > 0 else (0.1 * unit, None))
@@ -325,9 +322,7 @@ def carried(current: float, start: float = 0.0) -> go.Problem:
     model = go.Model("carried")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u + current * (model.time - start)})
-    problem = go.Problem("carried")
-    leg = problem.phase("leg", model)
-    leg.time(start, start + 1.0)
+    problem, leg = one_phase("carried", model, start, start + 1.0)
     leg.initial(x=0.0)
     leg.final(x=1.0)
     problem.minimize(leg.integral(u**2 / 2))
@@ -352,12 +347,8 @@ def test_hamiltonian_follows_its_explicit_dependence_on_time(start: float) -> No
 
 def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> None:
     """`mixed_limit` with a second limit, u - x >= -5, which is never reached."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("two mixed limits")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("two mixed limits", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.path("far", u - x, lower=-5.0)
     leg.path("limit", u + x, upper=1.0)
@@ -371,12 +362,8 @@ def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> N
 @pytest.mark.parametrize("opens", [0.8, 9.0])
 def test_better_control_counts_from_when_it_is_admissible(opens: float) -> None:
     """Two valleys at u = 1 and, deeper, u = -1, which u + 4 t >= opens - 1 allows from t = opens / 4 on."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("opening valley")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("opening valley", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-2.0, 2.0))
     leg.path("gate", u + 4 * model.time, lower=opens - 1 if opens < 2 else 0.5)
@@ -413,14 +400,10 @@ def test_push_of_one_path_constraint_among_several() -> None:
 @pytest.mark.parametrize("unit", [1e-4, 1e4, -1.0])
 def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> None:
     """A jump at a ceiling, or a floor, is right; at one that is a hundredth further away it is not."""
-    model = go.Model("double integrator")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v * unit, v: a})
+    model, _q, _v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v * unit, v: a})
 
     def problem(height: float) -> go.Problem:
-        result = go.Problem("ceiling")
-        leg = result.phase("leg", model)
-        leg.time(0.0, 1.0)
+        result, leg = one_phase("ceiling", model, 0.0, 1.0)
         leg.initial(q=0.0, v=1.0)
         leg.final(q=0.0, v=-1.0)
         leg.bounds(q=(None, height * unit) if unit > 0 else (height * unit, None))
@@ -453,9 +436,7 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     y, w = model.state("y"), model.control("w")
     x, u = model.state("x"), model.control("u")
     model.ode({y: w, x: u})
-    problem = go.Problem("singular beside regular")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 2.0)
+    problem, leg = one_phase("singular beside regular", model, 0.0, 2.0)
     leg.initial(x=0.5, y=0.0)
     leg.final(y=1.0)
     leg.bounds(u=(-1.0, 1.0))
@@ -479,12 +460,8 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
 
 def test_controls_that_gain_only_together_are_tried_together() -> None:
     """H = 1 + u w at u = w = 0: no control alone changes it, (1, -1) makes it 0."""
-    model = go.Model("saddle")
-    x, u, w = model.state("x"), model.control("u"), model.control("w")
-    model.ode({x: 0 * u})
-    problem = go.Problem("saddle")
-    leg = problem.phase("leg", model)
-    leg.time(0.0, 1.0)
+    model, _x, u, w = dynamics("saddle", "x", "u w", lambda x, u, w: {x: 0 * u})
+    problem, leg = one_phase("saddle", model, 0.0, 1.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
     problem.minimize(leg.integral(1 + u * w))
