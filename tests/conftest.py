@@ -22,7 +22,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile(
-    "gnc_opt", deadline=None, max_examples=40
+    "gnc_opt", deadline=None, max_examples=25
 )  # the time of an example depends on the machine
 settings.load_profile("gnc_opt")
 

@@ -40,23 +40,20 @@ def with_rounding(solution: go.Solution, size: float) -> go.Solution:
     return solution
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-100, 1e-15])
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize(("beside", "noise"), [(False, 0.0), (False, 1e-15), (True, 1e-100), (True, 1e-15)])
 def test_rounding_about_a_solution_that_costs_nothing_is_no_violation(beside: bool, noise: float) -> None:
     solution = with_rounding(go.solve(at_rest(beside=beside), mesh="4x4", tol=None), noise)
     verdict = go.verify(replace(solution, objective=0.0))
     assert verdict.minimum, verdict.explain()
 
 
-@pytest.mark.parametrize(("unit", "cost"), [(1e3, 1.0), (1e-3, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+@pytest.mark.parametrize(("unit", "cost"), [(1e3, 1e-6), (1e-3, 1e6)])
 def test_nor_is_it_in_other_units(unit: float, cost: float) -> None:
     verdict = go.verify(go.solve(at_rest(unit=unit, cost=cost), mesh="4x4", tol=None))
     assert verdict.minimum, verdict.explain()
 
 
-@pytest.mark.parametrize(
-    ("piece", "condition"), [("lam", "stationarity"), ("lam", "stationarity"), ("u", "dynamics")]
-)
+@pytest.mark.parametrize(("piece", "condition"), [("lam", "stationarity"), ("u", "dynamics")])
 def test_what_is_no_rounding_fails_there(piece: str, condition: str) -> None:
     solution = go.solve(at_rest(), mesh="4x4", tol=None)
     assert condition in failed(added(solution, piece, 0, 1e-2, 1))  # type: ignore[arg-type]
@@ -132,8 +129,7 @@ def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
     assert {"dynamics", "stationarity"} <= {c.name for c in go.verify(sled(rest, 0.2002)).failed}
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-6, 1e6])
-@pytest.mark.parametrize("noise", [1e-30, 1e-9])
+@pytest.mark.parametrize(("noise", "size"), [(1e-30, 1e6), (1e-9, 1.0), (1e-9, 1e-6)])
 def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise: float, size: float) -> None:
     """A pendulum can be brought to rest in many ways: costates and what they bend by are rounding, of any sign."""
     model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
@@ -194,7 +190,7 @@ def test_doing_nothing_in_an_orbit_reaches_no_target_ahead(ahead: float) -> None
     assert verdict["boundary conditions"].result is go.ConditionResult.FAIL
 
 
-@pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e4, 0.0), (1e-4, 0.0), (1.0, 1e5)])
+@pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e4, 0.0), (1.0, 1e5)])
 @pytest.mark.parametrize(("coupling", "best"), [(1.5, True), (2.5, False)])
 def test_a_constant_push_without_limits_has_a_yardstick(
     unit: float, origin: float, coupling: float, best: bool

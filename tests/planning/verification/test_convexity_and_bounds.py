@@ -588,7 +588,7 @@ def stiff(weight: float, wrong: bool) -> go.Verdict:
     return go.verify_trajectory(problem, t, push * t, [push + 0 * t, -push + 0 * t])
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e4, 1e8, 1e12])
+@pytest.mark.parametrize("weight", [1.0, 1e8, 1e12])
 def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(weight: float) -> None:
     right, wrong = stiff(weight, False), stiff(weight, True)
     assert right.ok

@@ -178,7 +178,7 @@ def test_zero_that_is_touched_between_switches() -> None:
     )
 
 
-@pytest.mark.parametrize(("second", "cost"), [(1e-3, 1.0), (1e4, 1.0), (1.0, 1e-8), (1.0, 1e8)])
+@pytest.mark.parametrize(("second", "cost"), [(1e-3, 1e8), (1e4, 1e-8)])
 def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -> None:
     units = {"second": second, "cost": cost}
     touch, slopes = (line(5.0, 0.8), touching, line(-5.0, 1.4)), (line(5.0, 0.8), arch(10.0), line(-2.0, 1.4))
@@ -293,7 +293,7 @@ def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     assert not _partly_singular(flight(STRAIGHT, FALLS))
 
 
-@pytest.mark.parametrize("cost", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("cost", [1e-9, 1e9])
 @pytest.mark.parametrize("bend", [-1.0, 0.0, 1e-8, 1e-4, 1.0])
 def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> None:
     """H = u + bend u^2 / 2 at the bound of u, in some unit of the cost; a millionth of H is straight."""
