@@ -20,6 +20,7 @@ from testing.internals import (
     sharper,
     solve_mesh,
 )
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Status
@@ -27,12 +28,8 @@ from gnc_opt.planning import Status
 
 def regulator(weight: float = 1.0) -> go.Problem:
     """min 1/2 int x^2 + w u^2, x' = u, x(0) = 1, t in [0, 1]: x = cosh((1 - t) / s) / cosh(1 / s), s = sqrt(w)."""
-    model = go.Model("integrator")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: u})
-    problem = go.Problem("regulator")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("regulator", model, initial=0.0, final=1.0)
     leg.initial(x=1.0)
     problem.minimize(leg.integral(0.5 * (x**2 + weight * u**2)))
     return problem
@@ -111,12 +108,8 @@ def test_an_infeasible_ending_is_met_by_the_constraints_first(monkeypatch: pytes
 
 def hasty() -> go.Problem:
     """1 m from rest to rest with |a| <= 1 in the least time, 2 s, of at most 9 s."""
-    model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
-    problem = go.Problem("hasty")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=(0.1, 9.0))
+    model, _q, _v, _a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("hasty", model, initial=0.0, final=(0.1, 9.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

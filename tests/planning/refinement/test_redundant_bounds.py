@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import fsolve
 from testing.internals import estimate_errors
+from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 
@@ -15,12 +16,8 @@ TIME, DISTANCE, WEIGHT, SPEED = 4.0, 0.7, 0.5, 1.0
 
 def hop(power: float = 1.5) -> go.Problem:
     """A rotor's lift, 0 to 1, pays by its power 3/2 (induced power): from a speed to rest, in given time."""
-    model = go.Model("hop")
-    h, v, lift = model.state("h"), model.state("v"), model.control("lift")
-    model.ode({h: v, v: lift - WEIGHT})
-    problem = go.Problem("hop")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=TIME)
+    model, _h, _v, lift = dynamics("hop", "h v", "lift", lambda h, v, lift: {h: v, v: lift - WEIGHT})
+    problem, leg = one_phase("hop", model, initial=0.0, final=TIME)
     leg.initial(h=0.0, v=SPEED)
     leg.final(h=DISTANCE, v=0.0)
     leg.bounds(lift=(0.0, 1.0))
