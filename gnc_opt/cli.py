@@ -30,11 +30,11 @@ from gnc_opt.templates import KINDS
 
 EXIT_CODES = """exit codes:
   0    solved, and no optimality condition fails
-  1    solved, but the verdict fails: the answer is not what it claims to be (--exit-zero turns this into 0)
+  1    solved, but a condition of optimality fails (0 with --exit-zero)
   2    bad input: the file, an option or the problem is wrong
   3    not solved
   130  interrupted
-  141  nobody reads on what it prints, as in `gnc-opt examples | head`
+  141  broken pipe, as in `gnc-opt examples | head`
 """
 
 
@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_film(commands)
     _add_solve(commands)
     _add_multistart(commands)
-    check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
+    check = commands.add_parser("check", help="find errors in a problem without solving it")
     _add_common(check)
     check.set_defaults(run=check_command)
     return parser
@@ -100,8 +100,8 @@ def _parser() -> argparse.ArgumentParser:
 def _add_new(commands: Any) -> None:
     command = commands.add_parser("new", help="write a problem file to start from")
     add = command.add_argument
-    add("name", metavar="NAME", help="of the file; .py is added, and what exists is never overwritten")
-    add("--kind", choices=KINDS, default=KINDS[0], help="what it states, default %(default)s")
+    add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
+    add("--kind", choices=KINDS, default=KINDS[0], help="kind of problem, default %(default)s")
     add("--debug", action="store_true", help="show the traceback of an error")
     command.set_defaults(run=new_command)
 
@@ -110,12 +110,12 @@ def _add_examples(commands: Any) -> None:
     command = commands.add_parser("examples", help="list the problems that come with gnc_opt, or run one")
     add = command.add_argument
     add("--debug", action="store_true", help="show the traceback of an error")
-    add("name", metavar="NAME", nargs="?", help="of the problem to run; without it they are listed")
+    add("name", metavar="NAME", nargs="?", help="problem to run; without it, all are listed")
     add(
         "options",
         metavar="OPTION",
         nargs=argparse.REMAINDER,
-        help="of the problem; try --help after its NAME",
+        help="options of the problem; see NAME --help",
     )
     command.set_defaults(run=examples_command)
 
@@ -129,12 +129,12 @@ def _add_film(commands: Any) -> None:
         metavar="STATE",
         nargs="+",
         required=True,
-        help="of two or three components, or as many states",
+        help="state of two or three components, or as many states",
     )
     add(
         "--attitude", metavar="STATE", help="modified Rodrigues parameters or a quaternion, scalar part first"
     )
-    add("--force", metavar="CONTROL", help="whose plume is drawn; in body axes if there is an attitude")
+    add("--force", metavar="CONTROL", help="control drawn as a plume; in body axes with an attitude")
     add(
         "--keep-out",
         metavar=("X", "Y", "Z", "RADIUS"),
@@ -145,7 +145,7 @@ def _add_film(commands: Any) -> None:
         help="sphere to draw; may be given several times",
     )
     add("--down", action="store_true", help="draw z downwards")
-    add("--others", metavar="FILE", nargs="+", default=[], help="whose paths are drawn in grey")
+    add("--others", metavar="FILE", nargs="+", default=[], help="solutions or runs drawn in grey")
     add("--seconds", metavar="S", type=float, default=8.0, help="length of the film, default %(default)g")
     add("--rate", metavar="N", type=float, default=20.0, help="pictures per second, default %(default)g")
     add(
@@ -188,7 +188,7 @@ def _add_solve(commands: Any) -> None:
         "--structure",
         choices=("auto", "bang-bang", "none"),
         default="auto",
-        help="how to refine: exact switch times, hp, or whichever suits (auto, the default)",
+        help="how to refine: switching times, hp, or automatic (the default)",
     )
     add("--fast", action="store_true", help="stop at the estimated error of the objective, without the check")
     add(
@@ -212,7 +212,7 @@ def _add_multistart(commands: Any) -> None:
     _add_common(command)
     add = command.add_argument
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
-    add("--seed", type=int, default=0, help="of the random guesses")
+    add("--seed", type=int, default=0, help="seed of the random guesses")
     add("--mesh", metavar="KxN", help="coarse mesh, K equal segments of N points; default: MESH of the file")
     add(
         "--tol",
@@ -222,7 +222,7 @@ def _add_multistart(commands: Any) -> None:
         help="refine the minima until the error is below this (default 1e-8)",
     )
     add("--structure", choices=("auto", "bang-bang", "none"), default="auto", help="how to refine the minima")
-    add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, unjudged")
+    add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, without a check")
     add("--serial", action="store_true", help="use this process only")
     add("--json", metavar="OUT", help="write the minima as JSON to a file, '-' for standard output")
     command.set_defaults(run=multistart_command, report=None)

@@ -76,13 +76,13 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
         def show(record: Any) -> None:
             nonlocal count
             line = (
-                f"  pass {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "
-                f"objective {record.objective:.10g}  {record.iterations} iterations, {record.seconds:.1f} s"
+                f"  iteration {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "
+                f"objective {record.objective:.10g}  {record.iterations} NLP iterations, {record.seconds:.1f} s"
             )
             ending = "" if record.solved else "  not solved"
             console.print(Text(line + ending), soft_wrap=True)
             count += 1
-            status.update(f"solving pass {count} (error {record.error:.1e})")
+            status.update(f"solving on mesh {count} (error {record.error:.1e})")
 
         yield show
 

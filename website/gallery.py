@@ -96,7 +96,7 @@ def _solved(example: Example) -> Iterator[str]:
             f"of processor time, verdict included; the verdict: {row['verdict'].replace('NOT ok', 'fails')}.\n"
         )
     if rows:
-        yield f"Measured {kept['date']} on {kept['machine']}; more in [benchmarks](../benchmarks.md#problems).\n"
+        yield f"Measured {kept['date']} on {kept['machine']}; more in [Performance](../benchmarks.md).\n"
 
 
 def _without_docstring(code: str) -> str:

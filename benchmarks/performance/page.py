@@ -69,7 +69,7 @@ def _certified(results: Any) -> Cells:
 def _problem_files(results: Any) -> Cells:
     for row in results:
         place = example(row["problem"]).path.relative_to(ROOT / "problems").as_posix()
-        name = f"[`{row['problem']}`](../problems/{place})" + (
+        name = f"[`{row['problem']}`](../../problems/{place})" + (
             f", {row['variant']}" if row["variant"] else ""
         )
         word = row["verdict"].partition(":")[0]

@@ -2,7 +2,7 @@
 
     python -m benchmarks.validation.engine_page RESULTS.json
 
-writes the table between its markers in ``docs/problems.md``: question, trade, reference, relative error of the answer,
+writes the table between its markers in ``docs/problems.md``: question, reference, relative error of the answer,
 CPU time, and result of the optimality check. Problems without a result have empty cells.
 """
 
@@ -18,11 +18,11 @@ from gnc_opt.problem_file import Example, examples
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 BEGIN, END = "<!-- table of benchmarks.validation.engine -->", "<!-- end of the table -->"
-_HEADING = "| file | question | trade | reference | error | CPU s | check | source |"
+_HEADING = "| file | question | reference | error | CPU s | check | source |"
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return the table in Markdown, by trade and name."""
+    """Return the table in Markdown, by folder and name."""
     known = {row.problem: row for row in rows}
     chosen = [e for e in examples() if group_of(e) in ("flagship", "further")]
     chosen.sort(key=lambda e: (e.path.parent.name, e.name))
@@ -35,7 +35,6 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
     trade, reference = problem.path.parent.name, problem.module.REFERENCE
     yield f"[`{problem.name}`](../problems/{trade}/{problem.path.name})"
     yield problem.title.partition(": ")[2]
-    yield trade.replace("_", " ")
     yield f"{reference.value:.10g} {reference.unit}".rstrip()
     if row is None or row.relative_error is None:
         yield from ("", "" if row is None else f"{row.cpu_s:.1f}", "" if row is None else "not solved")
@@ -43,7 +42,7 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
         yield "right" if row.right else f"{row.relative_error:.0e}"
         yield f"{row.cpu_s:.1f}"
         yield "minimum" if row.minimum else "ok" if row.ok else "not ok"
-    yield reference.source
+    yield reference.source.replace("independent Radau collocation", "Radau")
 
 
 def write(rows: Sequence[Row], page: Path = PAGE) -> None:

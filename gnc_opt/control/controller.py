@@ -114,6 +114,11 @@ class Controller:
         for alarm in self.alarms:
             self.memory.slice(alarm)
 
+    def __repr__(self) -> str:
+        step = "any control step" if self.dt is None else f"control step {self.dt:g} s"
+        inputs, commands = ", ".join(self.states.names), ", ".join(self.commands.names)
+        return f"Controller({self.name!r}: from {inputs} to {commands}, {step})"
+
     @property
     def followed(self) -> Layout:
         """Names, sizes and units of the states that the law feeds back and its reference is of."""

@@ -52,7 +52,7 @@ def regulator_facts(
 ) -> list[ReportEntry]:
     """Return the facts of a regulator and its plant (A, B), sampled with dt (s) or continuous."""
     poles = continuous_poles(regulator.poles, dt)
-    residual = "left side over its largest term, computed from P alone"
+    residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
         *_margin_facts(*plant, regulator.gain, dt),
@@ -64,12 +64,19 @@ def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Rep
     """Return the facts about the margins at the plant's input."""
     found = margins(a, b, gain, dt)
     alpha = found.disk
-    both = f"all gains at once by a factor {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
+    both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
-        ReportEntry("gain margin up", found.gain_up, "", "per control, the others closed"),
-        ReportEntry("gain margin down", found.gain_down, "", "per control, the others closed"),
-        ReportEntry("phase margin", np.degrees(found.phase), "deg", "per control, the others closed"),
-        ReportEntry("delay margin", found.delay, "s", "per control, the others closed"),
+        ReportEntry(
+            "gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"
+        ),
+        ReportEntry(
+            "gain margin down",
+            found.gain_down,
+            "",
+            "smallest factor of the gain, other loops closed",
+        ),
+        ReportEntry("phase margin", np.degrees(found.phase), "deg", "of each control, other loops closed"),
+        ReportEntry("delay margin", found.delay, "s", "of each control, other loops closed"),
         ReportEntry("disk margin", alpha, "", both),
     ]
 

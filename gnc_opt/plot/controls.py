@@ -44,6 +44,9 @@ _POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}
 _SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.2}
 _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
 
+MOST_ROWS = 3
+"""Controls in one column of axes: three fit the first page of a printed report."""
+
 _ON_BOUND = 1e-3
 """Shares of a control's range: nearer to a bound it counts as on it."""
 
@@ -102,9 +105,7 @@ def plot_controls(
         )
     columns = 1 if solution.problem is None else 2
     with style():
-        rows = len(parts) + len(composed)
-        figure = new_figure(0.9 + (1.75 if rows <= 3 else 1.35) * rows)
-        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        figure, grid = _axes(len(parts) + len(composed), columns)
         for axes, (name, i) in zip(grid, parts, strict=False):
             for leg in legs:
                 if name in leg.controls:
@@ -118,13 +119,32 @@ def plot_controls(
                 ax.remove()
         for ax in figure.axes:
             span_phases(ax, legs)
-        for column in grid.T:
-            last = column[-1] if column[-1] in figure.axes else column[len(parts) - 1]
-            last.set_xlabel("time (s)")
-            last.tick_params(labelbottom=True)
-            figure.align_ylabels([ax for ax in column if ax in figure.axes])
+        _label_times(figure)
         legend_on_top(figure, _control_legend(columns == 2))
     return figure
+
+
+def _axes(rows: int, columns: int) -> tuple[Figure, Any]:
+    """Return a figure and its axes (rows, columns) with a row for each control; more than three share two columns."""
+    stacks = 1 if rows <= MOST_ROWS else 2
+    height = -(-rows // stacks)
+    figure = new_figure(0.9 + (1.75 if stacks == 1 else 1.35) * height)
+    drawn = figure.subplots(height, stacks * columns, sharex=True, squeeze=False)
+    grid = np.vstack(np.hsplit(drawn, stacks))
+    for ax in np.ravel(grid[rows:]):
+        ax.remove()
+    return figure, grid[:rows]
+
+
+def _label_times(figure: Figure) -> None:
+    """Label the time axis below the last axes of each column."""
+    columns: dict[int, list[Axes]] = {}
+    for ax in figure.axes:
+        columns.setdefault(ax.get_subplotspec().colspan.start, []).append(ax)
+    for column in columns.values():
+        column[-1].set_xlabel("time (s)")
+        column[-1].tick_params(labelbottom=True)
+        figure.align_ylabels(column)
 
 
 def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:

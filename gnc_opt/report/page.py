@@ -28,7 +28,7 @@ TRAJECTORY_CAPTION = (
 CAPTIONS = {
     "states": "States over time; dashed: limits.",
     "controls": (
-        "Controls (left) and their switching functions ∂H/∂u (right). A control is at its lower limit where its "
+        "Controls, each with its switching function ∂H/∂u on its right. A control is at its lower limit where its "
         "switching function is positive, at its upper limit where it is negative; dotted: changes of sign."
     ),
     "costates": "Costates over time: derivatives of the optimal cost with respect to the states.",
@@ -160,7 +160,9 @@ def _conditions(verdict: Verdict | None) -> str:
 
 
 def residual_text(value: float) -> str:
-    """Return two digits of a residual, "-" for none."""
+    """Return two digits of a residual, "-" for none; a negative one is the margin of a sufficient condition."""
+    if value < 0.0:
+        return f"margin {-value:.1e}"
     return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
 
 

@@ -48,52 +48,50 @@ _REMEDIES: dict[Status, str] = {
     Status.OPTIMAL: "The optimality conditions hold to the requested tolerance. Nothing needs to be done.",
     Status.ACCEPTABLE: (
         "The optimality conditions hold only to the solver's looser, acceptable tolerance. "
-        "Improve the scaling, or ask for a tolerance that the problem's rounding errors permit."
+        "Improve the scaling, or raise the tolerance above the rounding errors of the problem."
     ),
     Status.INFEASIBLE: (
         "Near the last iterate no point satisfies all constraints. Look for bounds and boundary conditions "
         "that contradict each other or allow too little time; if there are none, start from a better guess."
     ),
     Status.UNBOUNDED: (
-        "The iterates or the objective run off to infinity. Put bounds on the variables that grow, "
-        "and check the sign of the objective."
+        "The iterates or the objective diverge. Bound the variables that grow, and check the sign of the objective."
     ),
     Status.NOT_A_NUMBER: (
-        "A function or a derivative is NaN or infinite where the solver had to evaluate it. Move the guess "
-        "away from the singularity (square root, logarithm or division at zero), or bound the variables so "
-        "that it stays out of reach."
+        "A function or a derivative is NaN or infinite at an iterate. Move the guess away from the singularity "
+        "(square root, logarithm or division at zero), or exclude it by bounds of the variables."
     ),
     Status.ITERATION_LIMIT: (
-        "The iteration limit came before convergence. Improve scaling and guess, or raise `max_iterations` "
-        "if the residuals are still falling."
+        "The iteration limit was reached before convergence. Improve scaling and guess, or raise `max_iterations` "
+        "if the residuals are still decreasing."
     ),
     Status.INTERRUPTED: (
-        "The solve was stopped by Ctrl-C, by the wall-time limit or by the callback; the last iterate is "
-        "kept but is not a solution. Use it as the guess to carry on."
+        "Ctrl-C, the wall-time limit or the callback stopped the solve; the last iterate is not a solution. "
+        "Use it as the guess to continue."
     ),
     Status.RESTORATION_FAILED: (
-        "The solver could not reduce the constraint violation any further, yet did not prove infeasibility. "
+        "The solver could not reduce the constraint violation further, but did not prove infeasibility. "
         "Look for contradictory or redundant constraints, then improve scaling and guess."
     ),
     Status.SEARCH_DIRECTION_FAILED: (
         "The solver found no usable step even with heavy regularisation. Look for redundant constraints, "
-        "derivatives that are wrong or not finite, very bad scaling, or an objective without a lower bound."
+        "wrong or infinite derivatives, poor scaling, or an objective without a lower bound."
     ),
     Status.STEP_TOO_SMALL: (
-        "The steps became too small to make progress before the tolerance was met. The iterate may be as "
-        "good as rounding permits: check the residuals, then improve the scaling or loosen the tolerance."
+        "The steps became too small before the tolerance was met. The iterate may have the accuracy that rounding "
+        "permits: check the residuals, then improve the scaling or loosen the tolerance."
     ),
     Status.TOO_FEW_DEGREES_OF_FREEDOM: (
         "There are more equality constraints than free variables. Remove redundant boundary conditions, "
         "or free a time, a parameter or a control."
     ),
     Status.INVALID_OPTION: (
-        "The solver refused an option or the problem's definition. Check `extra`, and that `linear_solver` "
-        "is installed on this machine (the HSL solvers are not shipped with CasADi)."
+        "The solver rejected an option or the problem's definition. Check `extra`, and that `linear_solver` "
+        "is installed on this machine (CasADi does not include the HSL solvers)."
     ),
     Status.FAILED: (
-        "The solver failed for a reason of its own. Solve again with `SolverOptions(verbose=True)`, which shows its "
-        "own words, or with another solver."
+        "The solver failed with an internal error. Solve again with `SolverOptions(verbose=True)`, which shows its "
+        "messages, or with another linear solver."
     ),
 }
 

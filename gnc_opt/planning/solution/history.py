@@ -68,8 +68,8 @@ class RefinementStatus(Enum):
 
     Examples
     --------
-    >>> print(go.RefinementStatus.ITERATION_LIMIT.remedy)
-    The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again.
+    >>> print(go.RefinementStatus.UNCHECKED.remedy.partition("; ")[0])
+    The estimated error of the objective is within the tolerance
     """
 
     CONVERGED = "converged"
@@ -93,38 +93,37 @@ _REMEDIES = {
         "The estimated error is below the tolerance, and no condition of the verdict fails. Nothing needs to be done."
     ),
     RefinementStatus.CONDITIONS_FAIL: (
-        "The estimated error is below the tolerance, but a condition of the verdict fails: the trajectory is that of "
-        "its mesh, and no optimum yet. The meaning of the condition says what that can be; a tighter `tol`, another "
-        "first mesh or another guess may help."
+        "The estimated error is below the tolerance, but a condition of the verdict fails. See the meaning of the "
+        "condition; a smaller `tol`, another first mesh or another guess may help."
     ),
     RefinementStatus.UNCHECKED: (
-        "The estimated error of the objective is within the tolerance; optimality was not checked, as was asked. "
+        "The estimated error of the objective is within the tolerance; the optimality check was switched off. "
         "Call `verify` to check it, or `refine` for local errors within the tolerance."
     ),
     RefinementStatus.POINT_LIMIT: (
-        "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
-        'jumps between its bounds, structure="bang-bang" needs far fewer points.'
+        "The next mesh would have more points than `max_points`. Raise it or loosen `tol`; if a control jumps "
+        'between its bounds, structure="bang-bang" needs far fewer points.'
     ),
     RefinementStatus.ITERATION_LIMIT: (
-        "The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again."
+        "The iteration limit was reached while the error was still decreasing. Raise `max_passes`, or refine the "
+        "solution again."
     ),
     RefinementStatus.BUDGET_LIMIT: (
-        "What refining may cost was spent before the error had fallen far enough; the best solution so far is "
-        "returned. Raise `max_work`, or refine the solution again; where this goes on, look at the place of the error."
+        "The work limit was reached before the error was below the tolerance; the best solution so far is "
+        "returned. Raise `max_work`, or refine the solution again; if this persists, examine the place of the error."
     ),
     RefinementStatus.STALLED: (
-        "Finer meshes did not reduce the error any more, or so slowly that many more would be needed. A control that "
-        "chatters (no optimum exists, or a singular arc) never settles on any mesh: add a small penalty on the "
-        "control, or use its structure; if it does not chatter, the tolerance is beyond what rounding and the solver "
-        "permit."
+        "Finer meshes no longer reduce the error, or too slowly. A chattering control (no optimum exists, or a "
+        "singular arc) does not converge on any mesh: add a small cost on the control, or give its structure. "
+        "Otherwise the tolerance is below the rounding errors of problem and solver: loosen `tol`."
     ),
     RefinementStatus.FAILED: (
-        "The solver found no solution on the next mesh, neither from the last solution nor from its trajectory "
-        "alone; the best solution so far is returned. Improve the scaling, or loosen `tol`."
+        "The solver found no solution on the next mesh; the best solution so far is returned. Improve the scaling, "
+        "or loosen `tol`."
     ),
     RefinementStatus.INTERRUPTED: (
-        "The refinement was stopped by Ctrl-C or by its time limit; the best solution so far is returned, without a "
-        "verdict. Refine it again to carry on."
+        "Ctrl-C or the time limit stopped the refinement; the best solution so far is returned, without a verdict. "
+        "Refine it again to continue."
     ),
 }
 
@@ -268,7 +267,7 @@ class History(Printed):
         )
 
     def __str__(self) -> str:
-        head = f"{'pass':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'it.':>4} {'s':>6}"
+        head = f"{'iter':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'NLP':>4} {'s':>6}"
         lines = [f"{head}  {'stage':<16} actions"]
         for i, p in enumerate(self.passes):
             mark = "*" if i == self.chosen else " "
@@ -276,4 +275,4 @@ class History(Printed):
                 f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
                 f"{p.iterations:>4} {p.seconds:>6.2f}  {p.stage:<16} {p.actions}"
             )
-        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s in all)"])
+        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s)"])

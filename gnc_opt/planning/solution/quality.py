@@ -217,7 +217,7 @@ class Quality:
         of the state's span.
     max_bound_violation : float
         Largest distance beyond a bound or path constraint, at nodes and between, as a share of the trajectory's size
-        (docs/theory/scales.md, "How far beyond a limit").
+        (docs/theory/scales.md, "Distance from a limit").
     propagation_error : float
         Largest propagation error at the end of a phase, with the applied control integrated from the initial
         state, as a share of the change of state that the controls cause.

@@ -203,11 +203,11 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """The verdict in short: "ok", "NOT ok", or why there is none: "not judged: no costates"."""
+        """The verdict in short: "ok", "NOT ok", or why there is none: "not checked: no costates"."""
         if self.failed:
             return "NOT ok"
         missing = self.not_checked or ", ".join(c.name for c in self.inconclusive if not c.sufficient)
-        return f"not judged: {missing}" if missing else "ok"
+        return f"not checked: {missing}" if missing else "ok"
 
     @property
     def headline(self) -> str:
@@ -247,7 +247,9 @@ class Verdict:
 
     def table(self) -> str:
         """Return all conditions, one per line: name, result, value, place of the worst violation."""
-        return "\n".join([*_rows([(c.name, c, "") for c in self.conditions]), f"verdict: {self.word}"])
+        return "\n".join(
+            [*_rows([(c.name, c, "") for c in self.conditions], "condition"), f"verdict: {self.word}"]
+        )
 
     def __str__(self) -> str:
         """What fails first and what to do; the worst condition of each group; the verdict."""
@@ -258,7 +260,7 @@ class Verdict:
         if also:
             messages.append(f"also: {also}")
         worst = [(group, most_severe(found)) for group, found in groups]
-        rows = _rows([(group, c, f"{c.name}: ") for group, c in worst])
+        rows = _rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
         return "\n".join([*messages, *rows, f"verdict: {self.word}"])
 
     @property
@@ -289,20 +291,22 @@ _SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, Condition
 
 
 def most_severe(conditions: Iterable[Condition]) -> Condition:
-    """Return the condition that fails, or else is inconclusive, with the largest value."""
+    """Return the condition that fails, or else is inconclusive, with the largest value other than zero."""
 
-    def severity(condition: Condition) -> tuple[int, float]:
-        return _SEVERITY[condition.result], math.inf if math.isnan(condition.value) else -condition.value
+    def severity(condition: Condition) -> tuple[int, bool, float]:
+        value = condition.value
+        return _SEVERITY[condition.result], value == 0.0, math.inf if math.isnan(value) else -value
 
     return min(conditions, key=severity)
 
 
-def _rows(entries: list[tuple[str, Condition, str]]) -> list[str]:
-    width = max(len(name) for name, _, _ in entries)
-    return [
-        f"{name:<{width}}  {c.result.value:<12}  {c.value:9.2e}  {prefix}{c.location_text}"
-        for name, c, prefix in entries
+def _rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
+    width = max(len(title), *(len(name) for name, _, _ in entries))
+    rows = [(title, "result", f"{'violation':>9}", "largest at")]
+    rows += [
+        (name, c.result.value, f"{c.value:9.2e}", f"{prefix}{c.location_text}") for name, c, prefix in entries
     ]
+    return [f"{name:<{width}}  {result:<12}  {value}  {place}" for name, result, value, place in rows]
 
 
 def _message(condition: Condition) -> list[str]:

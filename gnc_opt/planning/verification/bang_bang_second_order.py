@@ -209,7 +209,7 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
     if worst.freedom == 0:
-        place = "as many conditions as switch times, nothing is left to vary"
+        place = "no degree of freedom, as many conditions as switching times"
     elif len(found) > 1:
         place += f", {len(found)} orders of simultaneous switches"
     if worst.result is ConditionResult.INCONCLUSIVE:

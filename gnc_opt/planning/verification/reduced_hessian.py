@@ -186,7 +186,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         beyond = jumping or beyond
         told = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
-            return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)
+            return judged(told, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0)
         return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
     bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free

@@ -70,7 +70,7 @@ NOTHING = Curvature(np.nan, np.nan, np.zeros(1), 0.0)
     [
         (curved(2e-6), None, (), "", PASS, -2e-6, "place"),
         (curved(2e-6), None, (), "jumps", UNTOLD, -2e-6, "jumps"),
-        (NOTHING, None, (), "", PASS, 0.0, "nothing is left to vary"),
+        (NOTHING, None, (), "", PASS, 0.0, "no degree of freedom"),
         (NOTHING, None, (), "jumps", UNTOLD, 0.0, "jumps"),
         (curved(-2e-4), None, (1.0,), "", FAIL, 2e-4, "a step of 10 % of its magnitude gains 3 in"),
         (curved(-2e-4), None, (-1.0,), "jumps", FAIL, 2e-4, "a step of 10 % of its magnitude gains 3 in"),

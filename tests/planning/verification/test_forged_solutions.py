@@ -263,8 +263,8 @@ def test_without_costates_nothing_is_ok(wrong: Callable[[], go.Solution]) -> Non
     assert not verdict.failed and not verdict.ok and not verdict.minimum
     assert verdict["stationarity"].result is go.ConditionResult.INCONCLUSIVE
     assert verdict["dynamics"].result is go.ConditionResult.PASS
-    assert verdict.explain().splitlines()[0].endswith(": not judged: no costates.")
-    assert str(verdict).splitlines()[-1] == "verdict: not judged: no costates"
+    assert verdict.explain().splitlines()[0].endswith(": not checked: no costates.")
+    assert str(verdict).splitlines()[-1] == "verdict: not checked: no costates"
 
 
 def test_a_missing_costate_of_several_controls_fails() -> None:

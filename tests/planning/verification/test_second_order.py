@@ -236,7 +236,7 @@ def test_a_single_arc_has_no_switch_to_judge() -> None:
     strict, second = verdict["switching times"], verdict["second order"]
     assert (strict.result, strict.value, strict.where) == (ConditionResult.PASS, 0.0, "no switch")
     assert (second.result, second.value) == (ConditionResult.PASS, 0.0)
-    assert "nothing is left to vary" in second.where
+    assert "no degree of freedom" in second.where
 
 
 # --- what is active, what is free, and what comes together ------------------------------------------------

@@ -33,14 +33,14 @@ def test_ok_and_minimum(necessary: ConditionResult, sufficient: ConditionResult 
 def test_without_costates_neither_holds() -> None:
     judged = verdict(PASS, PASS, "no costates")
     assert not judged.ok and not judged.minimum
-    assert judged.word == "not judged: no costates"
+    assert judged.word == "not checked: no costates"
 
 
 def test_headlines_say_which_of_the_three_it_is() -> None:
     assert verdict(PASS, PASS).headline == "every condition passes: a strict local minimum"
     assert verdict(PASS, UNTOLD).headline == "ok: necessary conditions hold, sufficient ones are not known to"
     assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
-    assert verdict(UNTOLD, PASS).headline == "not judged: stationarity"
+    assert verdict(UNTOLD, PASS).headline == "not checked: stationarity"
     assert verdict(PASS, FAIL).headline == "NOT ok"
 
 
