@@ -66,9 +66,7 @@ def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Rep
     alpha = found.disk
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
-        ReportEntry(
-            "gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"
-        ),
+        ReportEntry("gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"),
         ReportEntry(
             "gain margin down",
             found.gain_down,

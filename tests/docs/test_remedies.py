@@ -5,10 +5,11 @@ That the examples end so is tested with those of all pages (`test_examples`).
 
 from __future__ import annotations
 
+import ast
 import re
 
 import pytest
-from testing.pages import FENCE, Page, doc
+from testing.pages import FENCE, PAGES, ROOT, Page, doc
 
 import gnc_opt as go
 from website import redirects
@@ -64,3 +65,39 @@ def test_old_addresses_lead_to_sections() -> None:
     for new in redirects.targets().values():
         page, _, anchor = new.partition(".html")
         assert not anchor or anchor[1:] in anchors(doc(page.rpartition("/")[2])), new
+
+
+def messages() -> str:
+    """Return all texts of the package and of its templates that are not docstrings."""
+    found = []
+    for path in (ROOT / "gnc_opt").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        constants = (
+            node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in bare
+        )
+        found += [node.value for node in constants if isinstance(node.value, str)]
+    return "\n".join(found)
+
+
+def test_pages_that_messages_name_exist() -> None:
+    text = messages()
+    titles = {page.text.partition("\n")[0].removeprefix("# ") for page in PAGES}
+    named = re.findall(r"the page '([^']+)'", text)
+    assert named and set(named) <= titles
+    for name, anchor in re.findall(r"(?<![\w/])docs/([\w/]+)\.md(?:#([\w-]+))?", text):
+        assert (ROOT / "docs" / f"{name}.md").is_file(), name
+        assert not anchor or anchor in anchors(doc(name.rpartition("/")[2])), anchor
+
+
+@pytest.mark.parametrize("kind", [go.Status, go.RefinementStatus, go.ContinuationStatus])
+def test_every_status_that_a_message_names_has_an_anchor(kind: type) -> None:
+    known = anchors(doc("statuses"))
+    prefix = {go.Status: "", go.RefinementStatus: "refinement-", go.ContinuationStatus: "continuation-"}[kind]
+    assert not [status.value for status in kind if f"{prefix}{status.value}" not in known]
+
+
+def test_every_outcome_and_condition_that_a_message_names_has_an_anchor() -> None:
+    wanted = [status.value.replace(" ", "-") for status in go.RunStatus]
+    assert set(wanted) <= anchors(doc("outcomes"))
+    assert {name.replace(" ", "-") for name in CONDITIONS} <= anchors(doc("conditions"))

@@ -14,7 +14,7 @@ default calls yield past a limit, and files whose numbers were changed. Right an
 The table counts, by class: planted; failed; passed wrongly; false alarms; inconclusive (neither failed nor known to be
 a minimum). What is amiss is listed by name. The exit code is 1 if a wrong answer passes or a right one fails. Ctrl-C
 ends the run and keeps what is done, in the JSON file too; ``--resume`` leaves out what that file already has.
-``--page`` puts the table into a page (`benchmarks/validation/README.md`) and keeps its numbers beside the benchmark.
+``--page`` puts the table into a page (`README.md` of this folder) and keeps its numbers beside the benchmark.
 """
 
 from __future__ import annotations
