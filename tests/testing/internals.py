@@ -29,7 +29,7 @@ from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedb
 from gnc_opt.guidance.replanning import check_remaining, remaining
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import (
-    STRETCHES,
+    HELD_TIME_FACTORS,
     SolveLimits,
     feasibility_starts,
     knows_trajectory,
@@ -58,9 +58,9 @@ from gnc_opt.planning.problem.redundant_bounds import idle_bounds, one_way_state
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
-    COARSE,
+    ARC_MAX_SEGMENTS,
+    COARSE_POINTS,
     FIRST_DEGREE,
-    MAX_SEGMENTS,
     Plan,
     Resolution,
     points_of,

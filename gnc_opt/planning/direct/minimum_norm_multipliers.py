@@ -24,13 +24,13 @@ from gnc_opt.planning.transcription.transcription import Transcription
 LARGE_MULTIPLIER = 1e2
 """Scaled multipliers from which they may have drifted; most of well-scaled programs are smaller."""
 
-DRIFTED = 0.5
+NULL_SPACE_MIN_SHARE = 0.5
 """Least share of the largest multiplier that the part in the null space has if that has drifted."""
 
-REGULAR = 1e-13
+REGULARISATION = 1e-13
 """Regularisation of the least-squares problem, whose matrix has rows of size 1."""
 
-NULL = 1e-10
+NULL_RESIDUAL = 1e-10
 """A null vector's largest residual, in shares of its largest component."""
 
 
@@ -43,7 +43,9 @@ def least_multipliers(transcription: Transcription, point: NlpPoint, result: Nlp
     jacobian = as_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     r = _null_part(jacobian[:, ~fixed], result.lam_g[rows])
     left = jacobian.T @ r
-    if np.max(np.abs(r)) < DRIFTED * largest or np.max(np.abs(left[~fixed])) > NULL * np.max(np.abs(r)):
+    if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(
+        np.abs(left[~fixed])
+    ) > NULL_RESIDUAL * np.max(np.abs(r)):
         return result
     lam_g, lam_x = result.lam_g.copy(), result.lam_x.copy()
     lam_g[rows] -= r
@@ -55,7 +57,8 @@ def _null_part(matrix: scipy.sparse.csc_array, values: Array) -> Array:
     """Return the part of ``values`` (m,) that no combination of the columns of a matrix (m, n) has."""
     m, n = matrix.shape
     system = scipy.sparse.block_array(
-        [[scipy.sparse.eye_array(m), matrix], [matrix.T, -REGULAR * scipy.sparse.eye_array(n)]], format="csc"
+        [[scipy.sparse.eye_array(m), matrix], [matrix.T, -REGULARISATION * scipy.sparse.eye_array(n)]],
+        format="csc",
     )
     factors, wanted = scipy.sparse.linalg.splu(system), np.concatenate([values, np.zeros(n)])
     found = factors.solve(wanted)

@@ -10,7 +10,7 @@ try                   after                                   how
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
-`LOST`                so many iterations from straight lines  IPOPT's adaptive barrier for a few; from a flight with
+`LINES_ITERATIONS`    so many iterations from straight lines  IPOPT's adaptive barrier for a few; from a flight with
                                                               the guessed controls; next from where the constraints
                                                               are met in the guessed times; only then to the end from
                                                               the lines
@@ -60,7 +60,7 @@ solution (a phase that shrinks to nothing, say); its adaptive barrier is slower 
 COLD_START_MAX_ITERATIONS = 1000
 """Iterations, SolverOptions' limit, after which a cold start has lost its way."""
 
-LOST = 150
+LINES_ITERATIONS = 150
 """Iterations after which a start from straight lines gives way to a flight, which follows the dynamics if nothing else:
 an entry through an atmosphere that is exponential in height goes on for thousands from a line, and takes 80 from a
 flight. (Of 84 problems that are solved from straight lines none takes more than 143.) As many are enough to meet the
@@ -77,17 +77,17 @@ violation is stationary: there a solver stops and reports that the problem is in
 the cost nothing pulls; with the durations held, what remains of many problems is close to linear. Durations that are
 too short are the usual trap, so longer ones are tried."""
 
-COLD_MU = 1e-2
+TRAJECTORY_START_BARRIER = 1e-2
 """First barrier parameter when only the trajectory is kept."""
 
 ADAPTIVE_MAX_ITERATIONS = 300
 """Those of the adaptive barrier where the monotone one has lost its way: above the apex of a cone it takes 20 to 30
 from lines from which the other finds nothing in 1000, for a transfer between orbits with two burns 135."""
 
-CAREFUL_ITERATIONS = 200
+CAREFUL_MAX_ITERATIONS = 200
 """Those that pivoting with care gets to mend last digits, beyond which it crawls."""
 
-STRETCHES = (1.0, 4.0, 16.0, 64.0)
+HELD_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times at which durations are held while constraints are met."""
 
 FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
@@ -189,7 +189,10 @@ class _Task:
 
     def along(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
-        start, cold = guess_from_solution(self.problem, guess), replace(self.options, mu_init=COLD_MU)
+        start, cold = (
+            guess_from_solution(self.problem, guess),
+            replace(self.options, mu_init=TRAJECTORY_START_BARRIER),
+        )
         found = replace(self, problem=start, options=cold).solve(after=after)
         return replace(found, problem=self.problem.frozen())
 
@@ -238,7 +241,7 @@ def _solve_point(
         return result
     if result.status in CAREFUL and not solver.options.careful_pivoting:
         there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
-        patience = _Patience(show, CAREFUL_ITERATIONS)
+        patience = _Patience(show, CAREFUL_MAX_ITERATIONS)
         again = solver.solve(there, "careful", callback=patience, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
     wandered = (
@@ -288,7 +291,7 @@ def _constraints_first(
 def _solve_from_lines(
     attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback, deadline: float
 ) -> NlpResult:
-    """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first in other ways."""
+    """Solve from the straight lines of a guess; after `LINES_ITERATIONS` iterations, first in other ways."""
     if solver.options.solver != "ipopt" or solver.options.max_iterations < COLD_START_MAX_ITERATIONS:
         return _solve_point(solver, point, show, deadline)
     patience = _Patience(show)
@@ -331,7 +334,7 @@ class _Allowance:
 
 @dataclass
 class _Patience:
-    """Shows iterations, and ends a solve that takes `LOST` of them, or so many, or the last that all tries may take."""
+    """Shows iterations, and ends a solve after so many (`LINES_ITERATIONS`) or the last that all tries may take."""
 
     show: ProgressCallback
     most: int | None = None
@@ -339,7 +342,7 @@ class _Patience:
 
     def __call__(self, info: IterationInfo) -> bool:
         spent = bool(self.show(info))
-        self.lost = info.iteration >= (LOST if self.most is None else self.most)
+        self.lost = info.iteration >= (LINES_ITERATIONS if self.most is None else self.most)
         return self.lost or spent
 
 
@@ -379,7 +382,7 @@ def feasibility_starts(
     times, box = _free_times(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
-    for stretch in STRETCHES if times.size else ():
+    for stretch in HELD_TIME_FACTORS if times.size else ():
         values = np.clip(stretch * start[times], box.lower[times], box.upper[times])
         if any(np.array_equal(values, earlier) for earlier in tried):
             continue

@@ -32,7 +32,7 @@ from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
-from gnc_opt.planning.solution.scales import STILL
+from gnc_opt.planning.solution.scales import STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
 
@@ -92,7 +92,7 @@ def _rows(s: PhaseSamples) -> Array:
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
         # One that holds all along hardly moves: it is near by what could move it.
-        scale = np.where(s.path_scale > STILL * s.path_reach, s.path_scale, s.path_reach)
+        scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_reach, s.path_scale, s.path_reach)
         near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span

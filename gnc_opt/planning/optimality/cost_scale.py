@@ -13,8 +13,8 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.planning.problem.functions import end_values
-from gnc_opt.planning.solution.samples import MINOR, PhaseSamples
-from gnc_opt.planning.solution.scales import RESOLUTION
+from gnc_opt.planning.solution.samples import MIN_EFFECT_SHARE, PhaseSamples
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import magnitude
 
@@ -123,7 +123,7 @@ class Magnitudes:
         for change, (k, i, step) in zip(changes[-1], moves, strict=True):
             if k == len(spans) - 1:
                 parameters[i] = max(parameters[i], change / abs(step))
-        largest = np.fmax(largest, RESOLUTION * np.abs(base))
+        largest = np.fmax(largest, SPAN_MIN_SHARE * np.abs(base))
         return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1], parameters)
 
 
@@ -131,7 +131,7 @@ def integral_spans(s: PhaseSamples) -> Array:
     """Return by how much the flight can change each integral of a phase (n_integrals,).
 
     An integrand counts by what it is above its least, or below its largest, value along the phase; by its size if the
-    duration may change; and by the share `MINOR` of its change when a state or control is off by its span.
+    duration may change; and by the share `MIN_EFFECT_SHARE` of its change when a state or control is off by its span.
     """
     values = s.functions.integrands(s.times, s.x, s.u)
     if not values.shape[0]:
@@ -148,7 +148,7 @@ def integral_spans(s: PhaseSamples) -> Array:
                 other[i] = _within(other[i] + moved, box, i)
                 at = (other, s.u) if rows is s.x else (s.x, other)
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
-                spans = np.fmax(spans, MINOR * np.where(np.isfinite(change), change, 0.0))
+                spans = np.fmax(spans, MIN_EFFECT_SHARE * np.where(np.isfinite(change), change, 0.0))
     return np.where(np.isfinite(spans), spans, 0.0)
 
 
@@ -171,5 +171,5 @@ def state_variations(s: PhaseSamples) -> Array:
     A constant that is stated as a state, whose value is free, moves by rounding only.
     """
     sizes = np.max(np.abs(s.x), axis=1, initial=0.0)
-    still = (s.state_scale <= 2 * RESOLUTION * sizes) & (sizes > 0)
+    still = (s.state_scale <= 2 * SPAN_MIN_SHARE * sizes) & (sizes > 0)
     return np.where(still, sizes, s.state_scale)

@@ -15,9 +15,9 @@ import numpy as np
 from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import MOVED
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_END_MAX_OFFSET_SHARE
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.loop import TIGHT, optimise_switches
+from gnc_opt.planning.refinement.arcs.loop import ARC_SOLVE_TOLERANCE, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.candidates import Candidate, answer_of
 from gnc_opt.planning.refinement.iterations import PassLimits
@@ -30,16 +30,16 @@ from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 ARC_WARM_START_MAX_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
 
-PASSES = 6
+WARM_START_MAX_SOLVES = 6
 """At most so many solves: where more are needed, little is left of what was known."""
 
-NEARBY = SolverOptions(tolerance=TIGHT, max_iterations=30)
+KNOWN_ARCS_OPTIONS = SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=30)
 """For solves with known arcs: where these have a solution nearby, it takes fewer iterations."""
 
 WARM_START_MIN_WORK = 1e4
 """What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
 
-WRONG = 0.1
+KNOWN_ARCS_MAX_ERROR = 0.1
 """Arcs with a larger error are not those of the variation (of 30, those that settled began below 2e-3)."""
 
 Judged: TypeAlias = Literal["always", "changed"]
@@ -97,9 +97,9 @@ class KnownArcs:
         return optimise_switches(
             start,
             tol=tol,
-            limits=replace(self._limits, worst=WRONG),
+            limits=replace(self._limits, worst=KNOWN_ARCS_MAX_ERROR),
             structures=left,
-            options=NEARBY,
+            options=KNOWN_ARCS_OPTIONS,
             segments="kept",
         )
 
@@ -123,7 +123,7 @@ class KnownArcs:
     def _limits(self) -> PassLimits:
         history = self.solution.history
         taken = 0.0 if history is None else sum(p.work for p in history.passes)
-        return PassLimits(PASSES, work=max(taken, WARM_START_MIN_WORK))
+        return PassLimits(WARM_START_MAX_SOLVES, work=max(taken, WARM_START_MIN_WORK))
 
 
 def first_meshes(known: Solution) -> dict[str, Mesh]:
@@ -140,7 +140,7 @@ def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> 
         shortest = int(np.argmin(structure.lengths))
         fewer = structure.without(shortest)
         if (
-            structure.lengths[shortest] > MOVED * structure.lengths.sum()
+            structure.lengths[shortest] > ARC_END_MAX_OFFSET_SHARE * structure.lengths.sum()
             or fewer.pieces != structure.pieces - 1
         ):
             break

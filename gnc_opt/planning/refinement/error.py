@@ -31,7 +31,7 @@ ABSOLUTE_ERROR_MAGNITUDE = 1e-6
 """An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
 
 
-PEAK = 1e-3
+CONTROL_PEAK_WEIGHT = 1e-3
 """Weight of the peak of a control beyond its bounds: errors below 1e-8 keep it below 1e-5."""
 
 COSTATE_ERROR_WEIGHT = 20.0
@@ -155,7 +155,7 @@ class ErrorScales:
         span = leg.duration
         states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
         excess = _excess(pieces.u, leg.control_bounds, self.control)
-        controls = np.maximum(pieces.total(excess) / span, PEAK * pieces.largest(excess))
+        controls = np.maximum(pieces.total(excess) / span, CONTROL_PEAK_WEIGHT * pieces.largest(excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = defined(f.paths, *at, leg.control_bounds)

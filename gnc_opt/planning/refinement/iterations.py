@@ -17,15 +17,15 @@ from gnc_opt.planning.transcription.mesh import Mesh
 CONVERGENCE_WINDOW = 6
 """So many passes tell how fast the error falls."""
 
-HORIZON = 10
+MAX_FURTHER_ITERATIONS = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
-PROMISING, EXTENDED = 0.3, 2.0
+PROMISING_ERROR_RATIO, PROMISING_WORK_RATIO = 0.3, 2.0
 """A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
 
 
-LEFT = 0.5
+ITERATION_SHARE = 0.5
 """Share of all that is allowed that a pass may take where the budget permits it, ..."""
 
 BUDGET_MIN_ITERATIONS = 25
@@ -67,8 +67,8 @@ class PassLimits:
     def allowed(self, records: Sequence[RefinementIteration], factor: float = 1.0) -> float:
         """What all passes may cost after these: more where the last one says that few others will do."""
         errors = [r.error for r in records[-2:]]
-        promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
-        return min(self.work * max(factor, EXTENDED if promising else 1.0), self.most)
+        promising = bool(errors) and errors[-1] <= PROMISING_ERROR_RATIO * errors[0]
+        return min(self.work * max(factor, PROMISING_WORK_RATIO if promising else 1.0), self.most)
 
     def are_spent(self, records: Sequence[RefinementIteration], spent: float, factor: float = 1.0) -> bool:
         """Whether no pass begins after these, of which so much work counts."""
@@ -83,7 +83,9 @@ class PassLimits:
         if math.isinf(self.work):
             return within
         points = sum(mesh.size for mesh in meshes)
-        left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
+        left = max(
+            self.allowed(records) - spent, ITERATION_SHARE * self.work
+        )  # what it cannot finish would be lost
         iterations = max(BUDGET_MIN_ITERATIONS, iterations_for(left, points))
         if math.isfinite(self.most):
             iterations = min(iterations, max(1, iterations_for(self.most - spent, points)))
@@ -134,4 +136,6 @@ def crawls(errors: Sequence[float], tol: float) -> bool:
     before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])
     if now <= tol:
         return False
-    return now >= before or CONVERGENCE_WINDOW * math.log(now / tol) > HORIZON * math.log(before / now)
+    return now >= before or CONVERGENCE_WINDOW * math.log(now / tol) > MAX_FURTHER_ITERATIONS * math.log(
+        before / now
+    )

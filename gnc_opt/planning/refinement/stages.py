@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.guess.simulation import with_flown_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.planning.refinement.arcs.detection import structures_of
-from gnc_opt.planning.refinement.arcs.loop import TIGHT, Segments, optimise_switches
+from gnc_opt.planning.refinement.arcs.loop import ARC_SOLVE_TOLERANCE, Segments, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.candidates import Candidate, answer_of
@@ -73,10 +73,10 @@ RESTART_MAX_ITERATIONS = 100
 HP_FIRST_MAX_SHARE = 0.25
 """Share of the budget of hp refinement on the first stage."""
 
-TIGHTER = (1e-2, 1e-4)
+TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
 """Mesh tolerances, in shares, while the check is open and the objective's estimated error halves."""
 
-STRATEGY = "ipopt.mu_strategy"
+BARRIER_OPTION = "ipopt.mu_strategy"
 
 
 @dataclass(eq=False)
@@ -240,7 +240,7 @@ class Stages:
         found = yield from self._by_mesh(start.solution, 1.0)
         arcs = structures_of(found.solution)
         yield from self._by_arcs(found.solution, arcs, "hp, arcs", segments="kept")
-        for share in TIGHTER:
+        for share in TIGHTER_TOLERANCE_SHARES:
             if not found.error <= self.tol or not found.is_nearly_optimal:
                 return
             finer = yield from self._by_mesh(found.solution, 1.0, "hp", share * self.tol)
@@ -306,9 +306,9 @@ class Stages:
         options = self.options or SolverOptions()
         if any(c.within(self.tol) for c in self.candidates):
             return None
-        if options.solver != "ipopt" or STRATEGY in options.extra or "ipopt" in options.extra:
+        if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
-        other = replace(options, extra={**options.extra, STRATEGY: "adaptive"})
+        other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         most = RESTART_MAX_ITERATIONS + start.statistics.iterations
         return self._solve(stage, meshes, None, iterations=most, options=other)
@@ -342,7 +342,9 @@ class Stages:
         """Yield what a program with arcs leads to, if it is promising."""
         if not self._is_new(start, found) and share < 1.0:
             return
-        options = self.options or SolverOptions(tolerance=TIGHT, max_iterations=PROGRAM_MAX_ITERATIONS)
+        options = self.options or SolverOptions(
+            tolerance=ARC_SOLVE_TOLERANCE, max_iterations=PROGRAM_MAX_ITERATIONS
+        )
         solution, history = optimise_switches(
             start,
             tol=self.tol,

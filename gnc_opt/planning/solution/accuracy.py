@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.propagation import integrate_to
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING
 
-FINE = 201
+PEAK_SEARCH_TIMES = 201
 """Times between neighbouring samples at which a peak is looked for."""
 
 
@@ -136,7 +136,7 @@ def _peak(s: PhaseSamples, excess: Array, j: int) -> float:
     t = s.times[around] - s.times[j]
     if around.size < 3 or np.any(np.diff(t) <= 0):
         return float(excess[j])
-    fine = np.linspace(t[0], t[-1], FINE)
+    fine = np.linspace(t[0], t[-1], PEAK_SEARCH_TIMES)
     shape = scipy.interpolate.BarycentricInterpolator(t / t[-1] if t[-1] else t, excess[around])
     return float(max(excess[j], np.max(shape(fine / t[-1] if t[-1] else fine))))
 

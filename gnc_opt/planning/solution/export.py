@@ -13,7 +13,7 @@ from gnc_opt.model.tabular import Records
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
-PER_SEGMENT = 10
+N_INTERVALS = 10
 """Intervals per segment where no times are given."""
 
 
@@ -23,7 +23,7 @@ def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
     Parameters
     ----------
     times : array (n_times,), optional
-        s; default `PER_SEGMENT` intervals of every segment. Where a control jumps, the value after the jump is given.
+        s; default `N_INTERVALS` intervals of every segment. Where a control jumps, the value after the jump is given.
     """
     t = _times(leg, times)
     return Records(Variable("time", unit="s"), t, tuple(_quantities(leg, t)), {"phase": leg.name})
@@ -45,5 +45,5 @@ def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]
 
 def _times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
     if times is None:
-        return leg.sample_times(PER_SEGMENT)
+        return leg.sample_times(N_INTERVALS)
     return np.atleast_1d(read_numbers(times, "the times"))

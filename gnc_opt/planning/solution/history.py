@@ -128,18 +128,18 @@ _REMEDIES = {
 }
 
 
-SETTING_UP = 15
+SOLVE_FIXED_COST_ITERATIONS = 15
 """What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
 
 
 def work_of(points: int, iterations: int) -> float:
     """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
-    return points * float(iterations + SETTING_UP)
+    return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
 def iterations_for(work: float, points: int) -> int:
     """Return how many iterations so much work is, setting up paid: the inverse of `work_of`, rounded up."""
-    return math.ceil(work / points) - SETTING_UP
+    return math.ceil(work / points) - SOLVE_FIXED_COST_ITERATIONS
 
 
 @dataclass(frozen=True)

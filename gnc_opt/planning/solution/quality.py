@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.propagation import propagate
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
-SWINGS = 10.0
+PEAK_RISE_RATIO = 10.0
 """A peak beside a sample is looked for unless it had to rise above it by more than this many times the change
 to the neighbouring samples."""
 
@@ -111,7 +111,7 @@ def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) 
     tops = _Tops.of(samples, limits, controls)
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
-    promise = excess + SWINGS * tops.swing
+    promise = excess + PEAK_RISE_RATIO * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
     hidden = hidden[_highest(k[hidden], promise[hidden])]
     if hidden.size:

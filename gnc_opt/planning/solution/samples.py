@@ -13,8 +13,8 @@ from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.scales import (
-    RESOLUTION,
-    STILL,
+    SPAN_MIN_SHARE,
+    STILL_STATE_SHARE,
     Bending,
     control_spans,
     end_spans,
@@ -28,19 +28,19 @@ from gnc_opt.planning.transcription.quadrature import MAX_POINTS, CollocationRul
 from gnc_opt.planning.transcription.scheme import GAUSS
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
 
-EXTRA = 9
+SAMPLES_BEYOND_POINTS = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
 
-FINER = 32
+EVEN_STEPS_PER_SEGMENT = 32
 """Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
 
-EDGE = 1e-7
+SAMPLE_INSET = 1e-7
 """Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
 
 COSTATE_MIN_SHARE_OF_COST = 1e-4
 """Costates below this share of the cost scale are rounding and do not set the scale."""
 
-MINOR = 1e-2
+MIN_EFFECT_SHARE = 1e-2
 """Smallest scale of a control's effect on H, as a share of the effect of all controls together."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
@@ -88,7 +88,7 @@ class PhaseSamples:
         vars(other).update(cached)
         return other
 
-    def finer(self, count: int, least: int = FINER) -> PhaseSamples:
+    def finer(self, count: int, least: int = EVEN_STEPS_PER_SEGMENT) -> PhaseSamples:
         """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends.
 
         With ``least`` steps per segment at least.
@@ -112,14 +112,16 @@ class PhaseSamples:
 
     @cached_property
     def times_within(self) -> Array:
-        """The times (n_samples,); where the dynamics jump, those of segment ends by `EDGE` inside of the segment.
+        """The times (n_samples,); where the dynamics jump, those of segment ends moved inwards by `SAMPLE_INSET`.
 
         A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
         """
         if not self.functions.jumping_rates:
             return self.times
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
-        return np.clip(self.times, starts + EDGE * (ends - starts), ends - EDGE * (ends - starts))
+        return np.clip(
+            self.times, starts + SAMPLE_INSET * (ends - starts), ends - SAMPLE_INSET * (ends - starts)
+        )
 
     def sample(self, signal: Callable[..., Array]) -> Array:
         """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
@@ -290,8 +292,8 @@ class PhaseSamples:
 
     @property
     def control_worth(self) -> Array:
-        """The same of each control, shared by the components of a vector; no less than `MINOR` of the sum (m,)."""
-        return np.maximum(shared(self._single_worths, self.leg.controls), MINOR * self.joint_worth)
+        """The same of each control, shared by components of a vector; at least `MIN_EFFECT_SHARE` of the sum (m,)."""
+        return np.maximum(shared(self._single_worths, self.leg.controls), MIN_EFFECT_SHARE * self.joint_worth)
 
     @property
     def least_worth(self) -> float:
@@ -386,9 +388,9 @@ class PhaseSamples:
     def path_scale(self) -> Array:
         """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
         values = self.functions.paths(self.times, self.x, self.u)
-        scale = np.fmax(np.ptp(values, axis=1), STILL * self.path_reach)
+        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_reach)
         size = np.max(np.abs(values), axis=1, initial=0.0)
-        scale = np.fmax(scale, RESOLUTION * size)
+        scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
 
     def place(self, column: int, what: str = "") -> str:
@@ -414,13 +416,15 @@ class PhaseSamples:
 @cache
 def sampled_places(degree: int) -> tuple[Array, Array]:
     """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
-    n = min(degree + EXTRA, MAX_POINTS)  # the rule's other tables take as long and are not used here
+    n = min(
+        degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
+    )  # the rule's other tables take as long and are not used here
     return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
 
 
 def sampling_rule(degree: int) -> CollocationRule:
     """Return the quadrature whose points are the samples within a segment of a given degree."""
-    return gauss_rule(min(degree + EXTRA, MAX_POINTS))
+    return gauss_rule(min(degree + SAMPLES_BEYOND_POINTS, MAX_POINTS))
 
 
 def _largest_finite(values: Array) -> Array:

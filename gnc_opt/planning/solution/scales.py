@@ -3,8 +3,8 @@ r"""Spans of states and controls: reference magnitudes for their variations, ind
 The span of a state is its largest distance from its initial value, shared by the components of a vector. A nearly
 constant state has the change that the controls could cause, :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`
 with the mean deviation :math:`\Delta u_k` of each control (a constant one: its span), or the same through another
-state. A state that no control affects has the width of its limits, or its size. Spans are at least `RESOLUTION` of the
-size.
+state. A state that no control affects has the width of its limits, or its size. Spans are at least `SPAN_MIN_SHARE`
+of the size.
 
 H keeps the curvature of a smoothed kink, such as :math:`\sqrt{u^2 + e^2}`, over a share of a control's span only
 (`Bending`). Controls may be without effect, as the steering angle of an engine that is off (`without_effect`).
@@ -47,14 +47,14 @@ class Bending:
 
     def rounding(self, spans: Array) -> Indices:
         """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
-        beyond = np.flatnonzero(spans * IDLE >= np.ptp(self.u, axis=1))
+        beyond = np.flatnonzero(spans * IDLE_CONTROL_SHARE >= np.ptp(self.u, axis=1))
         return beyond[[not self._bends(int(i), spans[i]) for i in beyond]]
 
     def _bends(self, i: int, span: float) -> bool:
         """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(self.curvature[i])))])
         kept = self._kept(i, at, span)[0]
-        return bool(not np.isfinite(kept) or kept >= FORETOLD)
+        return bool(not np.isfinite(kept) or kept >= FORETOLD_CHANGE_MIN_SHARE)
 
     def _kept(self, i: int, at: Indices, span: float) -> Array:
         """Share of its curvature in a control that H has over half of a span to either side, at some samples."""
@@ -67,7 +67,7 @@ class Bending:
         return np.asarray(np.divide(bend, foretold, out=np.ones_like(foretold), where=foretold > 0))
 
 
-SHARES = 0.37, -0.61
+CONTROL_STEP_SHARES = 0.37, -0.61
 """Steps of a control, in shares of its scale: one that changes nothing at either is idle, and no angle has both as
 turns."""
 
@@ -85,13 +85,13 @@ def without_effect(
     bound = lower | upper
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
-    bases = u, np.where(bound, u, u + SHARES[0] * scale[:, None])
+    bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
     effects = [functions.effects(t, x, base) for base in bases]
     for i in coupled:
         changes = [
             np.abs(functions.effects(t, x, _moved(base, int(i), share * scale[i])) - before)
             for base, before in zip(bases, effects, strict=True)
-            for share in SHARES
+            for share in CONTROL_STEP_SHARES
         ]
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
         idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
@@ -104,20 +104,20 @@ def _moved(u: Array, i: int, by: float) -> Array:
     return other
 
 
-STILL = 1e-4
+STILL_STATE_SHARE = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
 
 
-IDLE = 1e-6
+IDLE_CONTROL_SHARE = 1e-6
 """A control that moves by less than this share of its range is idle: its range is its span."""
 
-STEERED = 1e-2
+MIN_MISS_SHARE = 1e-2
 """Least share of a span that misses of an end are measured against."""
 
-FORETOLD = 1e-6
+FORETOLD_CHANGE_MIN_SHARE = 1e-6
 """Share of what derivatives foretell that a step of a control must change, unless these derivatives are rounding."""
 
-RESOLUTION = 1e-7
+SPAN_MIN_SHARE = 1e-7
 """Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
 
@@ -129,8 +129,8 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     if not lasting or np.max(moved) <= EQUAL:
         return magnitude(shared(size, leg.states))
     movable = shared(_movable(leg, functions, used), leg.states)
-    spans = np.where(moved > STILL * movable, moved, movable)
-    spans = np.maximum(spans, RESOLUTION * size)
+    spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
+    spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
     return _otherwise(_otherwise(spans, *(_width(box) for box in boxes)), size, np.ones(size.size))
 
@@ -138,8 +138,8 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
 def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
     r"""Return the reference magnitudes of misses of the final state (n_states,): what controls move.
 
-    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `STEERED` of the span
-    and the span; where controls do not reach, the span.
+    That is :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`, between the share `MIN_MISS_SHARE` of
+    the span and the span; where controls do not reach, the span.
     """
     middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
     x, u = leg.x(middles), leg.flown(middles)
@@ -153,10 +153,10 @@ def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used:
         half = scipy.linalg.expm(np.clip(0.5 * by_state[:, :, k], -25.0, 25.0))
         reach += np.sum(np.abs(onwards @ half @ by_control[:, :, k]), axis=1)
         onwards = onwards @ half @ half
-        if not np.all(reach < 1.0 / STEERED) or np.all(reach >= 1.0):
+        if not np.all(reach < 1.0 / MIN_MISS_SHARE) or np.all(reach >= 1.0):
             break
     reach = shared(reach, leg.states)
-    return np.asarray(moved * np.where(reach > STILL, np.clip(reach, STEERED, 1.0), 1.0))
+    return np.asarray(moved * np.where(reach > STILL_STATE_SHARE, np.clip(reach, MIN_MISS_SHARE, 1.0), 1.0))
 
 
 def control_spans(
@@ -179,16 +179,16 @@ def control_spans(
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.maximum(_within_range(np.fmax(moved, pulled), extent), RESOLUTION * size)
+    spans = np.maximum(_within_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
     spans = shared(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
-    largest = largest if largest > IDLE**2 * terms else terms
+    largest = largest if largest > IDLE_CONTROL_SHARE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
+    spans = shared(np.where(spans > IDLE_CONTROL_SHARE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
-    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE * itself)
-    unmoved &= spans <= np.fmax(IDLE * itself, RESOLUTION * size)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE_CONTROL_SHARE * itself)
+    unmoved &= spans <= np.fmax(IDLE_CONTROL_SHARE * itself, SPAN_MIN_SHARE * size)
     spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
@@ -206,7 +206,7 @@ def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     for i in np.flatnonzero(np.max(np.abs(u), axis=1, initial=0.0) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
         changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
-        if np.all(changed <= FORETOLD * by_control[:, i] * least[i]):
+        if np.all(changed <= FORETOLD_CHANGE_MIN_SHARE * by_control[:, i] * least[i]):
             least[i] = 0.0
     for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
         place = leg.controls.slice(
@@ -238,11 +238,13 @@ def _pushes(leg: PhaseSolution, used: Array) -> Array:
     lasts, u = times[-1] - times[0], leg.flown(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
     pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
-    return np.asarray(np.where(pushes > IDLE * used, pushes, used))
+    return np.asarray(np.where(pushes > IDLE_CONTROL_SHARE * used, pushes, used))
 
 
 def _within_range(spans: Array, extent: Array) -> Array:
-    return np.where(extent > 0, np.where(spans > IDLE * extent, np.minimum(spans, extent), extent), spans)
+    return np.where(
+        extent > 0, np.where(spans > IDLE_CONTROL_SHARE * extent, np.minimum(spans, extent), extent), spans
+    )
 
 
 def shared(values: Array, layout: Layout) -> Array:

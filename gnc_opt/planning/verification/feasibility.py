@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.propagation import segment_misses
 from gnc_opt.planning.solution.quality import NOTHING, Limits, Worst, defined, violations, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.planning.solution.scales import RESOLUTION
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import ROUNDING, TINY
@@ -133,7 +133,7 @@ def _worst_control(s: PhaseSamples, scales: Scales) -> Worst:
     u, bounds = np.hstack(leg.u.values), leg.control_bounds
     excess = np.maximum(bounds.lower[:, None] - u, u - bounds.upper[:, None])
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
-    scale = np.maximum(scale, RESOLUTION * np.max(np.abs(u), axis=1))
+    scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
     i, j = worst_index(violation)
     return Worst(float(violation[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
@@ -274,7 +274,7 @@ def _worst_end(
         return NOTHING
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
-    radius = np.maximum(ellipsoid.radius, RESOLUTION * np.abs(values))
+    radius = np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values))
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).displacement(miss))
     i = int(np.argmax(single))
@@ -309,7 +309,7 @@ def cost(
     tolerance: float,
 ) -> Condition:
     """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
-    yardstick = max(scales.cost, RESOLUTION * abs(stored.objective), TINY)
+    yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective), TINY)
     place = f"objective = {stored.objective:.10g}, not {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in judged:
@@ -355,7 +355,7 @@ def _worst_miss(
     if not len(labels):
         return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)
-    scale = np.maximum(scale, RESOLUTION * np.abs(values))
+    scale = np.maximum(scale, SPAN_MIN_SHARE * np.abs(values))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
     i = int(np.argmax(violation))

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 from testing.internals import (
     DEFAULT_MESH,
-    STRETCHES,
+    HELD_TIME_FACTORS,
     feasibility_starts,
     knows_trajectory,
     start_from_guess,
@@ -125,7 +125,9 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
     start = start_from_guess(transcription, boxless)
     held = [s for s in feasibility_starts(transcription, boxless, start) if s.held.size]
-    assert [s.variables[s.held[0]] for s in held] == pytest.approx(STRETCHES), "of 1 s, the default duration"
+    assert [s.variables[s.held[0]] for s in held] == pytest.approx(HELD_TIME_FACTORS), (
+        "of 1 s, the default duration"
+    )
 
 
 def test_a_guessed_trajectory_is_the_users_own() -> None:

@@ -90,7 +90,7 @@ def test_pivoting_with_care_that_crawls_gives_way_to_the_adaptive_barrier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where ends say twice what dynamics conserve, as those of a quaternion do, it can go on for thousands."""
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "CAREFUL_ITERATIONS", 0)
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "CAREFUL_MAX_ITERATIONS", 0)
     watch = Stumbling(monkeypatch, Status.SEARCH_DIRECTION_FAILED)
     solution = solve_mesh(regulator(), "3x4")
     assert watch.ways == ["cold", "careful", "adaptive"]
@@ -151,7 +151,7 @@ def test_lines_that_lead_on_and_on_give_way_to_a_flight(
 ) -> None:
     """Here after two iterations, and two with the adaptive barrier from the same lines; what fails from the flight as
     well has its constraints met in the guessed time, and only if that is lost, too, goes on from the lines."""
-    for limit in ("LOST", "ADAPTIVE_MAX_ITERATIONS"):
+    for limit in ("LINES_ITERATIONS", "ADAPTIVE_MAX_ITERATIONS"):
         monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
     watch = Stumbling(monkeypatch, None, None, ending)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
@@ -190,7 +190,7 @@ def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.Mo
     """Told little of the times, lost from lines and in flight: found from a point that meets the constraints, with the
     times that were held free again, as fast as when much is told. Half of the way takes half of the time, by symmetry.
     """
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 60)
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LINES_ITERATIONS", 60)
     watch = Stumbling(monkeypatch, None, Status.STEP_TOO_SMALL, Status.STEP_TOO_SMALL)
     found = solve_mesh(gate(100.0), "10x4")
     lines, _, _, met, there = watch.points
@@ -204,7 +204,7 @@ def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.Mo
 
 def test_constraints_that_are_not_met_soon_are_looked_for_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """No interruption of the search, which is one by the user."""
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 1)
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LINES_ITERATIONS", 1)
     watch = Stumbling(monkeypatch, Status.INFEASIBLE)
     failed = solve_mesh(hasty(), "3x4", options=go.SolverOptions(max_iterations=999))
     assert failed.status is Status.INFEASIBLE

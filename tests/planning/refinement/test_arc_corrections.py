@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
 from gnc_opt.planning.refinement.arcs.loop import structures_of
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.split_switches import INSTANT, POINTS, _Cuts, shared
+from gnc_opt.planning.refinement.arcs.split_switches import FREE_SPAN, FREE_SPAN_POINTS, _Cuts, shared
 from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
 from gnc_opt.planning.transcription.arc_constraints import controls_beside
 
@@ -212,8 +212,10 @@ def test_instants_are_free_for_what_changes() -> None:
     first, second = cuts.kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
     assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
     mesh = cuts.mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
-    np.testing.assert_allclose(mesh.breaks, [0.0, 0.25, 0.5 - INSTANT, 0.5, 0.5 + INSTANT, 1.0], atol=1e-15)
-    assert mesh.degrees == (4, 5, POINTS, POINTS, 6) and mesh.movable == (1,)
+    np.testing.assert_allclose(
+        mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
+    )
+    assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
     assert [cuts.boundary(k) for k in range(4)] == [0, 1, 3, 5]
     inner, junction = Smooth(0, 1, 2, 4), Junction(0, 2, UP, 1)
     assert (cuts.first(inner.first), cuts.last(inner.last)) == (1, 2)

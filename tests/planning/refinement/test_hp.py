@@ -15,8 +15,8 @@ import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, largest_error
 from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, crawls
-from gnc_opt.planning.refinement.mesh.kinks import SHARPENING, _closed_in
-from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED
+from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _closed_in
+from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED_ERROR
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 # hp refinement against closed forms: honest estimates, errors below tolerance, small meshes, true endings.
@@ -346,7 +346,9 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
     for duration in (1e1, 1e3):
         start, end = _closed_in(times, pull, 1, duration)
         assert 0.5 * (start + end) == pytest.approx(zero) and times[1] <= start < end <= times[at + 1]
-    assert end - start == pytest.approx(2 * SHARPENING * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3)
+    assert end - start == pytest.approx(
+        2 * KINK_ESTIMATE_ORDER * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
+    )
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -354,7 +356,9 @@ def test_multipliers_point_at_the_end_of_an_arc(side: int) -> None:
     """From 3 over 1 down to zero in the gap from 1 to 2: at 1.5; and the same way round in reverse."""
     times, pull = np.arange(4.0), np.array([3.0, 1.0, 0.0, 0.0])[::side]
     start, end = _closed_in(times, pull, 1, 1e3)
-    assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(2 * SHARPENING / 1e3)
+    assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(
+        2 * KINK_ESTIMATE_ORDER / 1e3
+    )
 
 
 def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
@@ -382,7 +386,7 @@ def test_a_limit_on_a_path_is_left_at_a_boundary() -> None:
 def test_a_limit_that_nothing_touches_costs_no_iterations() -> None:
     problem = pendulum().with_bounds(torque=(-5.0, 5.0))
     free, limited = (refine_mesh(go.solve(p, mesh="6x4", tol=None))[1] for p in (pendulum(), problem))
-    first = next(k for k, record in enumerate(limited.passes, 1) if record.error < UNRESOLVED)
+    first = next(k for k, record in enumerate(limited.passes, 1) if record.error < UNRESOLVED_ERROR)
     own, others = (sum(p.iterations for p in h.passes[first:]) for h in (limited, free))
     assert len(limited.passes) > first and own <= others, "each barrier beside the last one would cost two"
 

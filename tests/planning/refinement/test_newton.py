@@ -607,7 +607,10 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
 
     monkeypatch.setattr(v, "settle_flow", settle)
     found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
-    tries = [(v.ACCURACY, None), (v.FLOW_GRID_ACCURACY_SHARE * v.ACCURACY, Step(v.FLOW_INITIAL_STEPS // 2))]
+    tries = [
+        (v.FLOW_COST_ACCURACY, None),
+        (v.FLOW_GRID_ACCURACY_SHARE * v.FLOW_COST_ACCURACY, Step(v.FLOW_INITIAL_STEPS // 2)),
+    ]
     assert asked == tries[: 1 + answers[0]] and v.FLOW_GRID_ACCURACY_SHARE < 1
     assert (found and found.step) == (steps and Step(steps))
     if found:

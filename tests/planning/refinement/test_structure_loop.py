@@ -556,8 +556,8 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
     found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
     assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
     assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
-        (True, False, asked, 7, s.TIGHT),
-        (False, True, asked, 7, s.TIGHT),
+        (True, False, asked, 7, s.ARC_SOLVE_TOLERANCE),
+        (False, True, asked, 7, s.ARC_SOLVE_TOLERANCE),
     ]
     assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
     monkeypatch.setattr(s, "_settled", lambda *_: (base, told, None))

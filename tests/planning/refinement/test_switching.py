@@ -184,7 +184,7 @@ MOST = 1e-9
 
 def row(rest: float, at: int = ARC_MAX_DEGREE) -> Any:
     """What n points leave: a tenth for each point up to some number, then as much again."""
-    return np.array([rest * 10.0 ** (at - min(n, at)) for n in range(r.TERMS)])
+    return np.array([rest * 10.0 ** (at - min(n, at)) for n in range(r.N_TERMS)])
 
 
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
@@ -218,12 +218,12 @@ def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
     left = r._left_out(SAMPLES, solution(FLIGHT, LEG))
     breaks = np.array([0.2, 0.6, 1.0])
     found = left(breaks)
-    assert found.shape == (2, r.TERMS)
+    assert found.shape == (2, r.N_TERMS)
     for k, (start, end) in enumerate(((0.2, 0.6), (0.6, 1.0))):
         t = np.polynomial.Polynomial([0.5 * (start + end), 0.5 * (end - start)])
-        expected = np.zeros(r.TERMS)
+        expected = np.zeros(r.N_TERMS)
         for slope, scale in ((3 * t**5, SAMPLES.state_scale[0]), (15 * t**4, SAMPLES.state_scale[1])):
             terms = np.abs(legendre.poly2leg(slope.coef)) / scale
-            expected = np.maximum(expected, np.pad(terms, (0, r.TERMS - terms.size)))
+            expected = np.maximum(expected, np.pad(terms, (0, r.N_TERMS - terms.size)))
         expected = np.cumsum((end - start) * expected[::-1])[::-1]
         assert found[k] == pytest.approx(expected, abs=1e-12)

@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.quality import (
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.planning.solution.samples import EDGE, EXTRA, PhaseSamples, sampling_rule
+from gnc_opt.planning.solution.samples import SAMPLE_INSET, SAMPLES_BEYOND_POINTS, PhaseSamples, sampling_rule
 
 CART = cart()
 
@@ -42,7 +42,7 @@ def stepped(t: Array, k: int) -> Array:
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
     rule = sampling_rule(4)
-    n = 4 + EXTRA
+    n = 4 + SAMPLES_BEYOND_POINTS
     assert rule.n == n and sampling_rule(60).n == 64
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
@@ -87,10 +87,16 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     rough = samples(problem, weights=(1.0,), breaks=(0.0, 0.25, 1.0))
     inside = np.diff(rough.times_within)
     assert np.all(inside > 0)
-    n = rough.leg.mesh.degrees[0] + EXTRA
+    n = rough.leg.mesh.degrees[0] + SAMPLES_BEYOND_POINTS
     ends = rough.times_within[[0, n + 1, n + 2, -1]]
     assert ends == pytest.approx(
-        [EDGE * 0.25, 0.25 - EDGE * 0.25, 0.25 + EDGE * 0.75, 1 - EDGE * 0.75], abs=1e-12
+        [
+            SAMPLE_INSET * 0.25,
+            0.25 - SAMPLE_INSET * 0.25,
+            0.25 + SAMPLE_INSET * 0.75,
+            1 - SAMPLE_INSET * 0.75,
+        ],
+        abs=1e-12,
     )
     assert rough.times_within[1 : n + 1] == pytest.approx(rough.times[1 : n + 1])
     assert rough.x == pytest.approx(np.array(rest(rough.times_within, 0)), abs=1e-12)

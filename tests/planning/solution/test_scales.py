@@ -14,7 +14,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.scales import RESOLUTION, end_spans, state_spans, without_effect
+from gnc_opt.planning.solution.scales import SPAN_MIN_SHARE, end_spans, state_spans, without_effect
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
 
@@ -73,7 +73,7 @@ def test_what_is_still_spans_what_controls_could_move() -> None:
         return [t, 0 * t, 0 * t, 0 * t, 0 * t, 8 + 0 * t]
 
     assert found(problem, x, [0.5], breaks=BREAKS) == pytest.approx(
-        [4.0, 3840.0, 192.0, 24.0, 2.0, 8 * RESOLUTION]
+        [4.0, 3840.0, 192.0, 24.0, 2.0, 8 * SPAN_MIN_SHARE]
     )
     # A control that moves counts by its mean deviation from its mean: 3 of a ramp from 11 to -1.
     ramp = found(problem, x, [12.0], u=lambda t, k: 14 - 3 * t, breaks=BREAKS)
@@ -184,7 +184,7 @@ def controls(
         ([3.0, 3.0, 3.0 + 2e-6], 0.0, 0.0, (1.0, 8.0), 7.0),
         ([3.0, 3.0, 3.0], 0.0, 0.0, (2.9, 3.1), 0.2),  # however narrow that is beside its size
         ([3.0, -3.0, -4.0], 0.0, 0.0, (5.0, 5.0), 7.0),  # a range without width is none
-        ([-3.0, -3.0, -3.0], 0.0, 0.0, (-np.inf, np.inf), 3 * RESOLUTION),
+        ([-3.0, -3.0, -3.0], 0.0, 0.0, (-np.inf, np.inf), 3 * SPAN_MIN_SHARE),
         ([0.0, 0.0, 0.0], 0.0, 0.0, (-np.inf, np.inf), 1.0),
         ([0.0, 0.0, 0.0], 0.0, 0.0, (-np.inf, 3.0), 1.0),
     ],

@@ -361,7 +361,10 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     found = tries.solve_mesh(
         problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
     )
-    assert [entry[:3] for entry in taken] == [(moved, 7, SolverOptions().mu_init), (None, 50, tries.COLD_MU)]
+    assert [entry[:3] for entry in taken] == [
+        (moved, 7, SolverOptions().mu_init),
+        (None, 50, tries.TRAJECTORY_START_BARRIER),
+    ]
     assert (
         taken[0][3] is None and taken[1][3].status is Status.ITERATION_LIMIT
     )  # what the first one took counts

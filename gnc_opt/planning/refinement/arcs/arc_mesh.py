@@ -29,13 +29,13 @@ DEGREE_GAIN_RATIO = 0.3
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
 
-MAX_SEGMENTS = 64
+ARC_MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
-GAIN, DECADES_PER_POINT = 1.0, 3
+DECADES_PER_POINT, ADDED_POINTS_MIN = 1.0, 3
 """A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
 
-HALVED = 3.0
+DECADES_PER_HALVING = 3.0
 """Decades that halving a segment of `ARC_MAX_DEGREE` points gains: its polynomials converge like their
 12th power of its
 length where it is smooth, and hardly where it is not."""
@@ -43,13 +43,13 @@ length where it is smooth, and hardly where it is not."""
 MAX_DECADES_PER_ITERATION = 6.0
 """No more decades than this are expected of one pass."""
 
-COARSE = 100
+COARSE_POINTS = 100
 """Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
 
-THINNED = 1.5
+POINT_RATIO = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
 
-MOVED = 1e-2
+ARC_END_MAX_OFFSET_SHARE = 1e-2
 """Share of the phase by which the ends of pieces that samples show may be off the breaks of their mesh."""
 
 ARC_OVERLAP_SHARE = 0.9
@@ -101,18 +101,22 @@ class Resolution:
         if most <= 0:
             return self
         if self.degree < ARC_MAX_DEGREE:
-            points = DECADES_PER_POINT if self.smooth else max(DECADES_PER_POINT, math.ceil(most / GAIN))
+            points = (
+                ADDED_POINTS_MIN
+                if self.smooth
+                else max(ADDED_POINTS_MIN, math.ceil(most / DECADES_PER_POINT))
+            )
             return replace(self, degree=min(self.degree + points, ARC_MAX_DEGREE))
         halvings = (
             np.ones_like(decades)
             if self.smooth
-            else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / HALVED)
+            else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / DECADES_PER_HALVING)
         )
         return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
     def _cut(self, parts: Indices, order: Indices) -> Resolution:
-        """Return the resolution with every segment cut in equal parts, in this order up to `MAX_SEGMENTS`."""
-        allowed, room = np.ones_like(parts), MAX_SEGMENTS - self.segments
+        """Return the resolution with every segment cut in equal parts, in this order up to `ARC_MAX_SEGMENTS`."""
+        allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
             allowed[k] = min(parts[k], room + 1)
             room -= allowed[k] - 1
@@ -136,7 +140,7 @@ class Resolution:
             return self
         smooth, degree = (
             min(self.smooth + 4, MAX_SINGULAR_DEGREE),
-            min(self.degree + DECADES_PER_POINT, ARC_MAX_DEGREE),
+            min(self.degree + ADDED_POINTS_MIN, ARC_MAX_DEGREE),
         )
         raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
         wanted = math.ceil(2 * smooth / degree)
@@ -181,7 +185,7 @@ class Plan:
         found, times = cls.of(structure, points_of(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
-        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > MOVED:
+        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > ARC_END_MAX_OFFSET_SHARE:
             return found
         moved = times[0] + breaks[places] * (
             times[-1] - times[0]
@@ -410,5 +414,5 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
     if ArcKind.INTERIOR in structure.controls[:, piece]:
         degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
         return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
-    segments = int(np.ceil(share * points / (THINNED * ARC_MAX_DEGREE))) if points > COARSE else 1
-    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), ARC_MAX_DEGREE)
+    segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1
+    return Resolution() if segments == 1 else Resolution(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

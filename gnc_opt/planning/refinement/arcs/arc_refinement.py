@@ -12,7 +12,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 
-STATIONARY = 1e-9
+SINGULAR_GRADIENT_TOLERANCE = 1e-9
 """First-order gain in H, in shares of H, that may be left along a singular arc."""
 
 SINGULAR_GAIN_MAX = 1e-4
@@ -55,7 +55,7 @@ def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -
         Of states and costates in every segment of the piece.
     gradient, tol : float
     """
-    smoother = r.smoother(gradient) if gradient > STATIONARY else r
+    smoother = r.smoother(gradient) if gradient > SINGULAR_GRADIENT_TOLERANCE else r
     if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):
         return smoother
     if np.all(errors <= tol):

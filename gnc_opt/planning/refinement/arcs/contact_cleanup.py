@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 
-CLEARLY = 0.05
+CONSTRAINT_RATE_MIN_SHARE = 0.05
 """So much of what the range of a control does to a constraint is more than the noise of a mesh."""
 
 
@@ -108,7 +108,7 @@ def _leads_beyond(
     """Whether a bang would lead a row beyond the limit along the arc beside it."""
     way = 1 if piece > arc else -1
     time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
-    return way * _outward(structure, constraints, row, piece, time, kind) > CLEARLY
+    return way * _outward(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE
 
 
 def _outward(

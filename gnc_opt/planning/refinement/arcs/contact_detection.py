@@ -24,13 +24,13 @@ CONTACT_MIN_COST_SHARE = 1e-5
 CONTACT_MERGE_SEGMENTS = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
 
-FEW = 5
+TOUCH_MAX_NODES = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
 
-LASTING = 3
+CONTACT_MIN_NODES = 3
 """So many nodes in a row at which a constraint pushes say that a control holds it there."""
 
-BOUNCE = 1e-3
+OFF_LIMIT_MIN_SHARE = 1e-3
 """So many nodes in a row that far from a limit of higher order, in shares of what the constraint moves, without a push
 among them, are between two touches if all points of a segment are among them: an arc that need not push between its
 ends stays on the limit, and a polynomial that meets it at some of its points may swing between the others."""
@@ -61,7 +61,7 @@ class Push:
         free = self._free(structure)
         beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
         if (
-            order == 2 and free and (runs[-1][1] - runs[0][0] > FEW or beside)
+            order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
         ):  # between its ends an arc need not push
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
@@ -95,7 +95,7 @@ class Push:
         A mesh of Gauss points has no row there, so that its points beside the end push for it.
         """
         leg, path = samples.leg, self.row - len(structure.controls)
-        if b - a > FEW or path >= structure.n_paths:
+        if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
         points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
         for end, given, node in ends:
@@ -235,9 +235,9 @@ def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
             )
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             if constraints.order(int(row)) > 1:
-                off = np.abs(values[row] - limit) > BOUNCE * constraints.scales[row]
+                off = np.abs(values[row] - limit) > OFF_LIMIT_MIN_SHARE * constraints.scales[row]
                 for a, b in runs_of(off & (worth == 0)):
-                    near[a:b] &= b - a < LASTING or not _fills_a_segment(times[a:b], s)
+                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _fills_a_segment(times[a:b], s)
             runs = [(a, b) for a, b in runs_of(near) if np.any(worth[a:b] > 0)]
             found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found

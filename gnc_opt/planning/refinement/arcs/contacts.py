@@ -36,7 +36,7 @@ from gnc_opt.planning.refinement.arcs.contact_cleanup import (
 )
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MERGE_SEGMENTS,
-    LASTING,
+    CONTACT_MIN_NODES,
     Push,
     pushing_runs,
 )
@@ -44,13 +44,13 @@ from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 
-SWINGING = 0.05
+BETWEEN_BOUNDS_MIN_SHARE = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
 
-OVERRUN = 1e-6
+BOUND_OVERRUN_SHARE = 1e-6
 """A control that leaves its bound by this share of its range runs into it."""
 
-ODD = 1e-6
+WRONG_PUSH_MIN_COST_SHARE = 1e-6
 """A push of the wrong direction worth this share of the cost says that there is no contact."""
 
 
@@ -85,10 +85,10 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
         held = np.flatnonzero(run.worth > 0)
         start, end = run.times[held[[0, -1]]]
         inside = (points >= start) & (points <= end)
-        if held.size < LASTING or np.sum(inside) < LASTING:
+        if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
             continue
         mean = np.mean(u[:, inside], axis=1)
-        at_lower, at_upper = leg.control_bounds.near(mean, SWINGING * samples.control_scale)
+        at_lower, at_upper = leg.control_bounds.near(mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale)
         found += [
             Determined(i, float(start), float(end), run.row, run.kind)
             for i in constraints.holders(run.row)
@@ -160,7 +160,7 @@ def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tup
             gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
             jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
             push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
-            if push < -ODD * s.cost_scale:
+            if push < -WRONG_PUSH_MIN_COST_SHARE * s.cost_scale:
                 return k, row
     return None
 
@@ -202,7 +202,7 @@ def overrun_bound(
         limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)
-        if beyond[-1] > OVERRUN and within.size:
+        if beyond[-1] > BOUND_OVERRUN_SHARE and within.size:
             last = slice(within[-1], within[-1] + 2)
             ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
             label = samples.leg.controls.labels[row]

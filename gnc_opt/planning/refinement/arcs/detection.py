@@ -35,22 +35,22 @@ ACTIVE_LIMIT_TOLERANCE = 1e-3
 """A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
 multiplier says so too."""
 
-IDLE = 1e-6
+ZERO_MULTIPLIER_SHARE = 1e-6
 """A multiplier this small, relative to its largest value, is rounding."""
 
-STILL = 1e-4
+HELD_STATE_TOLERANCE = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
 
-SMALL = 2e-2
+SINGULAR_SHARE_OF_H = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
 
-LAST_DIGITS = 1e-14
+CROSSING_TIME_TOLERANCE = 1e-14
 """Relative accuracy of a time at which a function crosses zero."""
 
-MOST_HALVINGS = 100
+CROSSING_MAX_STEPS = 100
 """Steps that find it in any case; a smooth function needs six or so."""
 
-PROBE = 1e-3
+CONTROL_PROBE_SHARE = 1e-3
 """Share of a control's range by which it is moved to see whether a rate depends on it."""
 
 SINGULAR_ARC_MERGE_SEGMENTS = 2.0
@@ -190,7 +190,9 @@ def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -
     noise = np.empty(labels.size, dtype=bool)
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
-        small = np.max(np.abs(gradient[first:last])) < SMALL and not _leaves_bound(samples, i, first, last)
+        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H and not _leaves_bound(
+            samples, i, first, last
+        )
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _spread(samples, labels, ArcKind.SINGULAR, noise)
 
@@ -236,7 +238,7 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
     found = []
     for k, values in enumerate(leg.u.values):
         inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
-        small = np.max(np.abs(gradient[samples.segments == k])) < SMALL
+        small = np.max(np.abs(gradient[samples.segments == k])) < SINGULAR_SHARE_OF_H
         if small and np.mean(inside) > 0.5:
             found.append(k)
     return [k for k in found if k - 1 in found or k + 1 in found]
@@ -299,7 +301,7 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
         samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
     )
     bends = curvature(samples) > CONVEX
-    idle = np.abs(samples.mu) <= IDLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
+    idle = np.abs(samples.mu) <= ZERO_MULTIPLIER_SHARE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     at_lower, at_upper = samples.leg.path_bounds.near(
         values, ACTIVE_LIMIT_TOLERANCE * np.max(np.abs(values), axis=1)
@@ -322,7 +324,7 @@ def _state_labels(
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
-        margin = STILL * samples.state_scale[i]
+        margin = HELD_STATE_TOLERANCE * samples.state_scale[i]
         limits = (
             (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
             (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
@@ -353,7 +355,7 @@ def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
 def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
     """Where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
-    moved[channel] += PROBE * samples.control_scale[channel]
+    moved[channel] += CONTROL_PROBE_SHARE * samples.control_scale[channel]
     rates = samples.functions.rates
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
@@ -407,8 +409,8 @@ def crossings(function: Callable[[Array], Array], left: Array, right: Array) -> 
     """
     a, b = np.array(right, dtype=float), np.array(left, dtype=float)
     at_a, at_b = function(a), function(b)
-    share, slack = np.full(a.size, 0.5), LAST_DIGITS * np.maximum(1.0, np.abs(a))
-    for _ in range(MOST_HALVINGS):
+    share, slack = np.full(a.size, 0.5), CROSSING_TIME_TOLERANCE * np.maximum(1.0, np.abs(a))
+    for _ in range(CROSSING_MAX_STEPS):
         here = a + share * (b - a)
         value = function(here)
         beyond = np.sign(value) == np.sign(at_a)

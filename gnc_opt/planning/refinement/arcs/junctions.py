@@ -27,14 +27,14 @@ from gnc_opt.planning.solution.polynomial import Side
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import JUNCTION_OFFSET_SHARE
 
-KINK_MOVE_TOLERANCE, OF_PIECE = 1e-7, 3e-6
+KINK_MOVE_TOLERANCE, KINK_SHARE = 1e-7, 3e-6
 """A kink that wants to move by less than these shares of the phase and of the shorter piece beside it is where it
 belongs: states and costates are wrong by the square of the first, controls by the second, in shares of their range."""
 
 KINK_MAX_MOVE_SHARE = 0.5
 """Share of the shorter piece beside a junction by which it may move at once."""
 
-ENTERED = 1e-10
+CONTACT_MOVE_TOLERANCE = 1e-10
 """The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
 
 
@@ -59,7 +59,9 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     span, lengths = times[-1] - times[0], structure.lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
     settled = np.where(
-        [False, *contact, False], ENTERED * span, np.minimum(KINK_MOVE_TOLERANCE * span, OF_PIECE * beside)
+        [False, *contact, False],
+        CONTACT_MOVE_TOLERANCE * span,
+        np.minimum(KINK_MOVE_TOLERANCE * span, KINK_SHARE * beside),
     )
     if np.all(moves <= settled):
         return None

@@ -37,19 +37,19 @@ from gnc_opt.planning.verification.engine import verify
 STALLED_MAX_ITERATIONS = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-IN_VAIN = 2
+UNSOLVED_MAX_ITERATIONS = 2
 """Structures without a solution, one made of the other, after which the loop gives up."""
 
 SWITCHING_TIME_TOLERANCE = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
-FINISHING = 4.0
+LAST_ITERATION_WORK_RATIO = 4.0
 """Passes that are, or may be, the last ones begin for up to so many times the work."""
 
 ROUNDING_ERROR_RATIO = 1.01
 """Ratio of errors of passes that differ by rounding."""
 
-TIGHT, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
+ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
 
@@ -92,7 +92,7 @@ def optimise_switches(
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
-    chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
+    chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
     found = structures or structures_of(solution)
     solution = with_magnitudes_at_limits(solution)
     plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
@@ -224,7 +224,7 @@ class _Loop:
                     return RefinementStatus.INTERRUPTED
                 vain += 1
                 others = _instead(found, plans, left)
-                if others is None or vain == IN_VAIN:
+                if others is None or vain == UNSOLVED_MAX_ITERATIONS:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
@@ -263,7 +263,7 @@ class _Loop:
         """
         errors = [r.error for r in self.records[-2:] if r.solved]
         finishing = bool(errors) and min(*errors, errors[-1] ** 2 / errors[0]) <= self.tol
-        return FINISHING if finishing else 1.0
+        return LAST_ITERATION_WORK_RATIO if finishing else 1.0
 
     def _note(self, tried: _Try) -> None:
         self.tries.append(tried)

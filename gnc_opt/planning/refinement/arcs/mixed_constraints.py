@@ -20,12 +20,12 @@ from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
 
 CONSTANT_SLOPE_TOLERANCE = 1e-9
-"""Relative change of a slope over `NEARBY` of the control's range below which it is constant."""
+"""Relative change of a slope over `SLOPE_PROBE_SHARE` of the control's range below which it is constant."""
 
-NEARBY = 0.1
+SLOPE_PROBE_SHARE = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
-CONTROL_AT_END_SHARE, ALMOST = 0.01, 0.95
+CONTROL_AT_END_SHARE, PRESSED_SHARE = 0.01, 0.95
 """Distance from a control's end, in shares of its range, and share of samples for "all along"."""
 
 
@@ -46,7 +46,7 @@ class LinearLimits:
             return cls(samples, found, slopes)
         jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
         moved = samples.functions.path_control_jacobian(
-            samples.times, samples.x, samples.u + NEARBY * samples.control_scale[:, None]
+            samples.times, samples.x, samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
         )
         same = np.abs(moved - jacobian) <= CONSTANT_SLOPE_TOLERANCE * np.max(
             np.abs(jacobian), axis=(1, 2), keepdims=True
@@ -96,7 +96,7 @@ class LinearLimits:
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)
-        return bool(np.mean(np.abs(off) <= CONTROL_AT_END_SHARE * s.control_scale[control]) > ALMOST)
+        return bool(np.mean(np.abs(off) <= CONTROL_AT_END_SHARE * s.control_scale[control]) > PRESSED_SHARE)
 
     def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""

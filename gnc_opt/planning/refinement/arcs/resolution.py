@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, Plan, Resolution
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import gauss_rule
@@ -17,7 +17,7 @@ from gnc_opt.planning.transcription.quadrature import gauss_rule
 PIECE_MIN_POINTS = 4
 """Collocation points of a segment at least."""
 
-TERMS = ARC_MAX_DEGREE + 4
+N_TERMS = ARC_MAX_DEGREE + 4
 """Of the series; those beyond them are nothing beside the last."""
 
 HALVING_GAIN_RATIO = 0.1
@@ -55,7 +55,7 @@ def _resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
     """As few segments as are fine enough with `ARC_MAX_DEGREE` points at most, and the points of each."""
-    found = _cut(left, whole, (start, end), most, MAX_SEGMENTS)
+    found = _cut(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
@@ -80,10 +80,10 @@ def _cut(
 
 
 def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
-    """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, TERMS)."""
+    """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
-    rule = gauss_rule(TERMS)
-    series = np.linalg.inv(legendre.legvander(rule.points, TERMS - 1))
+    rule = gauss_rule(N_TERMS)
+    series = np.linalg.inv(legendre.legvander(rule.points, N_TERMS - 1))
 
     def left(breaks: Array) -> Array:
         lengths = np.diff(breaks)
@@ -96,7 +96,7 @@ def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
                 s.functions.state_gradient(t, x, u, lam, free) * (s.state_scale / s.cost_scale)[:, None],
             ]
         )
-        terms = np.abs(slopes.reshape(slopes.shape[0], lengths.size, TERMS) @ series.T)
+        terms = np.abs(slopes.reshape(slopes.shape[0], lengths.size, N_TERMS) @ series.T)
         amounts = np.max(terms, axis=0) * lengths[:, None]
         return np.asarray(np.cumsum(amounts[:, ::-1], axis=1)[:, ::-1])
 

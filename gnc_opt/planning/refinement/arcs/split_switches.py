@@ -24,22 +24,22 @@ from gnc_opt.planning.solution.warm_start import program_start
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 
-INSTANT = 3e-6
+FREE_SPAN = 3e-6
 """Length of the instants, as a share of the phase; multipliers of shorter ones are rounding."""
 
-POINTS = 2
+FREE_SPAN_POINTS = 2
 """Collocation points of each."""
 
 SPLIT_SOLVE_TOLERANCE = 1e-13
 """Tolerance of the solver: what it leaves is divided by the length of an instant."""
 
-ROOM = 10.0
+FREE_SPANS_MIN = 10.0
 """Pieces shorter than so many instants leave no room for one."""
 
 
 def shared(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with pieces next to them that have space."""
-    least = ROOM * INSTANT * (structure.times[-1] - structure.times[0])
+    least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
         for k in range(1, structure.pieces)
@@ -139,12 +139,12 @@ class _Cuts:
         breaks, degrees = [0.0], []
         for k, (end, degree) in enumerate(zip(old.breaks[1:], old.degrees, strict=True)):
             if k in self.boundaries:
-                breaks.append(old.breaks[k] + INSTANT)
-                degrees.append(POINTS)
+                breaks.append(old.breaks[k] + FREE_SPAN)
+                degrees.append(FREE_SPAN_POINTS)
             degrees.append(degree)
             if k + 1 in self.boundaries:
-                breaks.append(end - INSTANT)
-                degrees.append(POINTS)
+                breaks.append(end - FREE_SPAN)
+                degrees.append(FREE_SPAN_POINTS)
             breaks.append(end)
         movable = tuple(self.boundary(k) for k in old.movable if k not in self.boundaries)
         return Mesh(tuple(breaks), tuple(degrees), movable)

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.contacts import (
     wrong_touch,
 )
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
-from gnc_opt.planning.refinement.arcs.detection import SMALL
+from gnc_opt.planning.refinement.arcs.detection import SINGULAR_SHARE_OF_H
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -35,21 +35,21 @@ SMOOTHED = "singular controls of higher degree"
 SWAPPED_ARC_SHARE_OF_PHASE = 1e-3
 """Share of the phase that a swapped piece gets to start from."""
 
-PROPPED = 3e-5
+BARRIER_MAX_LENGTH_SHARE = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
 at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
 
-CHATTER, CHATTER_MIN_SWITCHES = 5, 30.0
+CHATTER_MIN_SWITCHES, CHATTER_MAX_VIOLATION_RATIO = 5, 30.0
 """So many switches of one control where its switching function stays small are no bangs. All but one of them at least
 are between bangs that leave no more than so many times the violation."""
 
-SATURATED = 1e-3
+SATURATION_SHARE = 1e-3
 """A singular control this close to a bound, relative to its range, has reached it."""
 
 SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
-WRONG_SLOPE, WRONG_BEND = 1e-5, 1e-6
+SWITCH_SIGN_ERROR, CURVED_SIGN_ERROR = 1e-5, 1e-6
 """The same on both sides of a switch of the same control; and where H bends in it: there half of what it bends is left
 on either side of a jump that should be a short interior arc, and no error of the mesh."""
 
@@ -114,7 +114,7 @@ def collapsed(
     structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
     share = lengths[shortest] / lengths.sum()
-    gone = share < GONE or (share < PROPPED and _propped(samples, plan, shortest))
+    gone = share < GONE or (share < BARRIER_MAX_LENGTH_SHARE and _propped(samples, plan, shortest))
     if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)
@@ -161,7 +161,7 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
     violation, asked = _structure_violations(samples, plan.structure, kinds)
     curved = _curved_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
-        _forgive_own_switches(violation[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE)
+        _forgive_own_switches(violation[i], kinds[i], CURVED_SIGN_ERROR if curved[i] else SWITCH_SIGN_ERROR)
     if violation.size and (found := _chatter(samples, plan.structure, violation, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
@@ -189,9 +189,13 @@ def _chatter(
         return None
     gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
-    small = _among(switches, samples.times, gain > SMALL, j)
-    alike = _among(switches, samples.times, gain > CHATTER_MIN_SWITCHES * violation[i, j], j)
-    if len(small) < CHATTER or len(alike) < CHATTER - 1 or chatters(problem, samples, i):
+    small = _among(switches, samples.times, gain > SINGULAR_SHARE_OF_H, j)
+    alike = _among(switches, samples.times, gain > CHATTER_MAX_VIOLATION_RATIO * violation[i, j], j)
+    if (
+        len(small) < CHATTER_MIN_SWITCHES
+        or len(alike) < CHATTER_MIN_SWITCHES - 1
+        or chatters(problem, samples, i)
+    ):
         return None
     return i, alike[0], alike[-1]
 
@@ -271,7 +275,7 @@ def _saturated(
     released = plan.structure.beside_takeovers()[: len(singular)]
     singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
+    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATION_SHARE * samples.control_scale)
     left_open = zip(plan.resolutions, open_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)
@@ -301,7 +305,7 @@ def _around(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = WRONG_SLOPE) -> None:
+def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = SWITCH_SIGN_ERROR) -> None:
     """Zero the violations that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both

@@ -22,14 +22,14 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 
-SMALL = 2e-2
+SINGULAR_SHARE_OF_H = 2e-2
 """A mean of :math:`H_T` along a segment this small, times the limit of the norm and in shares of H, marks a singular
 arc, ..."""
 
-SHORTER = 0.95
+SINGULAR_MAX_NORM_SHARE = 0.95
 """... if the mean of the vector is shorter than this share of the limit there."""
 
-ALONE = 1e-9
+PRODUCT_TOLERANCE = 1e-9
 """Share of their terms within which slopes in magnitude and direction are those of the product alone."""
 
 
@@ -68,7 +68,7 @@ class ProductVector:
             for values in (pull, flown)
         ]
         scale = np.ones(s.leg.mesh.segments) * s.hamiltonian_scale
-        found = (means[0] < SMALL * scale) & (means[1] < SHORTER * self.most)
+        found = (means[0] < SINGULAR_SHARE_OF_H * scale) & (means[1] < SINGULAR_MAX_NORM_SHARE * self.most)
         beside = np.convolve(found, [1, 0, 1], "same") > 0
         return np.asarray(found & beside)
 
@@ -107,7 +107,7 @@ def _only_product(s: PhaseSamples, v: ProductVector) -> bool:
     def differs(slope: Array) -> bool:
         by_size, by_direction = slope[v.magnitude] * u[v.magnitude], slope[v.direction] * u[v.direction]
         amount = np.abs(by_size) + np.sum(np.abs(by_direction), axis=0)
-        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > ALONE * amount))
+        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > PRODUCT_TOLERANCE * amount))
 
     return not differs(slopes) and not any(differs(row) for row in others)
 

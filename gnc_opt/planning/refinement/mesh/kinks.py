@@ -11,10 +11,10 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.refinement.error import PhaseError, states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
-UNSURE = 0.05
+SWITCH_ESTIMATE_ERROR_SHARE = 0.05
 """A switch is trusted to lie this close to its estimate, in shares of its segment."""
 
-SHARPENING = 2.0
+KINK_ESTIMATE_ORDER = 2.0
 """Order by which a kink's estimate improves with the length of its gap, in shares of the phase."""
 
 SEGMENT_MIN_SHARE = 1e-9
@@ -23,7 +23,7 @@ SEGMENT_MIN_SHARE = 1e-9
 LOCATED_KINK_TOLERANCE = 1e-6
 """A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
 
-CLEAR = 1e-6
+CROSSING_MIN_SHARE = 1e-6
 """A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
 
 SEGMENT_MAX_KINKS = 3
@@ -65,7 +65,7 @@ def _switches(error: PhaseError, k: int) -> list[Kink]:
     leg, bounds = samples.leg, samples.leg.control_bounds
     inside = np.flatnonzero(samples.segments == k)
     times = samples.times[inside]
-    margin = UNSURE * (times[-1] - times[0])
+    margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
     found = []
     for i in range(leg.controls.size):
         unit = samples.control_scale[i] / samples.hamiltonian_scale
@@ -95,7 +95,7 @@ def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array
 def _crossings(values: Array, times: Array) -> list[float]:
     """Return the zeros of a switching function, in shares of H, from a straight line between its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
-    if not before.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
+    if not before.size or not (np.max(values) > CROSSING_MIN_SHARE and np.min(values) < -CROSSING_MIN_SHARE):
         return []
     share = values[before] / (values[before] - values[before + 1])
     return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
@@ -129,7 +129,7 @@ def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[floa
         if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
             return start, end
     zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
-    margin = min(UNSURE, SHARPENING * (end - start) / duration) * (end - start)
+    margin = min(SWITCH_ESTIMATE_ERROR_SHARE, KINK_ESTIMATE_ORDER * (end - start) / duration) * (end - start)
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
@@ -152,7 +152,7 @@ def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, w
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
     pull = multipliers * scale[:, None] / worth
     limits = (bounds.lower < bounds.upper)[:, None]
-    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CLEAR)), pull, 0.0)
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CROSSING_MIN_SHARE)), pull, 0.0)
 
 
 def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:

@@ -21,7 +21,7 @@ from gnc_opt.planning.nlp.options import last_barrier
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.planning.refinement.mesh.remesh import (
-    UNRESOLVED,
+    UNRESOLVED_ERROR,
     Past,
     Remesh,
     known_segments,
@@ -33,15 +33,15 @@ from gnc_opt.planning.transcription.mesh import Mesh
 MESH_WARM_START_MAX_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
-WARM_MU = 1e-6
+WARM_BARRIER = 1e-6
 """Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
-its bounds only to come back in ten iterations. Where no segment is `UNRESOLVED` any more it begins at the last barrier:
-each one before costs two iterations or more."""
+its bounds only to come back in ten iterations. Where no error exceeds `UNRESOLVED_ERROR` it begins at the last
+barrier: each one before costs two iterations or more."""
 
-MOST_PASSES = 20
+DEFAULT_ITERATIONS = 20
 """At most so many solves, if nobody says otherwise."""
 
-STAGE = 1e-4
+STAGE_ERROR_SHARE = 1e-4
 """Each pass aims at this share of the error before it, ..."""
 
 COARSE_MESH_TOLERANCE_SHARE = 1e-3
@@ -50,7 +50,7 @@ COARSE_MESH_TOLERANCE_SHARE = 1e-3
 NEAR_TOLERANCE_RATIO = 30.0
 """... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
 
-SOLVED, LAXER = 1e-9, 0.1
+SOLVER_MAX_TOLERANCE, SOLVER_SHARE = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
 given up at once are worth nothing."""
 
@@ -95,7 +95,7 @@ def refine_mesh(
         Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
         dimensionless; see `gnc_opt.planning.refinement.error`.
     limits : PassLimits, optional
-        Default: `MOST_PASSES`. Twice as much work is allowed while the error falls to a third or less each time.
+        Default: `DEFAULT_ITERATIONS`. Twice as much work is allowed while the error falls to a third or less each time.
     options : SolverOptions, optional
         For the solves.
     progress : bool
@@ -117,7 +117,7 @@ def refine_mesh(
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
-    limits = limits or PassLimits(MOST_PASSES)
+    limits = limits or PassLimits(DEFAULT_ITERATIONS)
     refinement = _Refinement(solution, tol, limits, options)
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
@@ -140,7 +140,7 @@ class _Refinement:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
         self._tol, self._limits = tol, limits
-        self._options = options or SolverOptions(tolerance=min(SOLVED, LAXER * tol))
+        self._options = options or SolverOptions(tolerance=min(SOLVER_MAX_TOLERANCE, SOLVER_SHARE * tol))
         self._asked = options is not None
         self._records: list[RefinementIteration] = []
         self._past: dict[str, Past] = {}
@@ -186,7 +186,10 @@ class _Refinement:
         if self._converged(last):
             return RefinementStatus.CONVERGED
         error = min(self._state.finite_error, 1.0)
-        stage = max(self._tol, (STAGE if error < UNRESOLVED else COARSE_MESH_TOLERANCE_SHARE) * error)
+        stage = max(
+            self._tol,
+            (STAGE_ERROR_SHARE if error < UNRESOLVED_ERROR else COARSE_MESH_TOLERANCE_SHARE) * error,
+        )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._finer(stage)
         while self._too_many(plan[0]):
@@ -255,10 +258,14 @@ class _Refinement:
         """Return the options with tolerance and barrier parameter that suit how far the solution still has to move."""
         options, left = self._options, min(self._state.finite_error, 1.0)
         if not self._asked:
-            options = replace(options, tolerance=max(options.tolerance, LAXER * STAGE * left))
+            options = replace(
+                options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
+            )
         if options.mu_init is None:
             last = last_barrier(options.tolerance)
-            options = replace(options, mu_init=last if left <= UNRESOLVED else max(WARM_MU * left, last))
+            options = replace(
+                options, mu_init=last if left <= UNRESOLVED_ERROR else max(WARM_BARRIER * left, last)
+            )
         return options
 
     def _evaluated(self, solution: Solution, begin: float, actions: Actions) -> _State:

@@ -26,25 +26,25 @@ SEGMENT_MAX_DEGREE = 20
 REMESH_TOLERANCE_SHARE = 0.25
 """New meshes aim at this share of the tolerance."""
 
-HALVING = 0.3
+DECAY_GAIN_PER_HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
 
-LAYER = 0.25
+LAYER_SHARE = 0.25
 """Share of a hopelessly coarse first or last segment that is cut off, and again of that: boundary layers are thin."""
 
-UNRESOLVED_ERROR = 1.0
+UNKNOWN_TRAJECTORY_ERROR = 1.0
 """Where nothing is known of the trajectory, nothing is known of its kinks either."""
 
-STIFFEST = 1e4
+MAX_TIME_CONSTANTS = 1e4
 """At most so many time constants are believed to be in such a segment."""
 
 MIN_DECADES_PER_POINT = 0.12
 """A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
 
-TELLING = 5
+SMOOTHNESS_MIN_DEGREE = 5
 """Fewer coefficients than this do not tell whether a segment is smooth: its degree is raised first, ..."""
 
-UNRESOLVED = 1e-2
+UNRESOLVED_ERROR = 1e-2
 """... unless its error is so large that it is hopelessly coarse."""
 
 Past = Mapping[tuple[float, float], tuple[int, float]]
@@ -103,7 +103,7 @@ class Remesh:
             return [own]
         if self._active is None:
             self._active = activity(self.error)
-        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNRESOLVED_ERROR else []
+        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
             cuts = bracketed(self._leg, k, kinks)
             if len(cuts) > 2:
@@ -111,7 +111,7 @@ class Remesh:
                 return self._around(cuts, kinks, own.degree)
         excess = float(self._decades[k])
         wanted = own.degree + max(1, math.ceil(excess / rate))
-        if own.degree < TELLING and self._worst[k] < UNRESOLVED:
+        if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < UNRESOLVED_ERROR:
             wanted = min(wanted, 2 * own.degree)
         if wanted <= self.max_degree and not self._wasted(k, own.degree):
             self.raised += 1
@@ -156,18 +156,18 @@ class Remesh:
         if len(cuts) == 1:
             cuts.append(0.5 * (own.start + own.end))
         cuts.append(own.end)
-        needed = math.ceil((excess + rate * own.degree) / (rate + HALVING))
+        needed = math.ceil((excess + rate * own.degree) / (rate + DECAY_GAIN_PER_HALVING))
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
     def _layers(self, k: int) -> list[float]:
         """Return where to cut a coarse segment at a phase end, in shares: a geometric sequence."""
-        error = float(min(self._worst[k], STIFFEST))
+        error = float(min(self._worst[k], MAX_TIME_CONSTANTS))
         ends = (k == 0, k == self._leg.mesh.segments - 1)
-        if error < UNRESOLVED or not any(ends):
+        if error < UNRESOLVED_ERROR or not any(ends):
             return []
-        levels = max(1, math.floor(math.log(error) / -math.log(LAYER)))
-        shares = [LAYER**level for level in range(levels, 0, -1)]
+        levels = max(1, math.floor(math.log(error) / -math.log(LAYER_SHARE)))
+        shares = [LAYER_SHARE**level for level in range(levels, 0, -1)]
         return shares if ends[0] else [1.0 - share for share in reversed(shares)]
 
     def _fraction(self, t: float) -> float:

@@ -10,10 +10,10 @@ from gnc_opt.planning.refinement.error import PhaseError, states_at_points
 from gnc_opt.planning.solution.phase_solution import piecewise
 from gnc_opt.tolerances import TINY
 
-ROUNDED = 1e-14
+COEFFICIENT_ROUNDING = 1e-14
 """Legendre coefficients below this, relative to the largest, are rounding."""
 
-DECAY_RATE_MIN, FASTEST = 0.02, 2.0
+DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Decay rates are clipped to this range, in decades per degree."""
 
 
@@ -45,10 +45,10 @@ def _decay(values: Array, tau: Array) -> float:
     coefficients = np.abs(np.linalg.solve(legendre.legvander(tau, n - 1), values.T))
     sizes = np.max(coefficients, axis=1)
     envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
-    floor = ROUNDED * max(float(np.max(sizes)), TINY)
+    floor = COEFFICIENT_ROUNDING * max(float(np.max(sizes)), TINY)
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
-    return float(np.clip(-slope, DECAY_RATE_MIN, FASTEST))
+    return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
 
 
 def error_density(error: PhaseError) -> Array:

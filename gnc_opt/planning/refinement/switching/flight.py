@@ -17,19 +17,19 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
-PARTS = 3
+STEP_PARTS = 3
 """Into which every step of the grid is divided: values and rates at four times make a polynomial of degree 7."""
 
 SIGN_ERROR_MIN_SHARE = 1e-6
 """Switching function of the wrong sign, in shares of the largest, that asks for another arc."""
 
-INSET = 0.25
+NEW_ARC_INSET_SHARE = 0.25
 """Share of an interval of the wrong sign that a new arc leaves at each side, to keep away from other switches."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchFlight:
-    """A phase integrated on a grid `PARTS` times as fine as that of a step; ``step`` is the Newton step there."""
+    """A phase integrated on a grid `STEP_PARTS` times as fine as that of a step; ``step`` is the Newton step there."""
 
     s: PhaseSamples
     switches: Switches
@@ -50,7 +50,7 @@ class SwitchFlight:
         known : SwitchStep
             Its matrices and its grid.
         """
-        step = chord_step(problem, s, switches, known, known.steps, PARTS)
+        step = chord_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     @property
@@ -82,10 +82,10 @@ class SwitchFlight:
     def solution(self, known: Solution) -> Solution:
         """Return the flight as a solution, with costates and multipliers; its objective is the known one's."""
         s, leg, n = self.s, self.s.leg, self.s.leg.states.size
-        first = PARTS * np.flatnonzero(np.diff(self.times[::PARTS]) > 0)
-        at = first[:, None] + np.arange(PARTS + 1)
+        first = STEP_PARTS * np.flatnonzero(np.diff(self.times[::STEP_PARTS]) > 0)
+        at = first[:, None] + np.arange(STEP_PARTS + 1)
         breaks, controls = np.append(self.times[first], self.times[-1]), self.flow.controls[:, first]
-        held, flat = np.repeat(controls, PARTS + 1, axis=1), at.ravel()
+        held, flat = np.repeat(controls, STEP_PARTS + 1, axis=1), at.ravel()
         x, lam, nothing = self.x[:, flat], self.lam[:, flat], np.zeros((len(leg.path_labels), flat.size))
         rates = s.functions.rates(self.times[flat], x, held)
         forces = -s.functions.state_gradient(self.times[flat], x, held, lam, nothing)
@@ -127,8 +127,8 @@ class SwitchFlight:
 
 def _nodes() -> tuple[Array, Array]:
     """Nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
-    n = 2 * (PARTS + 1)
-    nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, PARTS + 1)
+    n = 2 * (STEP_PARTS + 1)
+    nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, STEP_PARTS + 1)
     chebyshev = np.polynomial.chebyshev
     rates = np.stack([chebyshev.chebval(given, chebyshev.chebder(row)) for row in np.eye(n)], axis=1)
     values = chebyshev.chebvander(given, n - 1)
@@ -169,5 +169,5 @@ def wrong_interval(times: Array, wrong: Array, j: int) -> tuple[float, float]:
     if after.size:
         k = after[0]
         end = times[k] - wrong[k] * (times[k] - times[k - 1]) / (wrong[k] - wrong[k - 1])
-    inset = INSET * (end - start)
+    inset = NEW_ARC_INSET_SHARE * (end - start)
     return float(start + inset * (before.size > 0)), float(end - inset * (after.size > 0))

@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 
-MOST_STEPS = 40
+NEWTON_MAX_STEPS = 40
 """Newton steps of all structures together."""
 
 SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
@@ -39,32 +39,32 @@ SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
 SIMPLIFIED_STEPS_PER_FULL_STEP = 3
 """So many steps with the matrices of another one cost as much as one with its own."""
 
-MOST_CHORDS = 12
+SIMPLIFIED_NEWTON_MAX_STEPS = 12
 """Steps until switch times are at rest, once they are near."""
 
-SPENT = 1e-2
+LAST_STEP_SHARE_OF_ACCURACY = 1e-2
 """Share of the accuracy that the last step may be worth."""
 
 NEWTON_REMAINDER_FACTOR = 100.0
 """What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
 
-LANDED = 0.1
+GRID_SHARE_OF_ACCURACY = 0.1
 """Share of the accuracy that the finer grid may still ask for where a flight is taken for what it promised to be."""
 
-OF_A_GUESS = 1e-8
+GUESS_ACCURACY = 1e-8
 """Accuracy of a flight that a collocated problem starts from."""
 
-FINEST = 8 * FLOW_INITIAL_STEPS
+FLOW_MAX_STEPS = 8 * FLOW_INITIAL_STEPS
 """Steps of the grid that is tried last."""
 
-SHRUNK = 0.8
+ARC_MAX_SHRINK_SHARE = 0.8
 """Share of its length that an arc may lose in one step."""
 
 SWITCH_MAX_MOVE_SHARE = 0.04
 """Share of the phase that a switch may move in one step."""
 
 STEP_MIN_SHARE = 0.2
-"""Of a step that must be left after `SHRUNK`; if less is, the arc that stands in the way has vanished."""
+"""Of a step that must be left after `ARC_MAX_SHRINK_SHARE`; if less is, the arc that stands in the way has vanished."""
 
 
 def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchFlight] | None:
@@ -88,10 +88,10 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     if not _fits(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS
-    flight = _optimum(problem, s, switches, OF_A_GUESS, FLOW_INITIAL_STEPS)
-    while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
+    flight = _optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
+    while flight is not None and flight.error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
+        flight = _near(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
     if flight is None or _allowed(flight.switches, flight.step)[0] < 1:
         return None
     return _structure(structure, s, _moved(flight.switches, flight.step.change)), flight
@@ -129,7 +129,7 @@ def settle_flow(
     flight = None if known is None else _near(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
         flight = _optimum(problem, s, switches, accuracy, steps)
-    while flight is not None and flight.error >= accuracy and steps < FINEST:
+    while flight is not None and flight.error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _near(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
@@ -145,7 +145,7 @@ def _optimum(
     If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
     """
     rested: SwitchFlight | None = None
-    for _ in range(MOST_STEPS):
+    for _ in range(NEWTON_MAX_STEPS):
         step = newton_step(problem, s, switches, steps)
         if step is None:
             break
@@ -179,19 +179,19 @@ def _at_rest(
     Steps take the matrices of the one before as long as these shrink fast enough.
     """
     before = math.inf  # length of the step before, if that had these matrices
-    for _ in range(MOST_CHORDS):
+    for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _allowed(switches, step)[0] < 1:
             return None
         length, away = step.share(switches), _away(step, switches, accuracy)
-        if away < SPENT:
+        if away < LAST_STEP_SHARE_OF_ACCURACY:
             return SwitchFlight.of(problem, s, switches, step)
         switches = _moved(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
-        if away * shrinks < SPENT:
+        if away * shrinks < LAST_STEP_SHARE_OF_ACCURACY:
             flight = SwitchFlight.of(problem, s, switches, step)
-            if flight is None or _away(flight.step, switches, accuracy) < LANDED:
+            if flight is None or _away(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY:
                 return flight
-        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > SPENT:
+        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > LAST_STEP_SHARE_OF_ACCURACY:
             step, before = newton_step(problem, s, switches, step.steps), math.inf
         else:
             step, before = chord_step(problem, s, switches, step, step.steps), length
@@ -274,7 +274,7 @@ def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, in
     share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
     for begin, end in _arcs(switches):
         shrinks = step.change[begin] - step.change[end]
-        room = SHRUNK * (times[end] - times[begin])
+        room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
         if shrinks > 0 and room < share * shrinks:
             share, limiting = room / shrinks, (begin, end)
     return share, limiting

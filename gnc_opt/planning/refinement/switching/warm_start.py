@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.tail import rest_of
 from gnc_opt.planning.verification.recomputed import from_problem
 
-ACCURACY = 1e-9
+FLOW_COST_ACCURACY = 1e-9
 """Of the cost, relative to its size."""
 
 FLOW_GRID_ACCURACY_SHARE = 0.1
@@ -45,12 +45,12 @@ class KnownFlight:
 
     def differentiated(self) -> KnownFlight | None:
         """Return the same with its step; None if switch times do not decide everything."""
-        found = settle_flow(self.solution, self.structure, ACCURACY)
+        found = settle_flow(self.solution, self.structure, FLOW_COST_ACCURACY)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the structure that was settled on
         structure, flight = (
-            settle_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * ACCURACY, half) or found
+            settle_flow(self.solution, found[0], FLOW_GRID_ACCURACY_SHARE * FLOW_COST_ACCURACY, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
@@ -61,7 +61,7 @@ class KnownFlight:
         left = self.structure.after(leg.initial_time)
         step = self.step if left.pieces == self.structure.pieces else None
         begun = _begun(from_problem(replace(start, problem=problem.frozen())))
-        found = None if begun is None else settle_flow(begun, left, ACCURACY, step)
+        found = None if begun is None else settle_flow(begun, left, FLOW_COST_ACCURACY, step)
         if begun is None or found is None:
             return None
         structure, flight = found
