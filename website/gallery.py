@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import io
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,7 @@ def _without_docstring(code: str) -> str:
 # --- pictures -----------------------------------------------------------------------------------------
 
 
+@cache
 def shown(example: Example) -> tuple[str, ...]:
     """Return what there is a picture of."""
     module = example.module
