@@ -15,7 +15,6 @@ if TYPE_CHECKING:  # the same names for type checkers
         Reference,
         bryson,
         design_feedback_linearization,
-        design_hierarchical_sliding_mode,
         design_integral_sliding_mode,
         design_lqr,
         design_mpc,
@@ -41,7 +40,6 @@ if TYPE_CHECKING:  # the same names for type checkers
         output_feedback,
     )
     from gnc_opt.guidance import (
-        design_neighbouring_extremal,
         design_neighbouring_optimal,
     )
     from gnc_opt.model import (
@@ -153,11 +151,9 @@ __all__ = [
     "continuation",
     "design_ekf",
     "design_feedback_linearization",
-    "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
     "design_lqr",
     "design_mpc",
-    "design_neighbouring_extremal",
     "design_neighbouring_optimal",
     "design_sliding_mode",
     "design_tvlqr",
@@ -190,7 +186,7 @@ _NAMES_OF_MODULES = {
     "analysis": "Scenario LinearCovariance linear_covariance",
     "control": (
         "Controller DesignReport Reference bryson design_feedback_linearization "
-        "design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc "
+        "design_integral_sliding_mode design_lqr design_mpc "
         "design_sliding_mode design_tvlqr export_c export_fmu feedforward"
     ),
     "errors": (
@@ -198,7 +194,7 @@ _NAMES_OF_MODULES = {
         "UnknownAttributeError UnknownNameError"
     ),
     "estimation": "design_ekf design_ukf output_feedback",
-    "guidance": "design_neighbouring_extremal design_neighbouring_optimal",
+    "guidance": "design_neighbouring_optimal",
     "model": "Model",
     "model.expressions": "smooth_abs",
     "model.table": "Table table table_from_csv",

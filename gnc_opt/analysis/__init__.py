@@ -5,10 +5,8 @@ from typing import Any
 
 from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
 from gnc_opt.analysis.global_sensitivity import (
-    Correlations,
     IntervalEstimate,
     SobolIndices,
-    correlations,
     sobol_indices,
 )
 from gnc_opt.analysis.linear_covariance import CovarianceCheck, LinearCovariance, linear_covariance
@@ -20,7 +18,6 @@ from gnc_opt.renamed import check_renamed
 
 __all__ = [
     "Consistency",
-    "Correlations",
     "CovarianceCheck",
     "FailureProbability",
     "InnovationTest",
@@ -31,7 +28,6 @@ __all__ = [
     "SobolIndices",
     "WorstCase",
     "consistency",
-    "correlations",
     "failure_probability",
     "linear_covariance",
     "loop_response",

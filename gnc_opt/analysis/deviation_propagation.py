@@ -13,12 +13,11 @@ from gnc_opt.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Sources of deviations, by name: covariances, places of numbers, draws (n_dispersed, n_runs)."""
+    """Sources of deviations, by name: covariances and places of their random numbers."""
 
     names: tuple[str, ...]
     spreads: tuple[Array, ...]
     numbers: tuple[slice, ...]
-    deviations: Array
 
     @property
     def places(self) -> list[slice]:
@@ -29,32 +28,35 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a column (n,) scatters: derivatives, covariances by block, linear predictions (n, n_runs)."""
+    """How a column (n,) scatters: derivatives by the dispersed parameters, covariances by block."""
 
     sources: Sources
     by_parameters: Array
     noise: Sequence[Array]
-    runs: Array
 
     @classmethod
-    def first(cls, sources: Sources, g: Array, h: Array, numbers: Array) -> Scatter:
+    def first(cls, sources: Sources, g: Array, h: Array) -> Scatter:
         """Return the scatter of a column with derivatives g, h by the first numbers and the dispersed parameters."""
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
-        return cls(sources, np.hstack([h, g]), quiet, h @ sources.deviations + g @ numbers)
+        return cls(sources, np.hstack([h, g]), quiet)
 
-    def through(self, a: Array, g: Array, h: Array, numbers: Array, *, first: bool) -> Scatter:
+    def through(self, a: Array, g: Array, h: Array, *, first: bool) -> Scatter:
         """Return the scatter of a times the column, plus g times the numbers of a step, plus h times the parameters."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]
         if not first:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
-        runs = a @ self.runs + g @ numbers + h @ self.sources.deviations
-        return Scatter(self.sources, a @ self.by_parameters + added, noise, runs)
+        return Scatter(self.sources, a @ self.by_parameters + added, noise)
 
     def turned(self, matrix: Array) -> Scatter:
         """Return the scatter of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
-        return Scatter(self.sources, matrix @ self.by_parameters, noise, matrix @ self.runs)
+        return Scatter(self.sources, matrix @ self.by_parameters, noise)
+
+    @property
+    def size(self) -> int:
+        """n."""
+        return int(self.by_parameters.shape[0])
 
     @property
     def covariances(self) -> Array:
@@ -65,4 +67,4 @@ class Scatter:
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s
-        return np.reshape(parts, (len(parts), self.runs.shape[0], self.runs.shape[0]))
+        return np.reshape(parts, (len(parts), self.size, self.size))

@@ -1,4 +1,4 @@
-r"""Global sensitivity: the shares of dispersions and noise in the variance of a measure, and rank correlations.
+r"""Global sensitivity: the shares of dispersions and noise in the variance of a measure.
 
 *Sobol' indices* divide the variance V of a measure f among the factors, the dispersions and the noise. With rows of
 two independent campaigns A and B, and A with one factor taken from B, :math:`AB_i`,
@@ -7,32 +7,28 @@ two independent campaigns A and B, and A with one factor taken from B, :math:`AB
     S_i = \frac{1}{V} \overline{f_B\,(f_{AB_i} - f_A)}, \qquad T_i = \frac{1}{2 V} \overline{(f_A - f_{AB_i})^2}:
 
 the share of V that goes if factor i is known, and the share that is left if all others are. Intervals are bootstrap
-percentiles. *Correlations* are Spearman's, of the ranks, from an existing campaign.
+percentiles.
 
-Sources: A. Saltelli et al., Variance based sensitivity analysis of model output, Computer Physics
-Communications 181 (2010), table 2. E. C. Fieller et al., Tests for rank correlation coefficients I,
-Biometrika 44 (1957).
+Source: A. Saltelli et al., Variance based sensitivity analysis of model output, Computer Physics
+Communications 181 (2010), table 2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy
 
-from gnc_opt.analysis.scenario import Scenario
+from gnc_opt.analysis.scenario import Scenario, all_answers
 from gnc_opt.arguments import expect, read_integer, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import dispersed
 from gnc_opt.text import Printed
-from gnc_opt.workers import Shared, WorkerPool
 
 NOISE = "noise"
 """The factor that all random numbers of the control steps are."""
@@ -155,18 +151,8 @@ def sobol_indices(
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
-    shared = Shared.picklable(
-        design, name, 'define measures= functions at the top of a module, or use executor="serial"'
-    )
     chunks = [range(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
-    with WorkerPool(shared, executor, name) as pool:
-        done = pool.run(_Design.rows, chunks, lambda _: None)
-    errors = [each.error for each in done if each.answer is None]
-    if errors or len(done) < len(chunks):
-        raise GncOptError(
-            f"{name} could not fly all its runs: {errors[0] if errors else 'it was interrupted'}."
-        )
-    f = np.hstack([each.answer for each in done if each.answer is not None])
+    f = np.hstack(all_answers(design, _Design.rows, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
@@ -235,80 +221,3 @@ class _Design:
 
     def _values(self, P: Array, seeds: list[list[int]]) -> Array:
         return self.scenario.values(self.measure, P, seeds)
-
-
-@dataclass(frozen=True, eq=False)
-class Correlations(Printed):
-    """Rank correlations of the drawn values with a measure; see `correlations`.
-
-    Attributes
-    ----------
-    measure : str
-    ranks : mapping of str to Share
-        Spearman's coefficient by dispersed component, the strongest first.
-    confidence : float
-        Of each interval.
-    runs : int
-        That have a value.
-
-    Examples
-    --------
-    >>> strongest = next(iter(correlations(campaign, "max(overshoot)").ranks))
-    >>> print(strongest)
-    initial.q
-    """
-
-    measure: str
-    ranks: Mapping[str, IntervalEstimate] = field(repr=False)
-    confidence: float
-    runs: int
-
-    def __str__(self) -> str:
-        width = max([1, *map(len, self.ranks)])
-        lines = [
-            f"rank correlation with '{self.measure}', {self.runs} runs, intervals {100 * self.confidence:g} %"
-        ]
-        return "\n".join([*lines, *(f"  {name:{width}}  {share}" for name, share in self.ranks.items())])
-
-
-def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFIDENCE) -> Correlations:
-    """Return the rank correlations of the drawn values with a measure, from the runs of a campaign.
-
-    They detect monotonic dependence only. For a measure with its minimum inside the range use `sobol_indices`.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    measure : str
-        See `Campaign.measure`.
-    confidence : float
-        Of each interval, in (0, 1).
-
-    Raises
-    ------
-    ArgumentError, UnknownNameError
-        There is no such measure, or fewer than five runs have a value.
-
-    Examples
-    --------
-    >>> print(correlations(campaign, "max(overshoot)"))
-    rank correlation with 'max(overshoot)', 20 runs, intervals 95 %
-      initial.q  0.932 (0.829 to 0.974)
-      initial.v  -0.194 (-0.595 to 0.285)
-    """
-    expect(campaign, Campaign, "what correlations() got", "give what monte_carlo() returned")
-    level = read_probability(confidence, "the confidence of correlations()")
-    values = campaign.measure(measure)
-    known = np.isfinite(values)
-    runs = int(np.sum(known))
-    if runs < 5:
-        raise ArgumentError(f"{runs} runs have a value of '{measure}': fly at least five.")
-    half = -scipy.special.ndtri(0.5 - level / 2) * 1.03 / np.sqrt(runs - 3)  # Fieller, Hartley and Pearson
-    found = {}
-    for label, row in zip(campaign.layouts["parameter"].labels, campaign.parameters[:, known], strict=True):
-        if np.ptp(row) > 0 and np.ptp(values[known]) > 0:
-            r = float(scipy.stats.spearmanr(row, values[known])[0])
-            z = np.arctanh(np.clip(r, -1 + 1e-12, 1 - 1e-12))
-            found[label] = IntervalEstimate(r, float(np.tanh(z - half)), float(np.tanh(z + half)))
-    ordered = dict(sorted(found.items(), key=lambda item: -abs(item[1].value)))
-    return Correlations(measure, ordered, level, runs)

@@ -5,9 +5,8 @@ With the derivatives of `Linearization`, the deviations due to a dispersion with
 
 .. math:: \Phi_{k+1} = A_k \Phi_k + H_k, \qquad S_{k+1} = A_k S_k A_k^T + G_k G_k^T,
 
-so that each source has its own share of every covariance. Nonlinearity within the dispersions is measured by runs whose
-random numbers also give the linear prediction: if r is the root mean square of the differences, standard deviations lie
-within :math:`\sigma \pm r`, by the triangle inequality.
+so that each source has its own share of every covariance. `LinearCovariance.compare`
+tests the result against a campaign.
 
 Source: D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous
 onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), section III.
@@ -15,8 +14,7 @@ onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,23 +26,15 @@ import scipy
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import (
-    Strict,
-    expect,
-    read_integer,
-    read_positive,
-    read_probability,
-    suggesting_keywords,
-)
+from gnc_opt.arguments import Strict, expect, read_integer, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, unknown_name, warn_user
-from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
-from gnc_opt.simulation.dispersions import Dispersions, dispersed
+from gnc_opt.simulation.dispersions import Dispersions
 from gnc_opt.simulation.step_selection import steps_for_modes
 from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, TINY
@@ -70,7 +60,7 @@ class CovarianceCheck(Printed):
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(scenario, checks=0)
+    >>> result = go.linear_covariance(scenario)
     >>> agreement = result.compare(campaign)
     >>> print(agreement.labels, agreement.runs, agreement.ok)
     ('q', 'v') 20 True
@@ -104,20 +94,11 @@ class CovarianceCheck(Printed):
         return "\n".join(lines)
 
 
-def magnitudes(values: Array) -> Array:
-    """Return the scale of integration errors (n,) from values over time (n, n_times): 1 or their size."""
-    return np.asarray(np.maximum(1.0, np.max(np.abs(values), axis=1)))
-
-
-def error_sizes(flight: CompiledLoop, states: Array) -> Array:
-    """Return the same of each component of the errors, (n_errors,), by states over time (n_states, n_times)."""
-    sizes, places = magnitudes(states), flight.states
-    return np.concatenate(
-        [
-            np.full(error.size, np.max(sizes[places.slice(error.name)]))
-            for error in flight.error_layout.variables
-        ]
-    )
+def error_sizes(flight: CompiledLoop, nominal: Array) -> Array:
+    """Return the scale of the integration error of each component of the errors, (n_errors,): 1 or the state's size."""
+    sizes, places = np.maximum(1.0, np.abs(nominal)), flight.states
+    errors = flight.error_layout.variables
+    return np.concatenate([np.full(e.size, np.max(sizes[places.slice(e.name)])) for e in errors])
 
 
 def covariance_table(found: LinearCovariance) -> str:
@@ -127,27 +108,14 @@ def covariance_table(found: LinearCovariance) -> str:
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
         f"linear covariance over {found.times[-1] - found.times[0]:g} s, {len(found.sources)} sources",
-        f"  {'at the end':{width + units + 1}}  1 sigma   "
-        + ("nonlinear  " if found.checked else "")
-        + "sources",
+        f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
-        if found.checked:
-            line += f"{_percent(float(np.max(found.nonlinearity(variable.name)[:, -1]))):<9}  "
         shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
         lines.append((line + ", ".join(f"{s} {_percent(share)}" for s, share in shares)).rstrip())
-    if found.checked:
-        bent = [name for name in layout.names if not found.linear(name)]
-        verdict = (
-            f"not linear: {', '.join(bent)}"
-            if bent
-            else f"all linear, to {_percent(LINEAR_MAX_ERROR_SIGMA)} of sigma"
-        )
-        lines.append(
-            f"  {verdict} ({found.checked} runs beside their predictions); sources: shares of the variance"
-        )
+    lines.append("  sources: shares of the variance")
     return "\n".join(lines)
 
 
@@ -155,30 +123,20 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
-class PlantModes:
-    """Integration steps that a plant's modes need along its nominal run (`steps_for_modes`)."""
+def steps_needed(linearization: Linearization, asked: float, t: float, X: Array, y: Array) -> int:
+    """Return the integration steps per minor step that the plant's modes need at a time (s) of the nominal run.
 
-    def __init__(self, linearization: Linearization, asked: float) -> None:
-        self._asked = asked
-        self._flight: CompiledLoop = linearization.flight
-        self._plant: Model = linearization.wiring.plant
-        self._outputs = linearization.output
-        layout, nominal = self._flight.layout, self._flight.nominal
-        places = [layout.slice(f"plant.{name}") for name in self._plant.parameters.names]
-        self._p = np.concatenate([np.empty(0), *[nominal[place] for place in places]])
+    X and y are the loop's column and its `OUTPUTS`; ``asked`` is the relative error per minor step.
+    """
+    flight, plant = linearization.flight, linearization.wiring.plant
+    x, applied = flight.kernel.state.split(X)["plant"], linearization.output.split(y)[OUTPUTS[1]]
+    places = [flight.layout.slice(f"plant.{name}") for name in plant.parameters.names]
+    p = np.concatenate([np.empty(0), *[flight.nominal[place] for place in places]])
+    a, _ = plant.linearize(t, x, applied, p)
+    if not np.isfinite(a).all():
+        return 1  # the linearization itself names values that are not finite
+    return steps_for_modes(np.linalg.eigvals(a).astype(complex), flight.dt / flight.minor_steps, asked)
 
-    def needed(self, t: float, X: Array, y: Array) -> int:
-        """Return the integration steps per minor step at a time (s), from the loop's column and its `OUTPUTS`."""
-        x, applied = self._flight.kernel.state.split(X)["plant"], self._outputs.split(y)[OUTPUTS[1]]
-        a, _ = self._plant.linearize(t, x, applied, self._p)
-        if not np.isfinite(a).all():
-            return 1  # the linearization itself names values that are not finite
-        length = self._flight.dt / self._flight.minor_steps
-        return steps_for_modes(np.linalg.eigvals(a).astype(complex), length, self._asked)
-
-
-LINEAR_MAX_ERROR_SIGMA = 0.05
-"""Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
 
 FROZEN_GAINS_MAX_NIS = 1e-2
 """Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
@@ -208,10 +166,6 @@ class LinearCovariance(Strict, Printed):
         Of the errors; not zero where dispersions are not centred.
     parts : mapping
         Arrays (n_sources, n_times, n, n): covariances by source, of "error", "command" and "applied".
-    bends : mapping
-        Arrays (n, n_times) of the same: see `nonlinearity`.
-    checked : int
-        Number of these runs.
     layouts : mapping
         Names, sizes and units: error, command, applied.
     flight : Flight
@@ -220,7 +174,7 @@ class LinearCovariance(Strict, Printed):
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(scenario, checks=0)
+    >>> result = go.linear_covariance(scenario)
     >>> print({source: f"{share:.0%}" for source, share in result.budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
     """
@@ -230,14 +184,11 @@ class LinearCovariance(Strict, Printed):
     nominal: Array
     mean: Array
     parts: Mapping[str, Array]
-    bends: Mapping[str, Array]
-    checked: int
     layouts: Mapping[str, Layout] = field(repr=False)
     flight: CompiledLoop = field(repr=False)
     dispersions: Dispersions = field(repr=False)
 
     def __str__(self) -> str:
-
         return covariance_table(self)
 
     def covariance(self, signal: str) -> Array:
@@ -272,23 +223,6 @@ class LinearCovariance(Strict, Printed):
         order = np.argsort(-shares, kind="stable")
         return {self.sources[i]: float(shares[i]) for i in order}
 
-    def nonlinearity(self, signal: str) -> Array:
-        """Return the RMS error of the linear prediction, (size, n_times), in standard deviations.
-
-        Infinite if the prediction does not scatter, NaN without runs.
-        """
-        kind, name = self._parse(signal)
-        return self.bends[kind][self.layouts[kind].slice(name)]
-
-    def linear(self, signal: str, tolerance: float = LINEAR_MAX_ERROR_SIGMA) -> bool:
-        """Whether the final standard deviations are right to ``tolerance``; `ArgumentError` without runs."""
-        if not self.checked:
-            raise ArgumentError(
-                "no run was compared with its linear prediction: give checks= a number of runs."
-            )
-        tolerance = read_positive(tolerance, "the tolerance of linear()")
-        return bool(np.all(self.nonlinearity(signal)[:, -1] <= tolerance))
-
     def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> CovarianceCheck:
         """Return the variances of a campaign's errors at the end over those predicted, with bands.
 
@@ -317,7 +251,7 @@ class LinearCovariance(Strict, Printed):
             raise ArgumentError(f"{runs} runs of the campaign ended with finite numbers: fly at least two.")
         variance = np.diag(self.parts["error"][:, -1].sum(axis=0))
         erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
-        scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal[:, None])) ** 2)
+        scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal)) ** 2)
         errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())[scatters]
         kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), 1 + ROUNDING)
         freedom = 2 * (runs - 1) / (kurtosis - 1)
@@ -348,18 +282,15 @@ def linear_covariance(
     scenario: Scenario,
     *,
     every: int = 1,
-    checks: int = 30,
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
     Parameters
     ----------
     scenario : Scenario
-        Whose loop has no events. Its seed is that of the runs to compare with.
+        Whose loop has no events.
     every : int
         Of so many control steps one is kept; the end always is.
-    checks : int
-        Runs simulated for `LinearCovariance.nonlinearity`; 0: none.
 
     Raises
     ------
@@ -369,7 +300,7 @@ def linear_covariance(
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(scenario, checks=0)
+    >>> result = go.linear_covariance(scenario)
     >>> print(result.sources)
     ('initial.q', 'initial.v', 'gauge')
     >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
@@ -377,59 +308,49 @@ def linear_covariance(
     """
     expect(scenario, Scenario, "what linear_covariance() got", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
-    checks = read_integer(checks, "the number of runs to compare with", 0)
     flight, dispersions = scenario.flight, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
     linearization = Linearization(flight, scenario.loop.wiring, columns)
     if linearization.nominal_nis() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
-    return _Pass(linearization, dispersions, every, checks, scenario.seed).result()
+    return _Pass(linearization, dispersions, every).result()
 
 
 class _Pass:
     """One sweep along the nominal run, with the propagated quantities."""
 
-    def __init__(
-        self, linearization: Linearization, dispersions: Dispersions, every: int, checks: int, seed: int
-    ) -> None:
+    def __init__(self, linearization: Linearization, dispersions: Dispersions, every: int) -> None:
         self.linearization, self.flight = linearization, linearization.flight
-        self.every, self.seed, self.dispersions = every, seed, dispersions
+        self.every, self.dispersions = every, dispersions
         layout, nominal = self.flight.layout, self.flight.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
-        columns = [dispersed(dispersions, layout, nominal, seed, i) for i in range(checks)]
-        self.drawn = np.reshape(columns, (checks, layout.size)).T
         numbers = linearization.noises
         units = [np.eye(place.stop - place.start) for place in numbers.values()]
-        chosen = linearization.columns
         self.sources = Sources(
             (*moments, *numbers),
             (*(covariance for _, covariance in moments.values()), *units),
             tuple(numbers.values()),
-            self.drawn[chosen] - nominal[chosen, None],
         )
         self.values: dict[str, list[Array]] = {kind: [] for kind in ("state", *_KINDS)}
-        self.scatters: dict[str, list[tuple[Array, Array]]] = {kind: [] for kind in ("error", *_KINDS)}
+        self.covariances: dict[str, list[Array]] = {kind: [] for kind in ("error", *_KINDS)}
         self.mean: list[Array] = []
 
     def result(self) -> LinearCovariance:
         """Return what the pass found."""
         X, g, h = self.linearization.start()
-        numbers = self._numbers()
-        n = next(numbers)
-        scatter = Scatter.first(self.sources, g, h, n)
+        scatter = Scatter.first(self.sources, g, h)
         flown, needed = self.flight.n_steps, 1
         looks = max(1, flown // 10)
-        resolution = PlantModes(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
+        asked = _FOLLOWED / (flown * self.flight.minor_steps)
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0
-            n = n if first else next(numbers)
             if k % looks == 0:
-                needed = max(needed, resolution.needed(self.flight.times[k], X, step.y))
+                needed = max(needed, steps_needed(self.linearization, asked, self.flight.times[k], X, step.y))
             if k % self.every == 0:
                 self._keep_state(X, scatter)
-                self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, n, first=first))
-            scatter, X = scatter.through(step.a, step.g, step.h, n, first=first), step.X_next
+                self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, first=first))
+            scatter, X = scatter.through(step.a, step.g, step.h, first=first), step.X_next
         self._keep_state(X, scatter)
         self._warn_of_modes(needed)
         return self._collected()
@@ -441,26 +362,17 @@ class _Pass:
             warn_user(
                 f"the nominal run of the covariance has so little in it that {self.flight.substeps} integration steps "
                 f"per minor step do; its modes ask for {needed}, and what is told of them is off: give the loop "
-                f"substeps={needed}, and the runs that are compared with it."
+                f"substeps={needed}, and the campaigns that are compared with it."
             )
 
-    def _numbers(self) -> Iterator[Array]:
-        """Yield the random numbers (n, n_runs) of each step of the runs to compare with."""
-        flight, drawn = self.flight, self.linearization.drawn
-        known = [np.empty((min(flight.n_steps, LEG), flight.kernel.known.size)) for _ in self.drawn.T]
-        if not known:
-            yield from itertools.repeat(np.empty((len(drawn), 0)))
-        for legs in zip(*(flight.legs([self.seed, i], rows) for i, rows in enumerate(known)), strict=True):
-            yield from np.stack([rows[:, drawn] for _, rows in legs], axis=2)
-
     def _keep_state(self, X: Array, scatter: Scatter) -> None:
-        places = self.linearization.state.split(np.arange(scatter.runs.shape[0]))["plant"]
+        places = self.linearization.state.split(np.arange(scatter.size))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
-        to_errors = np.zeros((self.flight.error_layout.size, scatter.runs.shape[0]))
+        to_errors = np.zeros((self.flight.error_layout.size, scatter.size))
         to_errors[:, places] = self._error_jacobian(x).full()
         errors = scatter.turned(to_errors)
         self.values["state"].append(x)
-        self.scatters["error"].append((errors.covariances, errors.runs))
+        self.covariances["error"].append(errors.covariances)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
     def _keep_outputs(self, y: Array, scatter: Scatter) -> None:
@@ -469,7 +381,7 @@ class _Pass:
         for kind, name in _KINDS.items():
             part = scatter.turned(places[name])
             self.values[kind].append(values[name])
-            self.scatters[kind].append((part.covariances, part.runs))
+            self.covariances[kind].append(part.covariances)
 
     @cached_property
     def _error_jacobian(self) -> Any:
@@ -481,44 +393,17 @@ class _Pass:
     def _collected(self) -> LinearCovariance:
         flight = self.flight
         kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
-        parts = {kind: np.stack([c for c, _ in found], axis=1) for kind, found in self.scatters.items()}
+        parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances.items()}
         return LinearCovariance(
             times=flight.times[kept],
             sources=self.sources.names,
             nominal=np.stack(self.values["state"], axis=1),
             mean=np.stack(self.mean, axis=1),
             parts=parts,
-            bends=self._bends({kind: _roots(part.sum(axis=0)) for kind, part in parts.items()}),
-            checked=self.drawn.shape[1],
             layouts={"error": flight.error_layout, "command": flight.commands, "applied": flight.controls},
             flight=flight,
             dispersions=self.dispersions,
         )
-
-    def _bends(self, sigma: dict[str, Array]) -> dict[str, Array]:
-        """Return the root mean square of what runs differ by from their predictions, in standard deviations."""
-        flight, checks = self.flight, self.drawn.shape[1]
-        if not checks:
-            return {kind: np.full(s.shape, np.nan) for kind, s in sigma.items()}
-        nominal = {kind: np.stack(values, axis=1) for kind, values in self.values.items()}
-        squares = {kind: np.zeros(s.shape) for kind, s in sigma.items()}
-        erring = ROUNDING
-        for i in range(checks):
-            run = flight.run(self.drawn[:, i], [self.seed, i], every=self.every)
-            erring = max(erring, float(np.fmin(run.integration_error, flight.accuracy)))
-            moved = {kind: getattr(run, name) - nominal[kind] for kind, name in _KINDS.items()}
-            moved["error"] = np.asarray(flight.errors(run.states, nominal["state"]).full())
-            for kind, deviations in moved.items():
-                predicted = np.stack([runs[:, i] for _, runs in self.scatters[kind]], axis=1)
-                squares[kind] += np.nan_to_num((deviations - predicted) ** 2, nan=np.inf)
-        found = {}
-        for kind, s in sigma.items():
-            apart = np.sqrt(squares[kind] / checks)
-            sizes = error_sizes(flight, nominal["state"]) if kind == "error" else magnitudes(nominal[kind])
-            quiet = erring * sizes[:, None]  # what integration may err by is no scatter
-            bent = np.where(apart <= quiet, 0.0, np.inf)
-            found[kind] = np.divide(apart, s, out=bent, where=s > quiet)
-        return found
 
 
 def _roots(covariance: Array) -> Array:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.analysis.linear_covariance import PlantModes
+from gnc_opt.analysis.linear_covariance import steps_needed
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
@@ -265,12 +265,12 @@ def _along(
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
-    found, needed, resolution = [], 0, PlantModes(linearization, flight.accuracy)
+    found, needed = [], 0
     X = linearization.start()[0]
     for k, step in enumerate(linearization.steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
-            needed = max(needed, resolution.needed(flight.times[k], X, step.y))
+            needed = max(needed, steps_needed(linearization, flight.accuracy, flight.times[k], X, step.y))
         if k == wanted[-1]:
             break
         X = step.X_next

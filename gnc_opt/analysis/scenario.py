@@ -5,10 +5,11 @@ All that a run draws is made of standard normal numbers: those of the dispersion
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import Flown, gathered
 from gnc_opt.simulation.closed_loop import ClosedLoop
@@ -25,6 +26,7 @@ from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_disper
 from gnc_opt.simulation.monte_carlo import Criteria, MeasureFunction, read_criteria
 from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.tolerances import TINY
+from gnc_opt.workers import Shared, WorkerPool
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
 """How runs end that have not failed."""
@@ -158,6 +160,25 @@ class Scenario:
         flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
         return np.where(flown & ~np.isnan(values), values, np.inf)
+
+
+def all_answers(
+    work: Any,
+    method: Callable[[Any, Any], Any],
+    tasks: Sequence[Any],
+    executor: Executor | Literal["serial"] | None,
+    name: str,
+) -> list[Any]:
+    """Return what a method of a work unit answers to all tasks, in workers; `GncOptError` if one has no answer."""
+    remedy = 'define measures= functions at the top of a module, or use executor="serial"'
+    with WorkerPool(Shared.picklable(work, name, remedy), executor, name) as pool:
+        done = pool.run(method, tasks, lambda _: None)
+    errors = [each.error for each in done if each.answer is None]
+    if errors or len(done) < len(tasks):
+        raise GncOptError(
+            f"{name} could not fly all its runs: {errors[0] if errors else 'it was interrupted'}."
+        )
+    return [each.answer for each in done]
 
 
 class GivenNumbers:

@@ -24,13 +24,12 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from gnc_opt.analysis.scenario import Scenario
+from gnc_opt.analysis.scenario import Scenario, all_answers
 from gnc_opt.arguments import expect, read_integer, read_numbers, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, pass_rate
 from gnc_opt.text import Printed
-from gnc_opt.workers import Shared, WorkerPool
 
 LEVEL_EXCEEDANCE_SHARE = 0.1
 """Share of the runs of a level that exceed the next one."""
@@ -152,20 +151,7 @@ def failure_probability(
     repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
     confidence = read_probability(confidence, f"the confidence of {name}")
     search = _Search(scenario, measure, bound, count)
-    shared = Shared.picklable(
-        search, name, 'define measures= functions at the top of a module, or use executor="serial"'
-    )
-    with WorkerPool(shared, executor, name) as pool:
-        done = pool.run(_Search.repetition, range(repetitions), lambda _: None)
-    answers = []
-    for each in done:
-        if each.answer is None:
-            raise GncOptError(f"a repetition of {name} ended without an answer: {each.error}")
-        answers.append(each.answer)
-    if len(answers) < repetitions:
-        raise GncOptError(
-            f"{name} was interrupted after {len(answers)} of {repetitions} repetitions: let it end."
-        )
+    answers = all_answers(search, _Search.repetition, range(repetitions), executor, name)
     estimates = np.array([answer.probability for answer in answers])
     if not np.all(estimates > 0):
         largest = max(float(answer.levels[-1]) for answer in answers)

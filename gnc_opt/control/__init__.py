@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from gnc_opt.control.c_export.export import CCode, CCodeOptions, export_c
+from gnc_opt.control.c_export.export import CCode, export_c
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
@@ -11,12 +11,9 @@ from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.fmu_export import Fmu, export_fmu
 from gnc_opt.control.gain_schedule import design_gain_schedule
-from gnc_opt.control.hierarchical_sliding_mode import design_hierarchical_sliding_mode
 from gnc_opt.control.input_output_linearization import (
-    decoupling_matrix,
     lie_derivative,
     output_errors,
-    relative_degrees,
     zero_dynamics,
 )
 from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
@@ -26,7 +23,6 @@ from gnc_opt.control.quadratic_cost import bryson
 from gnc_opt.control.reaching_laws import (
     ConstantRate,
     ExponentialRate,
-    PowerRate,
     SaturationLayer,
     Sign,
     SuperTwisting,
@@ -40,14 +36,12 @@ from gnc_opt.renamed import check_renamed
 
 __all__ = [
     "CCode",
-    "CCodeOptions",
     "ConstantRate",
     "Controller",
     "DesignReport",
     "ErrorDynamics",
     "ExponentialRate",
     "Fmu",
-    "PowerRate",
     "Reference",
     "ReportEntry",
     "SaturationLayer",
@@ -56,10 +50,8 @@ __all__ = [
     "SuperTwistingObserver",
     "TanhLayer",
     "bryson",
-    "decoupling_matrix",
     "design_feedback_linearization",
     "design_gain_schedule",
-    "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
     "design_lqr",
     "design_mpc",
@@ -72,7 +64,6 @@ __all__ = [
     "law",
     "lie_derivative",
     "output_errors",
-    "relative_degrees",
     "trim",
     "with_dropout_handling",
     "zero_dynamics",

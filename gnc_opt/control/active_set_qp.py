@@ -135,10 +135,24 @@ class ProgrammeCode:
         return low, high
 
 
+def command_memory(m: int) -> Layout:
+    """Return the memory of a predictive controller: the last command (m,) and the alarm."""
+    parts = (Variable("previous_command", m), Variable("qp_failed", 1))
+    return Layout("memory", parts, "the memory of the controller")
+
+
+def limited_command(u: Any, previous: Any, rows: Rows) -> Any:
+    """Return a command within the limits of size and rate, SX or MX."""
+    lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
+    if rows.change is not None:
+        lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
+    return clip(u, lower, upper)
+
+
 def flight_law(
     code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
-    """Return the form of a predictive controller for flight code: its memory is the last command and the alarm."""
+    """Return the form of a predictive controller for flight code."""
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
     signals = reference_signals(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
@@ -147,12 +161,8 @@ def flight_law(
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
     e = deviation.expression(x, x_ref)
     v, solved = _call(e.numel(), m)(number, e, previous)
-    lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
-    if rows.change is not None:
-        lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
-    u = clip(u_ff + v, lower, upper)
+    u = limited_command(u_ff + v, previous, rows)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
-    parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     assert controller.dt is not None and controller.span is not None
     form = Controller(
         name=controller.name,
@@ -161,7 +171,7 @@ def flight_law(
         states=controller.states,
         commands=controller.commands,
         signals=signals,
-        memory=Layout("memory", parts, "the memory of the controller"),
+        memory=controller.memory,
         schedule=_Numbered(ReferenceSchedule(reference), controller.span),
         explanation=controller.explanation,
         dt=controller.dt,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -54,69 +54,49 @@ def saturated(u: Any, limits: Authority | None) -> Any:
     return u if limits is None else clip(u, *limits)
 
 
-def reserve_shares(reference: Reference, limits: Authority | None) -> list[ReportEntry]:
-    """Return the fact about the share of the limits that the feedforward leaves, one number per control."""
-    if limits is None:
-        return []
-    u = reference.u(reference_times(reference, 400))
-    if reference.tail_control is not None:
-        u = np.hstack([u, reference.tail_control[:, None]])
-    half = 0.5 * (limits[1] - limits[0])
-    remark = (
-        "least distance of the feedforward to its limits, share of half their range; what feedback can use"
-    )
-    return [ReportEntry("control authority margin", _distance(u, limits).min(axis=1) / half, "", remark)]
-
-
-def require_reserve(
+def authority_margin(
     reference: Reference,
     limits: Authority | None,
-    times: Array,
     *,
-    gain: Array | None = None,
+    gain: Callable[[Array], Array] | None = None,
     dt: float | None = None,
+    required: bool = False,
 ) -> list[ReportEntry]:
-    """Return the fact about the least authority that is left at ``times`` (s), in the unit of its control.
+    """Return the fact about the share of half the range of each control that the feedforward leaves.
 
     Parameters
     ----------
-    gain : array (n_controls, n_times), optional
-        Switching gain of a law in addition to the feedforward; `DesignError` if both exceed the limits.
+    gain : callable, optional
+        Switching gain (n_controls, n_times) at times (s) of a law, in addition to the feedforward.
     dt : float, optional
         Length of the steps (s) over which the feedforward is held; without it, it follows the reference.
+    required : bool
+        Whether a negative margin is a `DesignError`.
     """
     if limits is None:
         return []
+    times = reference_times(reference)
+    u = reference.u(times)
     if dt is not None and reference.duration > 0:
-        if reference.tail_control is None:  # nothing is known of a step that goes beyond the end
-            times = np.minimum(times, max(reference.final_time - dt, reference.initial_time))
         u = reference.mean_control(times, dt)
-    else:
-        u = reference.u(times)
-    left = _distance(u, limits) - (0.0 if gain is None else gain)
+    extra = np.zeros_like(u) if gain is None else gain(times)
+    times, u = np.append(times, reference.final_time), np.column_stack([u, reference.tail_control])
+    extra = np.column_stack([extra, extra[:, -1]])
+    lower, upper = (limit[:, None] for limit in limits)
+    left = np.minimum(upper - u, u - lower) - extra
     row, column = np.unravel_index(int(np.argmin(left)), left.shape)
-    label, unit = reference.controls.labels[row], reference.controls.units[row]
-    where = f"at t = {times[column]:.6g} s"
-    if left[row, column] < 0:
-        what, asks = "the reference", "needs"
-        if gain is not None:
-            what, asks = "the switching gain", f"needs {gain[row, column]:.6g} besides its feedforward"
+    label, where = reference.controls.labels[row], f"at t = {times[column]:.6g} s"
+    if required and left[row, column] < 0:
+        besides = "" if gain is None else f"{extra[row, column]:.6g} besides its feedforward "
         raise DesignError(
-            f"{what} is beyond the authority: control '{label}' {asks} {u[row, column]:.6g} {where}, but its limits "
-            f"are {limits[0][row]:.6g} and {limits[1][row]:.6g}; "
-            f"{'' if gain is None else 'lower the gain, or '}plan with more reserve."
+            f"{'the reference' if gain is None else 'the switching gain'} is beyond the authority: control '{label}' "
+            f"needs {besides}{u[row, column]:.6g} {where}, but its limits are {limits[0][row]:.6g} and "
+            f"{limits[1][row]:.6g}; {'' if gain is None else 'lower the gain, or '}plan with more reserve."
         )
-    beside = "beside the feedforward" if gain is None else "least of all, beside feedforward and gain"
-    return [
-        ReportEntry(
-            "control authority margin", float(left[row, column]), unit, f"control '{label}' {where}, {beside}"
-        )
-    ]
-
-
-def _distance(u: Array, limits: Authority) -> Array:
-    """Return the distance of controls (n_controls, n) to the nearer of their limits; < 0 is beyond it."""
-    return np.asarray(np.minimum(limits[1][:, None] - u, u - limits[0][:, None]))
+    shares = 2 * left.min(axis=1) / (limits[1] - limits[0])
+    beside = "feedforward" if gain is None else "feedforward and gain"
+    remark = f"share of half the range beside the {beside}; least of '{label}' {where}"
+    return [ReportEntry("control authority margin", shares, "", remark)]
 
 
 def reference_beyond(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_label, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.design_report import DesignReport
-from gnc_opt.control.error_dynamics import sampled_system
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout, as_point
 from gnc_opt.tolerances import SAME_TIME
@@ -23,27 +21,15 @@ Schedule: TypeAlias = Callable[[Array, float], Array]
 """``schedule(times, dt)`` returns signals (n_signals, n_times) for steps of dt (s) from times (s)."""
 
 
-class SolverCode(Protocol):
-    """The C of the solver that a law calls once."""
-
-    @property
-    def operations(self) -> int:
-        """Largest number of arithmetic operations and comparisons of a call."""
-
-    @property
-    def stack(self) -> int:
-        """Largest number of entries on the stack of a call."""
-
-    def text(self, numbers: CNumbers) -> str:
-        """Return the C of tables and functions, placed after ``schedule`` and ``row_of``."""
-
-
 @dataclass(frozen=True, eq=False)
 class FlightLaw:
-    """A law for flight code: elementary operations and at most one call of a solver, named as its C function."""
+    """A law for flight code: elementary operations and at most one call of a solver, named as its C function.
+
+    Of ``solver``, see `gnc_opt.control.active_set_qp.ProgrammeCode`, the C, operations and stack are taken.
+    """
 
     controller: Controller
-    solver: SolverCode | None = None
+    solver: Any = None
 
 
 _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
@@ -177,30 +163,6 @@ class Controller:
         memory = np.asarray(self.start(float(t), state, row).full()[:, 0]) if z is None else z
         u, after = self.step(float(t), state, row, memory)
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
-
-    def to_control(self, dt: float | None = None) -> Any:
-        """Return the law as a ``control.NonlinearIOSystem`` of python-control, from the measured state to the command.
-
-        Its state is the memory without dropout handling, at first ``initial_memory(t, x)[:system.nstates]``.
-
-        Parameters
-        ----------
-        dt : float, optional
-            Length of the control step, s; see `step_length`.
-
-        Raises
-        ------
-        ArgumentError
-            See `step_length`.
-        GncOptError
-            The extra ``control`` is not installed.
-        """
-        bare, length = self.unbridged or self, self.step_length(dt)
-
-        def step(t: float, z: Array, x: Array) -> tuple[Array, Array]:
-            return bare(t, x, z, length)
-
-        return sampled_system(self.name, step, length, bare.memory, bare.states, bare.commands)
 
 
 def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:

@@ -57,6 +57,12 @@ class Inverse:
     scale: float
     lowest: float
 
+    @property
+    def fact(self) -> ReportEntry:
+        """The smallest |det E| on the reference."""
+        name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
+        return ReportEntry(name, self.lowest, remark=remark)
+
     def __call__(self, y: Any) -> Any:
         """Return E^+ y, SX; an arbitrary finite value where E is singular."""
         return _solve(self.matrix, y)

@@ -11,8 +11,6 @@ where T, the pseudo-inverse of :math:`\partial d/\partial x`, takes an error to 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -20,55 +18,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.sampled_data import zero_order_hold
-from gnc_opt.environment import imported
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
-
-
-def linear_system(
-    name: str, matrices: tuple[Array, Array, Array, Array], dt: float, *layouts: tuple[str, ...]
-) -> Any:
-    """Return a ``control.StateSpace`` of A, B, C, D; dt is 0 for continuous time."""
-    states, inputs, outputs = (list(labels) for labels in layouts)
-    package = imported("control", "control")
-    return package.ss(*matrices, dt, name=_name(name), states=states, inputs=inputs, outputs=outputs)
-
-
-def sampled_system(
-    name: str,
-    step: Callable[[float, Array, Array], tuple[Array, Array]],
-    dt: float,
-    memory: Layout,
-    measured: Layout,
-    commands: Layout,
-) -> Any:
-    """Return a ``control.NonlinearIOSystem`` with steps of dt (s) from ``step(t, z, x) -> (u, z_next)``."""
-    package = imported("control", "control")
-
-    def update(t: float, z: Array, x: Array, params: object) -> Array:
-        return step(t, z, x)[1]
-
-    def output(t: float, z: Array, x: Array, params: object) -> Array:
-        return step(t, z, x)[0]
-
-    return package.nlsys(
-        update,
-        output,
-        dt=dt,
-        name=_name(name),
-        states=list(memory.labels),
-        inputs=list(measured.labels),
-        outputs=list(commands.labels),
-    )
-
-
-def _name(name: str) -> str:
-    """Return a name of letters, digits and underscores: a dot would separate a system from its signal."""
-    return re.sub(r"\W+", "_", name)
 
 
 class ErrorDynamics:
@@ -135,43 +88,6 @@ class ErrorDynamics:
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
         jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())
         return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
-
-    def to_control(
-        self,
-        t: float,
-        x_ref: ArrayLike,
-        u_ref: ArrayLike,
-        *,
-        outputs: Sequence[str] | None = None,
-        dt: float | None = None,
-    ) -> Any:
-        """Return the linear dynamics of e as a ``control.StateSpace`` of python-control, from u - u_ref to outputs.
-
-        Parameters
-        ----------
-        t, x_ref, u_ref
-            As for `linearize`.
-        outputs : sequence of str, optional
-            Names of the model's outputs; default e itself.
-        dt : float, optional
-            Sample exactly for commands held that long, s; default continuous time.
-
-        Raises
-        ------
-        DesignError, GncOptError
-            An output depends on a control; the extra ``control`` is not installed.
-        """
-        a, b = self.linearize(t, x_ref, u_ref)
-        if dt is not None:
-            a, b = zero_order_hold(a, b, read_positive(dt, "the control step dt"))
-        c, labels = np.eye(a.shape[0]), self.errors.labels
-        if outputs is not None:
-            c = np.vstack([self.linearize_output(name, t, x_ref, u_ref) for name in outputs])
-            labels = tuple(label for name in outputs for label in self.model.outputs[name].labels)
-        matrices = (a, b, c, np.zeros((c.shape[0], b.shape[1])))
-        return linear_system(
-            self.model.name, matrices, dt or 0.0, self.errors.labels, self.model.controls.labels, labels
-        )
 
     @cached_property
     def _error(self) -> Any:

@@ -14,12 +14,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, read_limits, require_reserve
+from gnc_opt.control.control_limits import Limits, authority_margin, read_limits
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
@@ -30,14 +29,14 @@ from gnc_opt.control.decoupling import (
     guarded_inverse,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
-from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
+from gnc_opt.control.quadratic_cost import require_definite
 from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.riccati import steady
 from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import as_vector
 
 
 @one_thread()
@@ -47,7 +46,6 @@ def design_feedback_linearization(
     *,
     outputs: Outputs,
     poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None = None,
-    gains: Sequence[ArrayLike] | None = None,
     Q: ArrayLike | None = None,
     R: ArrayLike | None = None,
     guard: float = GUARD,
@@ -59,7 +57,7 @@ def design_feedback_linearization(
 ) -> Controller:
     """Return a controller that makes output errors decay with chosen poles.
 
-    Give one of ``poles``, ``gains`` and ``Q``, ``R``.
+    Give ``poles``, or ``Q`` and ``R``.
 
     Parameters
     ----------
@@ -70,8 +68,6 @@ def design_feedback_linearization(
         See `Outputs`. For attitudes prefer a state with a declared difference.
     poles : sequence (r,), or mapping from outputs to them
         1/s.
-    gains : sequence (r,) of float or array (n_outputs,)
-        K1 on e, K2 on its rate, ...
     Q, R : float or array
         Weights of eta, ordered by derivative (all e, then all rates, ...), and of v; numbers weigh all alike.
     guard : float
@@ -106,18 +102,16 @@ def design_feedback_linearization(
     authority = read_limits(model, limits)
     inverse = guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
-    gain = _gain(errors, poles, gains, Q, R)
+    gain = _gain(errors, poles, Q, R)
     closed = _poles(errors, gain)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        ReportEntry(
-            "smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"
-        ),
+        inverse.fact,
         *zeros,
         *_sampling_facts(errors, gain, dt),
-        *require_reserve(reference, authority, reference_times(reference)),
+        *authority_margin(reference, authority, required=True),
     ]
     u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
     spare = None
@@ -164,28 +158,19 @@ def _chains(errors: OutputErrors) -> tuple[Array, Array]:
 def _gain(
     errors: OutputErrors,
     poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None,
-    gains: Sequence[ArrayLike] | None,
     q: ArrayLike | None,
     r: ArrayLike | None,
 ) -> Array:
     """Return K (n_outputs, sum of the relative degrees)."""
-    given = [poles is not None, gains is not None, q is not None or r is not None]
-    if sum(given) != 1:
-        raise DesignError("the errors need one choice of dynamics: give poles, or gains, or Q and R.")
+    if (poles is None) == (q is None and r is None):
+        raise DesignError("the errors need one choice of dynamics: give poles, or Q and R.")
     a, b = _chains(errors)
-    if q is not None or r is not None:
+    if poles is None:
         return _optimal_gain(a, b, q, r)
     gain = np.zeros((errors.size, len(_places(errors))))
     for column, (i, k) in enumerate(_places(errors)):
         label, degree = errors.labels[i], errors.degrees[i]
-        if gains is not None:
-            if len(gains) != degree:
-                raise DesignError(
-                    f"output '{label}' has relative degree {degree}: give {degree} gains, not {len(gains)}."
-                )
-            gain[i, column] = as_vector(gains[k], errors.size, f"gain K{k + 1}", DesignError)[i]
-        else:
-            gain[i, column] = _polynomial(errors, label, degree, poles)[k]
+        gain[i, column] = _polynomial(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
     if np.max(found.real) >= 0:
         raise DesignError(
@@ -226,13 +211,9 @@ def _optimal_gain(a: Array, b: Array, q: ArrayLike | None, r: ArrayLike | None) 
                 f"the weight {what} has the shape {matrix.shape}: give a number, or {(size, size)}."
             )
         weights.append(matrix)
-    try:
-        p = scipy.linalg.solve_continuous_are(a, b, *weights)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise DesignError(
-            f"the Riccati equation of Q and R has no solution ({error}): give Q >= 0, R > 0."
-        ) from error
-    return np.asarray(np.linalg.solve(weights[1], b.T @ p))
+    require_definite(weights[1], tuple(f"v[{i}]" for i in range(b.shape[1])), "the weight R")
+    labels = tuple(f"eta[{i}]" for i in range(a.shape[0]))
+    return steady(a, b, weights[0], weights[1], np.zeros_like(b), labels).gain
 
 
 def _poles(errors: OutputErrors, gain: Array) -> Array:

@@ -103,12 +103,11 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """The steps of a horizon: A - B K, B L^-T, K, L^-T and the scale of errors; ``condensed``: dense rows."""
+    """The steps of a horizon: A - B K, B L^-T, K, L^-T and the scale of errors."""
 
     rows: Rows
     matrices: list[list[Any]]
     scale: Array
-    condensed: bool = False
 
     @property
     def count(self) -> int:
@@ -124,7 +123,7 @@ class Horizon:
     @property
     def free(self) -> int:
         """Number of unknowns that may have any sign."""
-        return self.count * (self.sizes[1] if self.condensed else sum(self.sizes))
+        return self.count * sum(self.sizes)
 
     @property
     def unknowns(self) -> int:
@@ -134,13 +133,13 @@ class Horizon:
     @property
     def equations(self) -> int:
         """Number of equations."""
-        return 0 if self.condensed else self.count * self.sizes[0]
+        return self.count * self.sizes[0]
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
         rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
         commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
-        found = [] if self.condensed else [self._step(j, e_0) for j in range(self.count)]
+        found = [self._step(j, e_0) for j in range(self.count)]
         found += [_between(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.unknowns), previous)
@@ -156,10 +155,10 @@ class Horizon:
         h = ca.diag(ca.sparsify(ca.DM(squares)))
         return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
 
-    def alone(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> tuple[Any, Any]:
-        """Return the unconstrained regulator's unknowns, and whether it meets no limit."""
+    def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
+        """Return whether the unconstrained regulator meets no limit; arguments as of `programme`."""
         rows, (_, m) = self.rows, self.sizes
-        e, errors, room, limited = e_0, [], [], len(rows.states)
+        e, room, limited = e_0, [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
             u = u_ff[m * j : m * (j + 1)] - k @ e
             room += [u - rows.lower, rows.upper - u]
@@ -167,17 +166,10 @@ class Horizon:
                 room += [u - previous + rows.change, rows.change - u + previous]
                 previous = u
             e = a @ e
-            errors.append(e / self.scale)
             x = [x_ref[limited * j + i] + e[place] for i, place in enumerate(rows.errors)]
             room += [x[i] - rows.state_lower[i] for i in rows.below]
             room += [rows.state_upper[i] - x[i] for i in rows.above]
-        between = [] if self.condensed else errors
-        unknowns = ca.vertcat(ca.DM.zeros(m * self.count), *between, ca.DM.zeros(self.unknowns - self.free))
-        return unknowns, ca.mmin(ca.vertcat(*room)) >= 0
-
-    def first_command(self, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
-        """Return the first command as rows of the unknowns and a constant term."""
-        return self._command(0, (ca.DM(self.sizes[0], self.unknowns), e_0), u_ff)
+        return ca.mmin(ca.vertcat(*room)) >= 0
 
     # --- internals ----------------------------------------------------------------------------------------
 
@@ -190,11 +182,7 @@ class Horizon:
         n, _ = self.sizes
         found = [(ca.DM(n, self.unknowns), e_0)]
         for j in range(self.count):
-            if self.condensed:
-                a, f, (rows, rest) = self.matrices[0][j], self.matrices[1][j], found[-1]
-                found.append((a @ rows + self._row({self._omega(j): f}), a @ rest))
-            else:
-                found.append((self._row({self._error(j + 1): self._scaled}), ca.DM.zeros(n)))
+            found.append((self._row({self._error(j + 1): self._scaled}), ca.DM.zeros(n)))
         return found
 
     def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:

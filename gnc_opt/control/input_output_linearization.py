@@ -135,49 +135,6 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     return h
 
 
-def relative_degrees(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> dict[str, int]:
-    """Return the relative degree of each component of the outputs near the state x (n_states,) at time t (s).
-
-    Parameters
-    ----------
-    model : Model
-    outputs : name, names, expressions or mapping
-        See `Outputs`.
-    x : array (n_states,)
-    t : float
-        s.
-
-    Examples
-    --------
-    >>> print(relative_degrees(cart, "q", [0.0, 0.0]))
-    {'q': 2}
-    """
-    errors = output_errors(model, _point(model, x, t), outputs)
-    return dict(zip(errors.labels, errors.degrees, strict=True))
-
-
-def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> Array:
-    """Return E (n_outputs, n_controls) at the state x (n_states,) and time t (s).
-
-    Parameters
-    ----------
-    model : Model
-    outputs : name, names, expressions or mapping
-        See `Outputs`.
-    x : array (n_states,)
-    t : float
-        s.
-
-    Examples
-    --------
-    >>> print(decoupling_matrix(cart, "q", [0.0, 0.0]))
-    [[1.]]
-    """
-    point = _point(model, x, t)
-    errors = output_errors(model, point, outputs)
-    return errors.pair.along(point, np.array([t]), errors.decoupling)[0]
-
-
 def output_errors(model: Model, reference: Reference, outputs: Outputs) -> OutputErrors:
     """Return the errors of outputs with their derivatives up to the relative degree, as `zero_dynamics` takes them.
 
@@ -215,7 +172,7 @@ def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any
     if len(named) > pair.u.numel():
         raise DesignError(
             f"model '{model.name}' has {pair.u.numel()} control{'s' * (pair.u.numel() > 1)} for "
-            f"{len(named)} outputs ({', '.join(named)}): steer fewer, or combine them by hierarchical surfaces."
+            f"{len(named)} outputs ({', '.join(named)}): steer fewer, or a weighted sum of them."
         )
     chains, last = [], []
     for label, e in named.items():
@@ -374,10 +331,3 @@ def _output(label: str) -> str:
 
 def _labels(name: str, size: int) -> list[str]:
     return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
-
-
-def _point(model: Model, x: ArrayLike, t: float) -> Reference:
-    """Return a constant reference at x, whether it can rest there or not."""
-    state = np.asarray(x, dtype=float)
-    rest = np.zeros(model.controls.size)
-    return Reference.from_functions(model, lambda _: state, lambda _: rest, t, t)

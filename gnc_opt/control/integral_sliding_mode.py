@@ -32,7 +32,7 @@ from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampled_data import spectral_radius, zero_order_hold
-from gnc_opt.control.sliding_mode import SlidingOptions
+from gnc_opt.control.sliding_mode import read_switching
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
@@ -65,7 +65,7 @@ def design_integral_sliding_mode(
     reference : Reference or array (n_states,)
     nominal : Controller, or array (n_controls, n_errors)
         The law to be made robust: LQR, TVLQR, any in closed form; or the gain K of u = u_ref - K e.
-    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
+    reaching : ConstantRate, ExponentialRate or SuperTwisting
     boundary : Sign, SaturationLayer or TanhLayer
     dt : float
         Length of a control step, s.
@@ -99,8 +99,7 @@ def design_integral_sliding_mode(
     """
     reference = read_plant(model, reference, "design_integral_sliding_mode")
     pair = Pair.of(model)
-    options = SlidingOptions(reaching, boundary, bound, limits=limits, dt=dt)
-    switching = options.switching(model, model.controls.labels)
+    switching = read_switching(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
     errors, singular = _surface(pair, reference, projection)
     inverse = guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _nominal(pair, reference, nominal, dt)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.control_limits import Authority, Limits, authority_margin, clip, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
@@ -140,7 +140,7 @@ def design_lqr(
     bounds = read_limits(model, limits)
     step, start, memory = _law(model, deviation, solution.gain, integrals, bounds)
     signals = reference_signals(reference, *([Variable("step", 1, "s")] if integrals.size else []))
-    facts = [*_facts(solution, plant, model.controls, dt), *reserve_shares(reference, bounds)]
+    facts = [*_facts(solution, plant, model.controls, dt), *authority_margin(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,

@@ -16,9 +16,9 @@ strategies, Automatica 34 (1998): the change of variables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -26,34 +26,30 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.active_set_qp import ProgrammeCode, flight_law
+from gnc_opt.control.active_set_qp import ProgrammeCode, command_memory, flight_law, limited_command
 from gnc_opt.control.control_limits import (
     Limits,
+    authority_margin,
     clip,
     read_limits,
     reference_beyond,
-    require_reserve,
-    reserve_shares,
 )
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.horizon_qp import Horizon, Rows
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.riccati import gain_of
+from gnc_opt.control.riccati import backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, riccati_gains
 from gnc_opt.environment import one_thread
-from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
-
-QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
-
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
@@ -63,11 +59,6 @@ _HORIZON_MAX_STEPS = 2000
 
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
 _PIQP |= {"delta_init": 1e-8}  # its own 1e-4 holds large multipliers back, until they pass for infeasible
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "piqp": {"piqp": {"verbose": False, **_PIQP}},
-    "daqp": {"daqp": {"primal_tol": 1e-9, "dual_tol": 1e-9}},
-    "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": 20000, "polish": True}},
-}
 
 
 @one_thread()
@@ -87,7 +78,6 @@ def design_mpc(
     N: ArrayLike | None = None,
     terminal: Weight | Literal["riccati"] = "riccati",
     state_penalty: float = 1e3,
-    solver: QpSolver | None = None,
     name: str = "MPC",
 ) -> Controller:
     """Return a model predictive controller that follows a reference within limits.
@@ -115,15 +105,12 @@ def design_mpc(
         Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
-    solver : {"piqp", "osqp", "daqp"}, optional
-        Interior-point, operator-splitting or dual active-set method. Default: "piqp" with limited states, else
-        "daqp".
     name : str
 
     Returns
     -------
     Controller
-        Memory ``previous_command``, ``plan``, ``multipliers`` (warm start) and the alarm ``qp_failed``.
+        Memory ``previous_command`` and the alarm ``qp_failed``.
 
     Raises
     ------
@@ -146,11 +133,6 @@ def design_mpc(
     """
     reference = read_plant(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
-    solver = solver or ("piqp" if limited else "daqp")
-    if solver not in get_args(QpSolver):
-        raise ArgumentError(
-            f"there is no QP solver {shown(solver)}: {did_you_mean(str(solver), get_args(QpSolver))}"
-        )
     dt = read_positive(dt, "the control step dt")
     count = _steps(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
@@ -171,7 +153,7 @@ def design_mpc(
     elif terminal != "riccati":
         raise ArgumentError(f'terminal is {shown(terminal)}: write "riccati" or give a weight.')
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
-    require_reserve(reference, bounds, reference_times(reference))
+    margin = authority_margin(reference, bounds, required=True)
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
     in_x, in_e, *of_states = _state_rows(deviation, limited, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
@@ -179,17 +161,16 @@ def design_mpc(
     windows = _Windows(gains, count, end)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
-    step, start, memory = _law(deviation, schedule, rows, signals, solver)
-    easy = _law(deviation, schedule, rows, signals, solver, easy=True)[0]
+    law_ = _Law(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
-        step=step,
-        easy=easy,
-        start=start,
+        step=law_.step(),
+        easy=law_.step(easy=True),
+        start=law_.start(),
         states=model.states,
         commands=model.controls,
         signals=signals,
-        memory=memory,
+        memory=command_memory(model.controls.size),
         schedule=schedule,
         dt=dt,
         alarms=("qp_failed",),
@@ -197,9 +178,9 @@ def design_mpc(
         explanation=DesignReport(
             f"{name} of '{model.name}' along {reference!r}",
             (
-                *_facts(gains, windows, rows, model.states, solver),
+                *_facts(gains, windows, rows, model.states),
                 *beyond,
-                *reserve_shares(reference, bounds),
+                *margin,
             ),
         ),
     )
@@ -227,10 +208,8 @@ class _Windows:
         found = []
         for k in reversed(range(first, first + self.count)):
             s = steps[min(k, len(steps) - 1)]
-            gain = gain_of(s.a, s.b, s.r, s.n, p, sampled=True)
             weight = s.r + s.b.T @ p @ s.b
-            p = s.q + s.a.T @ p @ s.a - (s.b.T @ p @ s.a + s.n.T).T @ gain
-            p = 0.5 * (p + p.T)
+            gain, p = backward_step(s, p)
             root = np.linalg.inv(np.linalg.cholesky(weight)).T
             found.append((s.a - s.b @ gain, s.b @ root, gain, root))
         a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(found), strict=True))
@@ -272,97 +251,78 @@ class _Schedule:
         return np.vstack(rows)
 
 
-def _law(
-    deviation: ErrorDynamics,
-    schedule: _Schedule,
-    rows: Rows,
-    signals: Layout,
-    solver: str,
-    *,
-    easy: bool = False,
-) -> tuple[Any, Any, Layout]:
-    """Return the law, the first memory and its layout; ``easy``: without the solver, with a flag of validity."""
-    states, m = deviation.model.states.size, rows.lower.size
-    count, limited = schedule.windows.count, len(schedule.limited)
-    t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
-    x_ref, *given = ca.vertsplit(
-        r, [0, states, states + m * count, states + (m + limited) * count, signals.size]
-    )
-    u_ff = given[0]
-    sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
-    error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
-    e = error(x, x_ref)
-    horizon = _horizon(schedule, rows, given[2], solver)
-    size, n_rows = horizon.unknowns, horizon.equations + rows.count * count
-    z = ca.MX.sym("z", m + size + n_rows + 1)
-    previous, plan, multipliers, alarm = ca.vertsplit(
-        z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
-    )
-    found = _unlimited(schedule, rows, (e, *given, previous), solver)
-    if easy:
-        (y, solved), lam_a = found, ca.MX.zeros(multipliers.shape[0])
-    else:
-        known = (e, *given, previous, plan, multipliers)
-        y, lam_a, solved = _solution(schedule, rows, known, found, solver)
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """The law in MX: without the solver (``easy``) it holds where the regulator meets no limit."""
 
-    lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
-    if rows.change is not None:
-        lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
-    row, regulator = horizon.first_command(e, u_ff[:m])
-    u = clip(regulator + ca.if_else(solved, row @ y, 0), lower, upper)
-    after = ca.vertcat(
-        u,
-        ca.if_else(solved, y, 0),
-        ca.if_else(solved, lam_a, 0),
-        ca.if_else(solved, alarm, 1),
-    )
-    parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_failed": 1}
-    memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")
-    first = clip(u_ff[:m], rows.lower, rows.upper)
-    return (
-        law(t, x, r, z, u, after, *([solved] if easy else [])),
-        initial_state_function(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
-        memory,
-    )
+    deviation: ErrorDynamics
+    schedule: _Schedule
+    rows: Rows
+    signals: Layout
 
+    def step(self, *, easy: bool = False) -> Any:
+        """Return the law ``(t, x, r, z) -> (u, z_next)``, if easy with the flag of validity as a third output."""
+        t, x, r, z = self._symbols()
+        e, u_ff, x_limited, matrices, previous, alarm = self._split(x, r, z)
+        m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
+        inside = self._function("inside", ca.SX, lambda horizon, *a: [horizon.inactive(*a)])(*known)
+        omega, solved = ca.MX.zeros(m), inside
+        if not easy:
+            keep = self._function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
+            either = ca.Function.if_else("either", keep, self._function("solve", ca.MX, self._solution))
+            omega, solved = either(inside, *known)  # calls one of them
+        _, _, k, g = (parts[0] for parts in _matrices(self.schedule, matrices))
+        u = limited_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
+        after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
+        return law(t, x, r, z, u, after, *([solved] if easy else []))
 
-def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: str) -> list[Any]:
-    """Return the regulator's unknowns and whether they satisfy all limits, by elementary operations."""
-    symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
-    e, u_ff, x_limited, matrices, previous = symbols
-    alone = _horizon(schedule, rows, matrices, solver).alone(e, u_ff, x_limited, previous)
-    return list(ca.Function("alone", symbols, list(alone))(*given))
+    def start(self) -> Any:
+        """Return the function of the first memory: the feedforward within its limits."""
+        t, x, r, z = self._symbols()
+        m, u_ff = self.rows.lower.size, self._split(x, r, z)[1]
+        first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
+        return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
+    # --- internals ----------------------------------------------------------------------------------------
 
-def _solution(
-    schedule: _Schedule, rows: Rows, known: tuple[Any, ...], found: list[Any], solver: str
-) -> list[Any]:
-    """Return unknowns, multipliers and success: those ``found`` if they meet no limit, else the solver's."""
-    # the programme is only built where it is solved
-    regulated, inside = found
-    symbols = [ca.MX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate((*known, regulated))]
-    e, u_ff, x_limited, matrices, previous, x0, lam0, rest = symbols
-    task = _horizon(schedule, rows, matrices, solver).programme(e, u_ff, x_limited, previous)
-    shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
-    qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
-    # far outside soft limits multipliers are as large as their prices, which only the interior point minds
-    size = 1 / float(np.max(rows.roots, initial=1.0)) if solver == "piqp" else 1.0
-    least = np.full(rest.shape[0], -np.inf)
-    least[task.free :] = 0  # slacks are not negative
-    sides = {"a": task.a, "lba": task.low, "uba": task.high, "lbx": least}
-    answer = qp(h=size * task.h, g=size * task.g, **sides, x0=x0, lam_a0=size * lam0)
-    lam_a, lam_x = answer["lam_a"] / size, answer["lam_x"] / size
-    solved = task.optimality_residual(answer["x"], lam_a, lam_x) <= QP_TOLERANCE
-    solve = ca.Function("solve", symbols, [answer["x"], lam_a, solved])
-    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(lam0.shape[0]), ca.MX(1)])
-    either = ca.Function.if_else("either", keep, solve)  # calls one of them
-    return list(either(inside, *known, regulated))
+    def _symbols(self) -> tuple[Any, Any, Any, Any]:
+        sizes = (1, self.deviation.model.states.size, self.signals.size, self.rows.lower.size + 1)
+        t, x, r, z = (ca.MX.sym(name, size) for name, size in zip("txrz", sizes, strict=True))
+        return t, x, r, z
 
+    def _split(self, x: Any, r: Any, z: Any) -> list[Any]:
+        """Return e, feedforward and limited states over the horizon, its matrices, last command and alarm."""
+        states, m = x.shape[0], self.rows.lower.size
+        count, limited = self.schedule.windows.count, len(self.schedule.limited)
+        edges = [0, states, states + m * count, states + (m + limited) * count, r.shape[0]]
+        x_ref, *given = ca.vertsplit(r, edges)
+        sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
+        error = ca.Function("e", [sx, sx_ref], [self.deviation.expression(sx, sx_ref)])
+        return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
-def _horizon(schedule: _Schedule, rows: Rows, matrices: Any, solver: str) -> Horizon:
-    """Return the horizon in the form for a solver, with its matrices from the schedule's row."""
-    scale = _error_scale(schedule.windows)
-    return Horizon(rows, _matrices(schedule, matrices), scale, condensed=solver == "daqp")
+    def _function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
+        """Return the function of the horizon and the arguments that a programme takes."""
+        count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
+        rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
+        sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
+        e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
+        horizon = Horizon(self.rows, _matrices(self.schedule, matrices), _error_scale(self.schedule.windows))
+        return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
+
+    def _solution(self, horizon: Horizon, *known: Any) -> list[Any]:
+        """Return the first unknowns by the solver, and whether they meet the conditions of optimality."""
+        task = horizon.programme(*known)
+        shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
+        options = {"piqp": {"verbose": False, **_PIQP}, "error_on_fail": False}
+        # far outside soft limits multipliers are as large as their prices, which the interior point minds
+        size = 1 / float(np.max(self.rows.roots, initial=1.0))
+        least = np.full(horizon.unknowns, -np.inf)
+        least[task.free :] = 0  # slacks are not negative
+        sides = {"a": task.a, "lba": task.low, "uba": task.high, "lbx": least}
+        answer = ca.conic("qp", "piqp", shape, options)(h=size * task.h, g=size * task.g, **sides)
+        lam_a, lam_x = answer["lam_a"] / size, answer["lam_x"] / size
+        solved = task.optimality_residual(answer["x"], lam_a, lam_x) <= QP_TOLERANCE
+        return [answer["x"][: self.rows.lower.size], solved]
 
 
 def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
@@ -469,13 +429,11 @@ def _state_rows(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _facts(
-    gains: SampledGains, windows: _Windows, rows: Rows, states: Layout, solver: str
-) -> list[ReportEntry]:
+def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
     n = windows.gains.steps[-1].a.shape[0]
     size, limits = (m + n + len(rows.soft)) * count, (n + rows.count) * count
-    remark = f"{size} unknowns, {limits} rows, by {solver}"
+    remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),

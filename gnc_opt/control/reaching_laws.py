@@ -7,8 +7,7 @@ law               :math:`\rho(s)`                                reaching time f
 ================  =============================================  ==========================================
 `ConstantRate`        :math:`\eta\,\sigma(s)`                        :math:`|s_0| / (\eta - b)`
 `ExponentialRate`     :math:`\eta\,\sigma(s) + k s`                  :math:`\ln(1 + k |s_0| / (\eta - b)) / k`
-`PowerRate`       :math:`k |s|^\alpha \sigma(s)`                 :math:`|s_0|^{1-\alpha} / (k (1 - \alpha))`, b = 0
-`SuperTwisting`   :math:`k_1 |s|^{1/2} \sigma(s) - z`,           `super_twisting.convergence_time`
+`SuperTwisting`   :math:`k_1 |s|^{1/2} \sigma(s) - z`,           finite, not stated
                   :math:`\dot z = -k_2\,\sigma(s)`
 ================  =============================================  ==========================================
 
@@ -17,7 +16,7 @@ law               :math:`\rho(s)`                                reaching time f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -27,11 +26,11 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.super_twisting import check_gains, convergence_time
+from gnc_opt.control.super_twisting import check_gains
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import as_vector
 
-Law: TypeAlias = "ConstantRate | ExponentialRate | PowerRate | SuperTwisting"
+Law: TypeAlias = "ConstantRate | SuperTwisting"
 Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
 
 
@@ -121,13 +120,17 @@ class TanhLayer(_Layer):
 
 
 @dataclass(frozen=True)
-class _Relay:
-    """A law that switches by eta at every s.
+class ConstantRate:
+    """ds/dt = -eta sign(s).
 
     Parameters
     ----------
     eta : float
         Unit of s per second, > 0.
+
+    Examples
+    --------
+    >>> law = ConstantRate(0.5)
     """
 
     eta: float
@@ -140,20 +143,6 @@ class _Relay:
         """Gain available against disturbances at every s, in units of s per second."""
         return self.eta
 
-    def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
-        return boundary.width(bound / self.eta)
-
-
-@dataclass(frozen=True)
-class ConstantRate(_Relay):
-    """ds/dt = -eta sign(s); eta in units of s per second.
-
-    Examples
-    --------
-    >>> law = ConstantRate(0.5)
-    """
-
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
         return self.eta * boundary(s)
@@ -162,13 +151,17 @@ class ConstantRate(_Relay):
         """Return the steepest d rho / d s, 1/s."""
         return self.eta * boundary.slope
 
+    def band(self, boundary: Boundary, bound: float) -> float:
+        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
+        return boundary.width(bound / self.eta)
+
     def reaching_time(self, s: float, bound: float) -> float:
         """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
         return abs(s) / (self.eta - bound)
 
 
 @dataclass(frozen=True)
-class ExponentialRate(_Relay):
+class ExponentialRate(ConstantRate):
     """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`.
 
     Parameters
@@ -191,69 +184,15 @@ class ExponentialRate(_Relay):
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
-        return self.eta * boundary(s) + self.k * s
+        return super().rate(s, boundary) + self.k * s
 
     def slope(self, boundary: Boundary) -> float:
         """Return the steepest d rho / d s, 1/s."""
-        return self.eta * boundary.slope + self.k
+        return super().slope(boundary) + self.k
 
     def reaching_time(self, s: float, bound: float) -> float:
         """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
-        return float(np.log1p(self.k * abs(s) / (self.eta - bound))) / self.k
-
-
-@dataclass(frozen=True)
-class PowerRate:
-    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances.
-
-    Parameters
-    ----------
-    k : float
-        (Unit of s)^(1 - alpha) per second, > 0.
-    alpha : float
-        Between 0 and 1.
-
-    Examples
-    --------
-    >>> law = PowerRate(0.5, 0.5)
-    """
-
-    k: float
-    alpha: float
-
-    def __post_init__(self) -> None:
-        read_positive(self.k, "the gain k of a power-rate law")
-        if not 0 < read_positive(self.alpha, "the exponent alpha of a power-rate law") < 1:
-            raise DesignError(
-                f"the exponent alpha of a power-rate law is {self.alpha}: give one between 0 and 1."
-            )
-
-    @property
-    def gain(self) -> float:
-        """Unbounded away from s = 0: the disturbance decides how near s comes, see `band`."""
-        return np.inf
-
-    def rate(self, s: Any, boundary: Boundary) -> Any:
-        """Return rho(s), SX."""
-        return self.k * ca.fabs(s) ** self.alpha * boundary(s)
-
-    def slope(self, boundary: Boundary) -> float:
-        """Return the steepest d rho / d s (1/s): infinite at s = 0 without a boundary layer."""
-        if isinstance(boundary, Sign):
-            return np.inf
-        return float((1 + self.alpha) * self.k * boundary.slope ** (1 - self.alpha))
-
-    def reaching_time(self, s: float, bound: float) -> float:
-        """Return the time (s) from s to zero undisturbed; with a disturbance s never quite arrives."""
-        if bound > 0:
-            return np.inf
-        return float(abs(s) ** (1 - self.alpha) / (self.k * (1 - self.alpha)))
-
-    def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| within which a disturbance up to ``bound`` can hold s."""
-        if isinstance(boundary, Sign):
-            return float((bound / self.k) ** (1 / self.alpha))
-        return _solve(lambda s: self.k * s**self.alpha * float(boundary(s)), bound)
+        return float(np.log1p(self.k * super().reaching_time(s, bound))) / self.k
 
 
 @dataclass(frozen=True)
@@ -306,10 +245,6 @@ class SuperTwisting:
             return np.inf
         return float(1.5 * self.k1 * boundary.slope**0.5)
 
-    def reaching_time(self, s: float, bound: float) -> float:
-        """Return a time (s) after which s stays at zero, or inf where none can be proved."""
-        return convergence_time(self.k1, self.k2, s, bound=bound)
-
     def band(self, boundary: Boundary, bound: float) -> float:
         """Return the |s| at which a disturbance that grows at the rate ``bound`` is balanced."""
         return boundary.width(bound / self.k2)
@@ -317,9 +252,9 @@ class SuperTwisting:
 
 def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
     """Return the bounds of the disturbances (n_labels,); raise `DesignError` where the law is not stronger."""
-    if not isinstance(law, (ConstantRate, ExponentialRate, PowerRate, SuperTwisting)):
+    if not isinstance(law, (ConstantRate, SuperTwisting)):
         raise DesignError(
-            f"the reaching law is {law!r}: give ConstantRate(eta), ExponentialRate, PowerRate or SuperTwisting."
+            f"the reaching law is {law!r}: give ConstantRate(eta), ExponentialRate(eta, k) or SuperTwisting(k1, k2)."
         )
     bounds = as_vector(value, len(labels), "the bound of the disturbance", DesignError)
     if not np.all(np.isfinite(bounds) & (bounds >= 0)):
@@ -338,14 +273,3 @@ def check_bound(law: Law, bound: float, what: str) -> None:
             f"{what} may be disturbed by {bound:.6g}, not less than the gain {law.gain:.6g} of its reaching law: "
             "raise the gain above the bound."
         )
-
-
-def _solve(function: Callable[[float], float], value: float) -> float:
-    """Return s >= 0 with an increasing ``function(s) = value``, by bisection."""
-    low, high = 0.0, 1.0
-    while function(high) < value:
-        high *= 2
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) < value else (low, middle)
-    return high

@@ -76,7 +76,7 @@ def _told(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
     )
 
 
-Tail: TypeAlias = Literal["trim", "hold", "none"]
+Tail: TypeAlias = Literal["trim", "hold"]
 
 TRIM_TOLERANCE = 1e-6
 """Largest rate of a state at rest with the best control (1/s), relative to the largest state if above 1."""
@@ -96,9 +96,9 @@ class Reference(Strict):
     ----------
     solution : Trajectory
         A solved `gnc_opt.Solution`; its *applied* controls are followed, which respect their bounds.
-    tail : {"trim", "hold", "none"}
+    tail : {"trim", "hold"}
         The control after the end: ``"trim"`` finds the one that keeps the final state at rest (least squares),
-        ``"hold"`` keeps the final control, ``"none"`` refuses times after the end.
+        ``"hold"`` keeps the final control.
 
     Raises
     ------
@@ -183,7 +183,7 @@ class Reference(Strict):
             s.
         jumps : sequence of float
             Times at which the control jumps, s.
-        tail : {"trim", "hold", "none"}
+        tail : {"trim", "hold"}
             As in the class.
         vectorized : bool
             Whether the functions take times (n,) and return (n_states, n) and (n_controls, n): faster.
@@ -240,11 +240,9 @@ class Reference(Strict):
         self.model, self.states, self.controls = model, model.states, model.controls
         self._x, self._u, self._breaks = x, u, np.asarray(breaks, dtype=float)
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
-        self._tail: Array | None = None
-        if tail == "hold":
-            self._tail = self.u(self.final_time)
-        elif tail == "trim":
-            self._tail = trim(model, self.final_time, self.x(self.final_time))
+        end = self.final_time
+        held = tail == "hold"
+        self._tail = self._evaluate(u, end, None) if held else trim(model, end, self.x(end))
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -255,8 +253,8 @@ class Reference(Strict):
         return self.final_time - self.initial_time
 
     @property
-    def tail_control(self) -> Array | None:
-        """The control after the end (n_controls,), or ``None`` where there is no after."""
+    def tail_control(self) -> Array:
+        """The control after the end (n_controls,)."""
         return self._tail
 
     def x(self, t: ArrayLike) -> Array:
@@ -272,9 +270,6 @@ class Reference(Strict):
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
         owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
-        if self._tail is None:
-            begun = starts[owners] <= self.final_time + SAME_TIME * max(self.duration, 1.0)
-            at = np.where(begun[:, None], np.minimum(at, self.final_time), at)
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
         )
@@ -285,11 +280,10 @@ class Reference(Strict):
     def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))
         slack = SAME_TIME * max(self.duration, 1.0)
-        late = times > self.final_time + slack
-        if np.any(times < self.initial_time - slack) or (np.any(late) and self._tail is None):
+        if np.any(times < self.initial_time - slack):
             raise ArgumentError(
                 f"the reference runs from {self.initial_time:g} s to {self.final_time:g} s, not at "
-                f"{shown(float(times[-1] if np.any(late) else times[0]))} s: ask within, or give it a tail."
+                f"{shown(float(np.min(times)))} s: ask within."
             )
         within = np.clip(times, self.initial_time, self.final_time)
         part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
@@ -299,7 +293,7 @@ class Reference(Strict):
             here = part == k
             values[:, here] = parts[int(k)](np.clip(within[here], self._breaks[k], self._breaks[k + 1]))
         if tail is not None:
-            values[:, late] = tail[:, None]
+            values[:, times > self.final_time + slack] = tail[:, None]
         return values if np.ndim(t) else values[:, 0]
 
 
@@ -347,7 +341,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     if left[worst] > TRIM_TOLERANCE * max(float(np.max(np.abs(state), initial=0.0)), 1.0):
         raise ArgumentError(
             f"no control keeps the final state of '{model.name}' at rest: '{model.states.labels[worst]}' still moves "
-            f'at {left[worst]:.3g} per second; give the reference tail="hold" or tail="none".'
+            f'at {left[worst]:.3g} per second; give the reference tail="hold".'
         )
     return u
 

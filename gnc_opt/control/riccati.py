@@ -9,13 +9,11 @@ Sampled: :math:`P = A^T P A - K^T (R + B^T P B) K + Q`, :math:`K = (R + B^T P B)
 A stabilising P exists if no mode on or right of the stability boundary is uncontrollable (stabilisable) or without cost
 (detectable); both are tested in balanced coordinates.
 
-Sources: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), chapters 2 and 3.
-D. L. Kleinman, On an iterative technique for Riccati equation computations, IEEE Trans. Automatic Control 13 (1968).
+Source: B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), chapters 2 and 3.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +22,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.design_report import number_text
+from gnc_opt.control.sampled_data import SampledStep
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import EQUAL, TINY
 
@@ -67,7 +66,6 @@ def steady(
             f"the Riccati equation has no stabilising solution ({error}): weigh the errors and controls less "
             "unequally, or scale the model's units."
         ) from error
-    p = _polished(a, b, q, r, n, p, sampled)
     gain = gain_of(a, b, r, n, p, sampled=sampled)
     poles = np.linalg.eigvals(a - b @ gain)
     size = np.abs(poles) if sampled else poles.real
@@ -85,6 +83,13 @@ def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) 
     if sampled:
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
     return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
+
+
+def backward_step(step: SampledStep, p: Array) -> tuple[Array, Array]:
+    """Return K of a control step and the cost to go before it, from the cost to go P after it."""
+    gain = gain_of(step.a, step.b, step.r, step.n, p, sampled=True)
+    before = step.q + step.a.T @ p @ step.a - (step.b.T @ p @ step.a + step.n.T).T @ gain
+    return gain, 0.5 * (before + before.T)
 
 
 def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
@@ -167,33 +172,6 @@ def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
         return abs(eigenvalue) < 1 - EQUAL
     rate = float(np.linalg.norm(_balanced(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
-
-
-def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sampled: bool) -> Array:
-    """Newton's method on the Riccati equation (Kleinman): each step is a Lyapunov equation; kept while it helps."""
-    best, error = p, residual(a, b, q, r, n, p, sampled=sampled)
-    for _ in range(3):
-        gain = gain_of(a, b, r, n, best, sampled=sampled)
-        closed = a - b @ gain
-        load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T
-        try:
-            with (
-                warnings.catch_warnings()
-            ):  # a step from an ill-conditioned equation is checked by its residual
-                warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)
-                after = (
-                    scipy.linalg.solve_discrete_lyapunov(closed.T, load)
-                    if sampled
-                    else scipy.linalg.solve_continuous_lyapunov(closed.T, -load)
-                )
-        except scipy.linalg.LinAlgError:
-            return best
-        after = 0.5 * (after + after.T)
-        error_after = residual(a, b, q, r, n, after, sampled=sampled)
-        if not error_after < error:
-            return best
-        best, error = after, error_after
-    return best
 
 
 def _list(names: tuple[str, ...]) -> str:

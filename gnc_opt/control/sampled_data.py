@@ -14,7 +14,6 @@ Reports 470 (2009), eq. 253.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -84,8 +83,8 @@ def continuous_poles(poles: Any, dt: float | None) -> Any:
     return rates
 
 
-Linearization = Callable[[float], tuple[Array, Array]]
-"""A (n, n) and B (n, m) at a time."""
+Linearization = Callable[[Array], tuple[Array, Array]]
+"""A (k, n, n) and B (k, n, m) at times (k,)."""
 
 _SUBSTEPS = 2
 
@@ -120,21 +119,18 @@ def sample_along(
     """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
     inner = jumps[(jumps > t) & (jumps < t + dt)]
     edges = np.concatenate([[t], inner, [t + dt]])
+    steps = np.repeat(np.diff(edges) / _SUBSTEPS, _SUBSTEPS)
+    middles = np.repeat(edges[:-1], _SUBSTEPS) + steps * np.tile(np.arange(_SUBSTEPS) + 0.5, edges.size - 1)
+    a, b = linearize((middles[:, None] + steps[:, None] * np.sqrt(3) / 6 * [-1.0, 1.0]).ravel())
     weight = _stacked(q, r, n)
     phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
-    for left, right in itertools.pairwise(edges):
-        h = (right - left) / _SUBSTEPS
-        for k in range(_SUBSTEPS):
-            middle = left + (k + 0.5) * h
-            first, second = (
-                _generator(*linearize(middle + s * h * np.sqrt(3) / 6), weight) for s in (-1.0, 1.0)
-            )
-            commutator = second @ first - first @ second
-            step, part = _blocks(
-                scipy.linalg.expm(0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator)
-            )
-            cost = cost + phi.T @ part @ phi
-            phi = step @ phi
+    for k, h in enumerate(steps):
+        first, second = (_generator(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
+        commutator = second @ first - first @ second
+        exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
+        step, part = _blocks(scipy.linalg.expm(exponent))
+        cost = cost + phi.T @ part @ phi
+        phi = step @ phi
     return _step(phi, cost, q.shape[0], dt)
 
 

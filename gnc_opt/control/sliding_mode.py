@@ -18,12 +18,11 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, read_limits, require_reserve, saturated
+from gnc_opt.control.control_limits import Authority, Limits, authority_margin, read_limits, saturated
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
@@ -36,7 +35,6 @@ from gnc_opt.control.decoupling import (
     guarded_inverse,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.feedforward import reference_times
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.reaching_laws import (
     Boundary,
@@ -54,46 +52,6 @@ from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
-
-_SETTLING_TIME_CONSTANTS = 40.0
-"""An impulse response is integrated over this many time constants of its slowest pole."""
-_RESPONSE_SAMPLES = 4000
-
-
-def surface_controller(
-    name: str,
-    title: str,
-    errors: OutputErrors,
-    reference: Reference,
-    coefficients: Sequence[Array],
-    options: SlidingOptions,
-) -> Controller:
-    """Return the controller that drives surfaces to zero; coefficients c_0, ..., c_{r-2}, 1."""
-    switching = options.switching(errors.pair.model, errors.labels)
-    _require_decay(errors.labels, coefficients, switching)
-    inverse = guarded_inverse(errors, reference, options.guard)
-    zeros = check_zero_dynamics(errors, reference, options.growth)
-    pairs = list(zip(coefficients, errors.chains, strict=True))
-    s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
-    drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
-    memory, u = _command(s, drift, errors, inverse, switching, options.observer)
-    facts = [
-        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
-        *_surface_facts(errors, coefficients, switching),
-        ReportEntry(
-            "smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"
-        ),
-        *zeros,
-        *switching.reserve(errors, reference),
-    ]
-    return guarded_controller(
-        name,
-        errors.pair,
-        reference,
-        GuardedLaw(u, inverse.regular, tuple(memory)),
-        dt=switching.dt,
-        explanation=DesignReport(title, tuple(facts)),
-    )
 
 
 def _command(
@@ -152,47 +110,15 @@ def _surface_facts(
     ]
     facts = [*poles, *switching.facts()]
     if not isinstance(switching.boundary, Sign):
-        steady = np.array(
-            [band * _peak_gain(c) for band, c in zip(switching.bands, coefficients, strict=True)]
-        )
-        facts.append(ReportEntry("steady error bound", steady, remark="of the outputs, from the band of s"))
+        real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
+        steady = [band / c[0] for band, c in zip(switching.bands, coefficients, strict=True)]
+        remark = "of the outputs, from the band of s"
+        facts += [ReportEntry("steady error bound", np.array(steady), remark=remark)] if real else []
     return facts
-
-
-def _peak_gain(c: Array) -> float:
-    """Return the largest |e| that |s| <= 1 can cause: the integral of the impulse response of 1 / c(p)."""
-    if c.size == 1:
-        return 1.0
-    poles = np.roots(c[::-1])
-    if np.allclose(poles.imag, 0):
-        return float(1 / c[0])  # the response of real poles never changes its sign
-    times = np.linspace(0.0, _SETTLING_TIME_CONSTANTS / float(np.min(-poles.real)), _RESPONSE_SAMPLES)
-    _, response = scipy.signal.impulse(([1.0], c[::-1]), T=times)
-    return float(np.trapezoid(np.abs(response), times))
 
 
 _FULL_GAIN_SHARE = 0.99
 """Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
-
-
-@dataclass(frozen=True, eq=False)
-class SlidingOptions:
-    """Common options of the sliding-mode designs; see `design_sliding_mode`."""
-
-    reaching: Law
-    boundary: Boundary
-    bound: ArrayLike = 0.0
-    observer: SuperTwistingObserver | None = None
-    limits: Limits | None = None
-    dt: float | None = None
-    guard: float = GUARD
-    growth: float = GROWTH
-
-    def switching(self, model: Model, labels: Sequence[str]) -> Switching:
-        """Return the switching part of a law for surfaces of these names."""
-        bounds = read_bounds(self.reaching, self.bound, labels)
-        dt = _read_step(self.reaching, self.boundary, self.dt, needed=self.observer is not None)
-        return Switching(self.reaching, self.boundary, bounds, dt, read_limits(model, self.limits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +151,7 @@ class Switching:
         """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_exceeded`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(_FULL_GAIN_SHARE)
-        if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
+        if isinstance(self.reaching, SuperTwisting):
             return []
         return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
@@ -241,15 +167,37 @@ class Switching:
 
     def reserve(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
         """Return the fact about the authority that is left on the reference beyond a finite switching gain."""
-        times = reference_times(reference)
         if isinstance(self.reaching, SuperTwisting):  # its command has no bound
-            return require_reserve(reference, self.limits, times, dt=self.dt)
+            return authority_margin(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
-        if self.limits is None or not np.isfinite(gain):
-            return []
-        matrices = errors.pair.along(reference, times, errors.decoupling)
-        need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
-        return require_reserve(reference, self.limits, times, gain=need, dt=self.dt)
+
+        def need(times: Array) -> Array:
+            matrices = errors.pair.along(reference, times, errors.decoupling)
+            return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
+
+        return authority_margin(reference, self.limits, gain=need, dt=self.dt, required=True)
+
+
+def read_switching(
+    reaching: Law,
+    boundary: Boundary,
+    names: tuple[Model, Sequence[str]],
+    bound: ArrayLike,
+    limits: Limits | None,
+    dt: float | None,
+    *,
+    memory: bool = False,
+) -> Switching:
+    """Return the switching part for the surfaces of a model, by name; ``memory``: the law has one, so dt is needed."""
+    model, labels = names
+    bounds = read_bounds(reaching, bound, labels)
+    return Switching(
+        reaching,
+        boundary,
+        bounds,
+        _read_step(reaching, boundary, dt, needed=memory),
+        read_limits(model, limits),
+    )
 
 
 def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
@@ -332,7 +280,7 @@ def design_sliding_mode(
         See `Outputs`; at most as many components as controls.
     slopes : float, sequence or mapping
         See `Slopes`; not needed for outputs of relative degree 1.
-    reaching : ConstantRate, ExponentialRate, PowerRate or SuperTwisting
+    reaching : ConstantRate, ExponentialRate or SuperTwisting
     boundary : Sign, SaturationLayer or TanhLayer
     bound : float or array (n_outputs,)
         Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
@@ -373,9 +321,32 @@ def design_sliding_mode(
     reference = read_plant(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
     coefficients = _coefficients(errors, slopes)
-    title = f"sliding mode of '{model.name}' on {', '.join(errors.labels)}"
-    options = SlidingOptions(reaching, boundary, bound, observer, limits, dt, guard=guard, growth=growth)
-    return surface_controller(name, title, errors, reference, coefficients, options)
+    law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
+    switching = read_switching(*law, memory=observer is not None)
+    _require_decay(errors.labels, coefficients, switching)
+    inverse = guarded_inverse(errors, reference, guard)
+    zeros = check_zero_dynamics(errors, reference, growth)
+    pairs = list(zip(coefficients, errors.chains, strict=True))
+    s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
+    memory, u = _command(s, drift, errors, inverse, switching, observer)
+    facts = [
+        ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        *_surface_facts(errors, coefficients, switching),
+        inverse.fact,
+        *zeros,
+        *switching.reserve(errors, reference),
+    ]
+    return guarded_controller(
+        name,
+        errors.pair,
+        reference,
+        GuardedLaw(u, inverse.regular, tuple(memory)),
+        dt=switching.dt,
+        explanation=DesignReport(
+            f"sliding mode of '{model.name}' on {', '.join(errors.labels)}", tuple(facts)
+        ),
+    )
 
 
 def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:

@@ -3,18 +3,8 @@ r"""Super-twisting: convergence in finite time, and an observer of unmodelled di
 .. math:: \dot s = -k_1 |s|^{1/2} \mathrm{sgn}\,s + z, \qquad \dot z = -k_2\,\mathrm{sgn}\,s + \dot d,
    \qquad |\dot d| \le L .
 
-With :math:`\zeta = (|s|^{1/2} \mathrm{sgn}\,s,\ z)` this is :math:`\dot\zeta = |s|^{-1/2} A(w)\,\zeta`,
-
-.. math:: A(w) = \begin{pmatrix} -k_1/2 & 1/2 \\ -k_2 + w L & 0 \end{pmatrix}, \qquad |w| \le 1 .
-
-If :math:`A(\pm L)^T P + P A(\pm L) \le -Q`, then :math:`V = \zeta^T P \zeta` obeys
-:math:`\dot V \le -\gamma V^{1/2}`, and s and z are zero after at most
-
-.. math:: T = \frac{2}{\gamma} V_0^{1/2}, \qquad
-   \gamma = \frac{\lambda_{\min}(P)^{1/2}\, \lambda_{\min}(Q)}{\lambda_{\max}(P)}
-
-(J. Moreno, M. Osorio, IEEE Trans. Autom. Control 57(4), 2012, 1035-1040). k2 > L, k1 > sqrt(k2 + L)
-(R. Seeber, M. Horn, Automatica 84, 2017, 241-243) suffices for convergence, without this bound on the time.
+s and z are zero after a finite time if k2 > L and k1 > sqrt(k2 + L)
+(R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
 """
 
 from __future__ import annotations
@@ -24,10 +14,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
 
 
@@ -42,29 +30,6 @@ def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
             f"the gain k1 = {k1:.6g} against {what} is not above sqrt(k2 + bound) = "
             f"{np.sqrt(k2 + bound):.6g}: raise k1."
         )
-
-
-def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: float = 0.0) -> float:
-    """Return a time (s) after which s and z (with the disturbance of rate ``bound``) stay at zero, or inf."""
-    # In units of k1^2 the gain k1 is 1; time keeps its unit.
-    p, decay = _lyapunov(k2 / k1**2, bound / k1**2)
-    if decay <= 0:
-        return np.inf
-    zeta = np.array([np.sign(s) * np.sqrt(abs(s)) / k1, z / k1**2])
-    low, high = np.linalg.eigvalsh(p)
-    return float(2 * np.sqrt(zeta @ p @ zeta) * high / (np.sqrt(low) * decay))
-
-
-def _lyapunov(k2: float, bound: float) -> tuple[Array, float]:
-    """Return P, best of a few for the bound, and the least decay lambda_min(Q) for |w| <= 1, with k1 = 1."""
-    shapes = np.array([[[-0.5, 0.5], [-k2 + w * bound, 0.0]] for w in (-1.0, 0.0, 1.0)])
-    best, found = (-np.inf, -np.inf), np.eye(2)
-    for weight in np.logspace(-3, 3, 61):
-        p = scipy.linalg.solve_continuous_lyapunov(shapes[1].T, -np.diag([1.0, weight]))
-        low, high = np.linalg.eigvalsh(p)
-        decay = min(float(np.linalg.eigvalsh(-(a.T @ p + p @ a))[0]) for a in shapes)
-        best, found = max((best, found), ((decay * np.sqrt(low) / high, decay), p), key=lambda pair: pair[0])
-    return found, best[1]
 
 
 @dataclass(frozen=True)

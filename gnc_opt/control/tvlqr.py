@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, read_limits, reserve_shares
+from gnc_opt.control.control_limits import Limits, authority_margin, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
@@ -30,7 +30,7 @@ from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, re
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr_gains import ContinuousGains, Gains, SampledGains, resting_control, riccati_gains
+from gnc_opt.control.tvlqr_gains import Gains, SampledGains, riccati_gains
 from gnc_opt.environment import one_thread
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
@@ -106,7 +106,7 @@ def design_tvlqr(
     gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _law(deviation)
-    facts = [*_facts(deviation, reference, gains), *reserve_shares(reference, bounds)]
+    facts = [*_facts(deviation, reference, gains), *authority_margin(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -138,7 +138,7 @@ def _law(deviation: ErrorDynamics) -> tuple[Any, Any]:
 def _facts(
     deviation: ErrorDynamics,
     reference: Reference,
-    gains: ContinuousGains | SampledGains,
+    gains: Gains,
 ) -> list[ReportEntry]:
     times = reference_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
@@ -158,7 +158,7 @@ def _facts(
     dt = gains.dt if isinstance(gains, SampledGains) else None
     if gains.steady is not None:
         t_f = reference.final_time
-        a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
+        a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
         facts += regulator_facts(gains.steady, (a, b), dt, name="closed-loop poles after the end")

@@ -1,15 +1,11 @@
-"""Gains of the time-varying regulator: the Riccati equation (`gnc_opt.control.tvlqr`) backward along a reference.
-
-A(t) and B(t) are interpolated between jumps by Chebyshev polynomials to rounding; pieces on which that fails are halved
-and in the end evaluated directly.
-"""
+"""Gains of the time-varying regulator: the Riccati equation (`gnc_opt.control.tvlqr`) backward along a reference."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -19,100 +15,18 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, gain_of, steady
+from gnc_opt.control.riccati import Steady, backward_step, gain_of, steady
 from gnc_opt.control.sampled_data import SampledStep, sample, sample_along
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
-_NODES = 20
-_INTERPOLATION_TOLERANCE = 1e-13
-"""Of the interpolant, relative to the largest entry of A or B along the piece."""
-_GAIN_GRID_HALVINGS = 5
-
-_ANGLES = (np.arange(_NODES) + 0.5) * np.pi / _NODES
-_POINTS = -np.cos(_ANGLES)  # first kind: none on an edge, where the controls jump
-_WEIGHTS = (-1.0) ** np.arange(_NODES) * np.sin(_ANGLES)
-_CHECKS = np.concatenate([[-1 + 1e-6], 0.5 * (_POINTS[1:] + _POINTS[:-1]), [1 - 1e-6]])
-
-
-class LinearizationTable:
-    """A (n, n) and B (n, m) of the errors along a reference; on a jump, the values after it."""
-
-    def __init__(self, deviation: ErrorDynamics, reference: Reference) -> None:
-        self.deviation, self.reference = deviation, reference
-        start, end = reference.initial_time, reference.final_time
-        edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
-        pieces = [
-            p
-            for left, right in itertools.pairwise(edges)
-            for p in self._pieces(left, right, _GAIN_GRID_HALVINGS)
-        ]
-        self._starts = np.array([left for left, _, _ in pieces])
-        self._parts = pieces
-
-    def __call__(self, t: float) -> tuple[Array, Array]:
-        """Return A and B at one time t (s) on the reference."""
-        k = int(np.searchsorted(self._starts, t, "right")) - 1
-        left, right, values = self._parts[k] if k >= 0 else (t, t, None)
-        if values is None or t > right:
-            return self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))
-        return self._split(_interpolate(values, np.array([(2 * t - left - right) / (right - left)]))[0])
-
-    def _split(self, flat: Array) -> tuple[Array, Array]:
-        n = self.deviation.errors.size
-        return flat[: n * n].reshape(n, n), flat[n * n :].reshape(n, -1)
-
-    def _pieces(self, left: float, right: float, halvings: int) -> list[tuple[float, float, Array | None]]:
-        middle, half = 0.5 * (left + right), 0.5 * (right - left)
-        values = self._values(middle + half * _POINTS)
-        off = np.abs(_interpolate(values, _CHECKS) - self._values(middle + half * _CHECKS)).max(axis=0)
-        count = self.deviation.errors.size**2
-        scales = [np.abs(part).max(initial=0.0) for part in (values[:, :count], values[:, count:])]
-        bounds = np.repeat(scales, [count, values.shape[1] - count]) * _INTERPOLATION_TOLERANCE
-        if np.all(off <= bounds):
-            return [(left, right, values)]
-        if halvings == 0 or not np.all(np.isfinite(values)):
-            return [(left, right, None)]
-        return self._pieces(left, middle, halvings - 1) + self._pieces(middle, right, halvings - 1)
-
-    def _values(self, times: Array) -> Array:
-        a, b = self.deviation.linearize_many(times, self.reference.x(times), self.reference.u(times))
-        return np.hstack([a.reshape(times.size, -1), b.reshape(times.size, -1)])
-
-
-def _interpolate(values: Array, points: Array) -> Array:
-    """Return the interpolant (n_points, n) of values (n_nodes, n) by the barycentric formula."""
-    distance = points[:, None] - _POINTS
-    hit = distance == 0
-    terms = _WEIGHTS / np.where(hit, 1.0, distance)
-    on_node = hit.any(axis=1)
-    terms[on_node] = hit[on_node]
-    return np.asarray((terms @ values) / terms.sum(axis=1, keepdims=True))
-
-
-class Gains(Protocol):
-    """Gains and costs to go of a tracking law at any time; ``tail`` is K after the end."""
-
-    @property
-    def tail(self) -> Array: ...
-
-    @property
-    def steady(self) -> Steady | None: ...
-
-    def K(self, t: float) -> Array:
-        """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
-
-    def P(self, t: float) -> Array:
-        """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
-
 
 @dataclass(frozen=True, eq=False)
 class ContinuousGains:
-    """Gains from the Riccati equation; see `Gains`."""
+    """Gains from the Riccati equation; ``tail`` is K after the end."""
 
     reference: Reference
     deviation: ErrorDynamics
-    table: LinearizationTable
     r: Array
     n: Array
     pieces: tuple[tuple[float, float, Callable[[float], Array]], ...]
@@ -122,7 +36,7 @@ class ContinuousGains:
     steady: Steady | None
 
     def P(self, t: float) -> Array:
-        """See `Gains`."""
+        """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
         if t >= self.reference.final_time or not self.pieces:
             return (
                 self.steady.cost
@@ -134,16 +48,16 @@ class ContinuousGains:
         return _unpacked(self.pieces[k][2](max(t, starts[0])), self.terminal.shape[0])
 
     def K(self, t: float) -> Array:
-        """See `Gains`."""
+        """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
         if t >= self.reference.final_time:
             return self.tail
-        b = self.table(t)[1]
+        b = _along(self.deviation, self.reference, t)[1]
         return gain_of(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
 @dataclass(frozen=True, eq=False)
 class SampledGains:
-    """Gains of the discrete recursion, at the steps of dt (s) from the reference's beginning; see `Gains`."""
+    """Gains of the discrete recursion, at the steps of dt (s) from the reference's beginning."""
 
     initial_time: float
     dt: float
@@ -160,16 +74,19 @@ class SampledGains:
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
-        """See `Gains`."""
+        """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
         k = self.index(t)
         if k > len(self.gains) and self.steady is not None:
             return self.steady.cost
         return self.costs[min(k, len(self.gains))]
 
     def K(self, t: float) -> Array:
-        """See `Gains`."""
+        """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
         k = self.index(t)
         return self.gains[k] if k < len(self.gains) else self.tail
+
+
+Gains: TypeAlias = ContinuousGains | SampledGains
 
 
 def riccati_gains(
@@ -179,32 +96,25 @@ def riccati_gains(
     *,
     terminal: Weight | None = None,
     dt: float | None = None,
-) -> ContinuousGains | SampledGains:
+) -> Gains:
     """Return the gains along a reference, continuous or (with dt, s) sampled."""
     end = None if terminal is None else _terminal(terminal, deviation)
     if dt is not None:
         return _sampled(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
-    a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
+    a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     regulator = _tail_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = regulator.gain if regulator is not None else gain_of(a, b, cost.r, cost.n, last, sampled=False)
-    table = LinearizationTable(deviation, reference)
-    pieces = _integrate(table, reference, cost, last)
-    return ContinuousGains(reference, deviation, table, cost.r, cost.n, pieces, last, tail, regulator)
+    pieces = _integrate(deviation, reference, cost, last)
+    return ContinuousGains(reference, deviation, cost.r, cost.n, pieces, last, tail, regulator)
 
 
 def _terminal(terminal: Weight, deviation: ErrorDynamics) -> Array:
     weight = read_weight(terminal, deviation.errors, "the terminal weight")
     require_semidefinite(weight, deviation.errors.labels, "the terminal weight")
     return weight
-
-
-def resting_control(reference: Reference) -> Array:
-    """Return the control after the end of the reference, or at its end if there is no after."""
-    tail = reference.tail_control
-    return reference.u(reference.final_time) if tail is None else tail
 
 
 def _tail_regulator(
@@ -225,8 +135,13 @@ def _tail_regulator(
         return None
 
 
+def _along(deviation: ErrorDynamics, reference: Reference, t: float) -> tuple[Array, Array]:
+    """Return A and B on the reference at t (s)."""
+    return deviation.linearize(t, reference.x(t), reference.u(t))
+
+
 def _integrate(
-    linearize: LinearizationTable, reference: Reference, cost: QuadraticCost, last: Array
+    deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
     size = last.shape[0]
@@ -242,7 +157,7 @@ def _integrate(
         nudge = SAME_TIME * (right - left)
 
         def slope(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
-            a, b = linearize(min(max(t, low), high))  # this side of the jumps
+            a, b = _along(deviation, reference, min(max(t, low), high))  # this side of the jumps
             p = _unpacked(y, size)
             half = b.T @ p + n.T
             flow = a.T @ p
@@ -266,7 +181,7 @@ def _sampled(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
-    a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
+    a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     resting = sample(a, b, *cost, dt)
     regulator = _tail_regulator(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
@@ -274,10 +189,11 @@ def _sampled(
     p = regulator.cost if end is None and regulator is not None else end
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
-    table = LinearizationTable(deviation, reference)
 
-    def linearize(t: float) -> tuple[Array, Array]:
-        return (a, b) if t > t_f else table(t)
+    def linearize(times: Array) -> tuple[Array, Array]:
+        late, within = times > t_f, np.minimum(times, t_f)
+        u = np.where(late, reference.tail_control[:, None], reference.u(within))
+        return deviation.linearize_many(within, reference.x(within), u)
 
     steps = [
         sample_along(linearize, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))
@@ -285,10 +201,7 @@ def _sampled(
     ]
     gains, costs = [], [p]
     for step in reversed(steps):
-        gain = gain_of(step.a, step.b, step.r, step.n, p, sampled=True)
-        half = step.b.T @ p @ step.a + step.n.T
-        p = step.q + step.a.T @ p @ step.a - half.T @ gain
-        p = 0.5 * (p + p.T)
+        gain, p = backward_step(step, p)
         gains.append(gain)
         costs.append(p)
     tail = (

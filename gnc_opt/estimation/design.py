@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
 from gnc_opt.estimation.estimator import Estimator
-from gnc_opt.estimation.kalman_filter import COVARIANCE, build_filter
+from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
 from gnc_opt.model.model import Model
@@ -173,7 +173,7 @@ class FilterDesign:
     def estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
         augmented, model = self.augmented, self.model
-        filter_ = build_filter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
+        filter_ = KalmanFilter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
         first = np.zeros(filter_.memory.size)
         first[: augmented.states.size] = augmented.first(self.t0, self.x0)
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
@@ -262,30 +262,15 @@ class FilterDesign:
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, early, late = augmented.transition(self.t0, x, after, u, self.dt, density)
         delays = tangent.fit(partial(shift, self.t0), space, space, x, None)[1]
-        found = ca.Function("linear", [x], [F @ delays, F @ early @ F.T + late, self.sight()(self.t0, x)[1]])(
-            first
-        )
-        matrices = [np.asarray(m.full()) for m in found]
-        return matrices[0], matrices[1], matrices[2], np.diag(self.sigma**2)
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations of the noise of all samples (n_measured errors,)."""
-        return np.concatenate(
-            [c.measurement.values("sigma", c.space.errors) for c in self.augmented.channels]
-        )
-
-    def sight(self) -> Any:
-        """Return ``(t, x) -> (y, H)``: all samples without noise, and their slopes by the errors."""
-        augmented, rows, seen = self.augmented, [], []
-        t, x = ca.SX.sym("t"), ca.SX.sym("x", augmented.space.size)
+        rows = []
         for channel in augmented.channels:
-            observed = partial(augmented.observed(channel), t)
-            value, slope, _ = Tangent().fit(observed, augmented.space, channel.space, x, None)
-            direct = augmented.direct_slope(channel)
-            seen.append(value)
-            rows.append(slope if direct is None else direct)
-        return ca.Function("sight", [t, x], [ca.vertcat(*seen), ca.vertcat(*rows)])
+            observed, direct = partial(augmented.observed(channel), self.t0), augmented.direct_slope(channel)
+            rows.append(tangent.fit(observed, space, channel.space, x, None)[1] if direct is None else direct)
+        outputs = [F @ delays, F @ early @ F.T + late, ca.vertcat(*rows)]
+        found = ca.Function("linear", [x], outputs)(first)
+        matrices = [np.asarray(m.full()) for m in found]
+        sigma = np.concatenate([c.measurement.values("sigma", c.space.errors) for c in augmented.channels])
+        return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 
 def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:

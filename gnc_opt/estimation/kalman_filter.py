@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -102,30 +102,12 @@ COVARIANCE = "covariance"
 """The entry of the memory with the structural nonzeros of the lower triangle of P, column by column."""
 
 
-@dataclass(frozen=True)
-class Filter:
-    """The functions update and predict of a filter, its memory, and the sparsity of P's lower triangle."""
+class KalmanFilter:
+    """A filter's functions, its memory, and ``pattern``, the sparsity of P's lower triangle.
 
-    update: Any
-    predict: Any
-    memory: Layout
-    pattern: Any
+    ``noise`` (n_errors,) are densities by error, unit per square root of a second.
+    """
 
-
-def build_filter(
-    augmented: AugmentedModel,
-    linearization: Approximation,
-    noise: Array,
-    limits: Authority | None,
-    substeps: int,
-    hold: int,
-) -> Filter:
-    """Return the filter; ``noise`` (n_errors,) are densities by error, unit per square root of a second."""
-    builder = _Builder(augmented, linearization, noise, limits, substeps, hold)
-    return Filter(builder.update(), builder.predict(), builder.memory, builder.pattern)
-
-
-class _Builder:
     def __init__(
         self,
         augmented: AugmentedModel,
@@ -193,8 +175,9 @@ class _Builder:
 
     # --- update -------------------------------------------------------------------------------------------
 
+    @cached_property
     def update(self) -> Any:
-        """Return ``(t, y, z) -> (x, z)``."""
+        """``(t, y, z) -> (x, z)``."""
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
@@ -230,8 +213,9 @@ class _Builder:
 
     # --- prediction ---------------------------------------------------------------------------------------
 
+    @cached_property
     def predict(self) -> Any:
-        """Return ``(t, u, z) -> z``."""
+        """``(t, u, z) -> z``."""
         augmented = self.augmented
         t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
         command = ca.SX.sym("u", augmented.model.controls.size)

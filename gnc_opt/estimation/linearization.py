@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 
@@ -32,27 +32,13 @@ from gnc_opt.tolerances import ROUNDING
 Map: TypeAlias = Callable[[Any], Any]
 
 
-class Approximation(Protocol):
-    """How a filter describes functions; f takes and returns an SX column, x and P are SX symbols."""
+@dataclass(frozen=True)
+class Tangent:
+    """By the Jacobian at the mean; f takes and returns an SX column, x and P are SX symbols."""
 
     @property
     def keeps_zeros(self) -> bool:
         """Whether errors that f does not connect stay uncorrelated to the last bit."""
-
-    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
-        """Return the mean of f(x) and the covariance of its error; ``value`` and ``slope`` are those of the tangent."""
-
-    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
-        """Return the mean of f(x), the slope F of its error and the covariance of the residual."""
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """By the Jacobian at the mean."""
-
-    @property
-    def keeps_zeros(self) -> bool:
-        """Slopes have the zeros of what they are slopes of."""
         return True
 
     def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
@@ -72,7 +58,7 @@ class Regression:
 
     @property
     def keeps_zeros(self) -> bool:
-        """Points mix all errors."""
+        """As of `Tangent`: points mix all errors."""
         return False
 
     def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
@@ -99,6 +85,9 @@ class Regression:
         mean = ca.sum2(bends) / square
         remainder = (square - 1) / square**2 * (bends @ bends.T)
         return target.retraction(centre, mean), spread, remainder, root
+
+
+Approximation: TypeAlias = Tangent | Regression
 
 
 def cholesky(P: Any) -> Any:

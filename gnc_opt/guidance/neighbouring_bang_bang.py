@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -165,44 +165,6 @@ _CORRECTION_WEIGHT_SHARE = 0.04
 """A correction by this share of the flight weighs as much as an accepted error."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class GuidanceOptions:
-    """Options of `design_neighbouring_optimal` besides the plan and the accepted final errors.
-
-    Attributes
-    ----------
-    reserve : float
-        Share of the planned controls that the plan leaves to the regulator in the last part, in [0, 1).
-    delay : float
-        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
-    corrections : int
-        Newton steps per control step.
-
-    Raises
-    ------
-    ArgumentError
-        A number is out of its range.
-
-    Examples
-    --------
-    >>> options = GuidanceOptions(reserve=0.0, corrections=2)
-    >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=1.0, last=0.5, options=options)
-    >>> print(guided.explain()["last part"])
-    0.5
-    """
-
-    reserve: float = 0.1
-    delay: float = 0.0
-    corrections: int = 1
-
-    def __post_init__(self) -> None:
-        read_positive(self.reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
-        if self.reserve >= 1:
-            raise ArgumentError(f"the reserve is {shown(self.reserve)}: give a share in [0, 1).")
-        read_positive(self.delay, "the delay of neighbouring-optimal guidance", or_zero=True)
-        read_integer(self.corrections, "the number of corrections of neighbouring-optimal guidance", 1)
-
-
 @one_thread()
 def design_neighbouring_optimal(
     solution: Solution,
@@ -212,7 +174,8 @@ def design_neighbouring_optimal(
     last: float,
     dt: float | None = None,
     name: str = "neighbouring-optimal guidance",
-    options: GuidanceOptions | None = None,
+    reserve: float = 0.1,
+    delay: float = 0.0,
 ) -> Controller:
     """Return the guidance that corrects the switch times and the end of a bang-bang plan of least time.
 
@@ -231,8 +194,10 @@ def design_neighbouring_optimal(
     dt : float, optional
         Control step, s; default the regulator's.
     name : str
-    options : GuidanceOptions, optional
-        Reserve of the last part, delay of the actuators, corrections per step.
+    reserve : float
+        Share of the planned controls that the plan leaves to the regulator in the last part, in [0, 1).
+    delay : float
+        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
 
     Returns
     -------
@@ -263,14 +228,14 @@ def design_neighbouring_optimal(
     _check_regulator(inner, plan)
     weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
-    options = GuidanceOptions() if options is None else options
-    expect(
-        options, GuidanceOptions, "the options of design_neighbouring_optimal()", "give GuidanceOptions(...)"
-    )
-    ending = _read_ending(last, options.reserve, plan)
+    read_positive(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
+    if reserve >= 1:
+        raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
+    read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
+    ending = _read_ending(last, reserve, plan)
     prediction = _accurate(plan, ending, weight)
     optimum = find_optimum(prediction)
-    guidance = _Guidance(prediction, optimum, weight, inner, step, options)
+    guidance = _Guidance(prediction, optimum, weight, inner, step, delay)
     signals = reference_signals(plan.reference)
     law_, start = guidance.functions(signals.size)
     own = (
@@ -349,7 +314,7 @@ class _Guidance:
     weight: Array
     regulator: Controller
     dt: float
-    options: GuidanceOptions
+    delay: float
 
     @property
     def plan(self) -> SwitchingPlan:
@@ -365,7 +330,7 @@ class _Guidance:
         price = _TIME / duration
         system = best.S.T @ self.weight @ best.S + price * best.H
         right = (best.S.T @ self.weight) @ psi + price * (slope + ca.DM(np.eye(best.tau.size)[-1]))
-        open_ = ca.vertcat(*[tau[k] > t + self.options.delay for k in range(best.tau.size - 1)], 1)
+        open_ = ca.vertcat(*[tau[k] > t + self.delay for k in range(best.tau.size - 1)], 1)
         matrix = (open_ @ open_.T) * system + ca.diag(
             ca.if_else(open_, (_CORRECTION_WEIGHT_SHARE * duration) ** -2, 1)
         )
@@ -375,7 +340,7 @@ class _Guidance:
 
     def _in_turn(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
         """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
-        soonest, found = t + self.options.delay, ca.vertsplit(new)
+        soonest, found = t + self.delay, ca.vertsplit(new)
         before: dict[int, Any] = {}
         for k, channel in enumerate(self.plan.channels):
             least = ca.fmax(soonest, before[channel]) if channel in before else soonest
@@ -389,12 +354,10 @@ class _Guidance:
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
-        tau = planned
-        for _ in range(self.options.corrections):
-            tau, miss = self.correct(t, x, tau)
+        tau, miss = self.correct(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
-        means = self.prediction.mean_controls(t + self.options.delay, self.dt, tau)
+        means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
         row = ca.vertcat(self.prediction.reference(t, tau), means)
         command, memory = inner.step(t, x, row, own)
         u = ca.if_else(tracking, command, means)

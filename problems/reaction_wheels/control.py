@@ -178,7 +178,7 @@ def design_flc(
         craft,
         go.Reference.constant(craft, resting(target), np.zeros(3)),
         outputs={"q_v": craft.symbol("q")[1:]} if output == "absolute" else "q",
-        gains=gains,
+        poles=np.roots([1.0, gains[1], gains[0]]).tolist(),
         guard=singular / on_target,
         fallback=spare,
         name="FLC",

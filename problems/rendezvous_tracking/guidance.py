@@ -24,7 +24,7 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, design_lqr
 from gnc_opt.estimation import Estimator, FilterOptions, Measurement, design_ekf, output_feedback
-from gnc_opt.guidance import GuidanceOptions, design_neighbouring_optimal
+from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, ClosedLoop, Event, Noise, Run
 from gnc_opt.spacecraft import apply, mrp_to_dcm
 from problems.rendezvous import chaser_model
@@ -56,8 +56,8 @@ class Guided(Tracking):
         final = reference.x(reference.final_time)
         regulator = design_lqr(model, final, **self._weights, dt=DT, limits=AUTHORITY)
         weight = self._weights["Q"]
-        options = GuidanceOptions(reserve=REGULATED, delay=self.conditions.lag)
-        return design_neighbouring_optimal(self.solution, regulator, Q=weight, last=LAST, options=options)
+        options = {"last": LAST, "reserve": REGULATED, "delay": self.conditions.lag}
+        return design_neighbouring_optimal(self.solution, regulator, Q=weight, **options)
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance."""

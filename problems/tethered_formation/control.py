@@ -7,7 +7,7 @@ Errors of swing, height and lead make a weighted surface S; with the rate v of t
 .. math:: S = s_\theta + k_4 s_h + k_5 s_\alpha, \quad s_i = k_i e_i + \dot e_i, \qquad
    \sigma = k_6 S + \dot S, \qquad \dot\sigma = k_6 \dot S + \Gamma + G v .
 
-S, its rate and G come from the model by `hierarchical_errors`. :math:`\Gamma` does as well, but the published
+S, its rate and G come from the model by `output_errors`. :math:`\Gamma` does as well, but the published
 law does not use it: a super-twisting observer estimates it (k_7, k_8). What is left is to bring the scalar
 :math:`\sigma` to zero within the limits of angle and rate: by `PredictiveReaching`, or by one of the two laws
 that it is compared with.
@@ -22,9 +22,8 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver
+from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver, lie_derivative, output_errors
 from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
-from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
 from problems._example import Array
 from problems.tethered_formation.model import DURATION, MAX_ANGLE, MAX_RATE, RADIUS, Orbit, tether_model
@@ -112,10 +111,11 @@ class Gains:
 
 def surface(reference: go.Reference, gains: Gains | None = None) -> OutputErrors:
     """Return S with its rate, the drift of the rate (Gamma) and G."""
-    k = gains or Gains()
-    return hierarchical_errors(
-        reference.model, reference, OUTPUTS, [k.k1, k.k2, k.k3], [1.0, k.k4, k.k5 / RADIUS]
-    )
+    k, model, total = gains or Gains(), reference.model, ca.SX(0)
+    for name, slope, weight in zip(OUTPUTS, (k.k1, k.k2, k.k3), (1.0, k.k4, k.k5 / RADIUS), strict=True):
+        output = model.symbol(name)
+        total += weight * (slope * output + lie_derivative(model, output))
+    return output_errors(model, reference, {"S": total})
 
 
 def design_swing_law(

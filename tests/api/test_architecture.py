@@ -18,8 +18,8 @@ MANY = 7
 """Parameters of a function; of more, those that belong together are a frozen dataclass."""
 
 DESIGNS = """
-    design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-    design_sliding_mode design_tvlqr
+    design_feedback_linearization design_integral_sliding_mode design_lqr design_mpc
+    design_neighbouring_optimal design_sliding_mode design_tvlqr
 """
 STATEMENTS = "continuation from_casadi from_functions monte_carlo multistart solve"
 WITH_MANY = {*DESIGNS.split(), *STATEMENTS.split()}

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
+from testing.controller_steps import decoupling_matrix
 
 import gnc_opt as go
 from benchmarks.validation.published.reaction_wheels import (
@@ -19,7 +20,6 @@ from benchmarks.validation.published.reaction_wheels import (
     rerouted_slew,
     unguarded_breakdown,
 )
-from gnc_opt.control import decoupling_matrix
 from gnc_opt.spacecraft import quaternion_angle
 from problems.reaction_wheels import (
     AXES,

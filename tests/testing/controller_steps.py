@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from gnc_opt.control import Controller
+from gnc_opt.control import Controller, Reference, output_errors
 from gnc_opt.model import Model
 
 
@@ -72,3 +72,10 @@ def _control_step(controller: Controller, plant: Model, dt: float, minor: int, l
         k4 = plant.function(tj + h, x + h * k3, applied + end, p)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return ca.Function("one", [state, t, r, d], [ca.vertcat(x, z), u])
+
+
+def decoupling_matrix(model: Model, outputs, x) -> np.ndarray:
+    """Return E (n_outputs, n_controls) at the state x (n_states,)."""
+    here = Reference.constant(model, x, np.zeros(model.controls.size))
+    errors = output_errors(model, here, outputs)
+    return errors.pair.along(here, np.zeros(1), errors.decoupling)[0]

@@ -4,7 +4,6 @@
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.control.control_limits import clip, read_limits, saturated
-from gnc_opt.control.hierarchical_sliding_mode import hierarchical_errors
 from gnc_opt.control.horizon_qp import Programme, Rows
 from gnc_opt.control.input_output_linearization import Pair, error_expressions
 from gnc_opt.control.loop_margins import margins
@@ -21,11 +20,10 @@ from gnc_opt.control.sampled_data import (
     whole_steps,
     zero_order_hold,
 )
-from gnc_opt.control.super_twisting import check_gains, convergence_time
-from gnc_opt.control.tvlqr_gains import LinearizationTable, riccati_gains
+from gnc_opt.control.super_twisting import check_gains
+from gnc_opt.control.tvlqr_gains import riccati_gains
 from gnc_opt.estimation.error_space import flat
 from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
-from gnc_opt.guidance.accessory_problem import SmoothPlan, conjugate_time, feedback
 from gnc_opt.guidance.replanning import check_remaining, remaining
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import (

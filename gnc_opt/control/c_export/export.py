@@ -6,6 +6,7 @@ The code allocates no memory. No loop depends on data, except the bounded iterat
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import tempfile
@@ -68,29 +69,6 @@ class CCode:
     command_error: Array | None = None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CCodeOptions:
-    """Options for smaller flight code, and samples for its comparison with the law.
-
-    Attributes
-    ----------
-    precision : {"float64", "float32"}
-        Of all numbers but times, which stay double.
-    samples : (times (n,), measured (n_states, n)), optional
-        Consecutive control steps, ``(run.times[:-1], run.measured)``, on which the compiled code (``cc``) is
-        compared with the law.
-
-    Examples
-    --------
-    >>> code = go.export_c(regulator, "small", options=CCodeOptions(precision="float32"))
-    >>> print(code.table_bytes)
-    12
-    """
-
-    precision: Literal["float64", "float32"] = "float64"
-    samples: tuple[ArrayLike, ArrayLike] | None = None
-
-
 @suggesting_keywords
 def export_c(
     controller: Controller,
@@ -99,7 +77,8 @@ def export_c(
     dt: float | None = None,
     name: str | None = None,
     span: tuple[float, float] | None = None,
-    options: CCodeOptions | None = None,
+    precision: Literal["float64", "float32"] = "float64",
+    samples: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CCode:
     """Return where a controller was written as C99.
 
@@ -118,14 +97,17 @@ def export_c(
         Prefix of the C identifiers, by default the controller's name in small letters.
     span : (initial_time, final_time), optional
         Times between which the schedule changes, if the controller does not tell.
-    options : CCodeOptions, optional
-        Single precision, and a flight over which the code is compared with the law.
+    precision : {"float64", "float32"}
+        Of all numbers but times, which stay double.
+    samples : (times (n,), measured (n_states, n)), optional
+        Consecutive control steps, ``(run.times[:-1], run.measured)``, on which the compiled code (``cc``) is
+        compared with the law.
 
     Raises
     ------
     ArgumentError
         The law contains operations without a C equivalent, the schedule changes after the span, dt or the
-        span is unknown, the file name is that of a C header, or options are incompatible.
+        span is unknown, the file name is that of a C header, or the samples do not fit.
     GncOptError
         Samples are given and the C compiler is missing or fails.
 
@@ -141,10 +123,13 @@ def export_c(
     form = flight_form(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
-    told = _read_options(options)
+    if precision not in _NUMBERS:
+        raise ArgumentError(
+            f"there is no precision {shown(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"
+        )
     step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
     table = flight_table(form.controller, dt, span)
-    files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[told.precision])
+    files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
@@ -153,26 +138,15 @@ def export_c(
     driver.write_text(files.driver(), encoding="ascii")
     size = table.size(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
-    if told.samples is None:
+    if samples is None:
         return code
-    missed = command_error(controller, source, driver, told.samples, dt)
-    header.write_text(files.header(_remark(told, missed)), encoding="ascii")
+    missed = command_error(controller, source, driver, samples, dt)
+    header.write_text(files.header(_remark(np.size(samples[0]), missed)), encoding="ascii")
     return replace(code, command_error=missed)
 
 
-def _read_options(options: CCodeOptions | None) -> CCodeOptions:
-    chosen = CCodeOptions() if options is None else options
-    expect(chosen, CCodeOptions, "the options of export_c()", "give CCodeOptions(...)")
-    if chosen.precision not in _NUMBERS:
-        raise ArgumentError(
-            f"there is no precision {shown(chosen.precision)}: {did_you_mean(str(chosen.precision), list(_NUMBERS))}"
-        )
-    return chosen
-
-
-def _remark(options: CCodeOptions, missed: Array) -> str:
+def _remark(count: int, missed: Array) -> str:
     """Return the header's text on the comparison with the law."""
-    count = np.size(options.samples[0]) if options.samples is not None else 0
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
@@ -351,9 +325,7 @@ class FlightFiles:
 
     def source(self) -> str:
         """Return the law and its tables."""
-        upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
-        signals, memory = controller.signals.size, controller.memory.size
-        time = "t" if self.numbers is DOUBLE else "(real_t)t"
+        upper, prefix = self.prefix.upper(), self.prefix
         lines = [
             f'#include "{prefix}.h"',
             "",
@@ -373,99 +345,29 @@ class FlightFiles:
             ]
         lines += self._function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        lines += [f"void {prefix}_signal(double t, real_t *r)", "{"]
-        if signals:
-            lines += [
-                f"    const double place = floor((t - {upper}_T0) / {upper}_DT + 1e-6);",
-                "    long row = 0;",
-                "    /* written so that a time which is not a number takes the first row */",
-                f"    if (place >= {upper}_N_ROWS - 1)",
-                f"        row = {upper}_N_ROWS - 1;",
-                "    else if (place > 0)",
-                "        row = (long)place;",
-                "    look_up(row, r);",
-            ]
-        else:
-            lines += ["    (void)t;", "    (void)r;"]
-        lines += [
-            "}",
-            "",
-            f"void {prefix}_start(double t, const real_t *x, real_t *z)",
-            "{",
-            f"    real_t r[{max(signals, 1)}];",
-            f"    {prefix}_signal(t, r);",
-            f"    start({time}, x, r, z);",
-            "}",
-            "",
-            f"void {prefix}_step(double t, const real_t *x, real_t *z, real_t *u)",
-            "{",
-            f"    real_t r[{max(signals, 1)}];",
-            f"    real_t z_next[{max(memory, 1)}];",
-        ]
-        if memory:
-            lines.append("    int i;")
-        lines += [f"    {prefix}_signal(t, r);", f"    step({time}, x, r, z, u, z_next);"]
-        if memory:
-            lines += [f"    for (i = 0; i < {upper}_N_MEMORY; ++i)", "        z[i] = z_next[i];"]
-        return self.numbers.typed("\n".join([*lines, "}", ""]))
+        return self.numbers.typed("\n".join([*lines, self._filled("interface.c")]))
 
     def driver(self) -> str:
         """Return a program that reads measurements and writes commands."""
-        upper = self.prefix.upper()
-        form = "%lf" if self.numbers is DOUBLE else "%f"
-        lines = [
-            "/* Test driver: reads lines of a time and a state, writes the commands of successive steps.",
-            " * With an argument it runs a built-in case instead: three steps with all states at 0.1. */",
-            "#include <stdio.h>",
-            "",
-            f'#include "{self.prefix}.h"',
-            "",
-            "static int read_line(double *t, real_t *x)",
-            "{",
-            "    int i;",
-            '    if (scanf("%lf", t) != 1)',
-            "        return 0;",
-            f"    for (i = 0; i < {upper}_N_STATES; ++i)",
-            f'        if (scanf("{form}", &x[i]) != 1)',
-            "            return 0;",
-            "    return 1;",
-            "}",
-            "",
-            "static void run(double t, const real_t *x, real_t *z, int *begun)",
-            "{",
-            f"    real_t u[{upper}_N_COMMANDS];",
-            "    int i;",
-            "    if (!*begun)",
-            f"        {self.prefix}_start(t, x, z);",
-            "    *begun = 1;",
-            f"    {self.prefix}_step(t, x, z, u);",
-            f"    for (i = 0; i < {upper}_N_COMMANDS; ++i)",
-            f'        printf("%.17g%s", (double)u[i], i + 1 < {upper}_N_COMMANDS ? " " : "\\n");',
-            "}",
-            "",
-            "int main(int argc, char **argv)",
-            "{",
-            f"    real_t x[{upper}_N_STATES];",
-            f"    real_t z[{max(self.form.controller.memory.size, 1)}] = {{{self.numbers(0.0)}}};",
-            f"    double t = {upper}_T0;",
-            "    int begun = 0, k;",
-            "    (void)argv;",
-            "    if (argc > 1) {",
-            f"        for (k = 0; k < {upper}_N_STATES; ++k)",
-            f"            x[k] = {self.numbers(0.1)};",
-            "        for (k = 0; k < 3; ++k)",
-            f"            run({upper}_T0 + k * {upper}_DT, x, z, &begun);",
-            "        return 0;",
-            "    }",
-            "    while (read_line(&t, x))",
-            "        run(t, x, z, &begun);",
-            "    return 0;",
-            "}",
-            "",
-        ]
-        return self.numbers.typed("\n".join(lines))
+        return self.numbers.typed(self._filled("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
+
+    def _filled(self, name: str) -> str:
+        """Return a C file of this folder with its ``@names@`` replaced."""
+        double, controller = self.numbers is DOUBLE, self.form.controller
+        values = {
+            "prefix": self.prefix,
+            "upper": self.prefix.upper(),
+            "signals": max(controller.signals.size, 1),
+            "memory": max(controller.memory.size, 1),
+            "time": "t" if double else "(real_t)t",
+            "format": "%lf" if double else "%f",
+            "zero": self.numbers(0.0),
+            "tenth": self.numbers(0.1),
+        }
+        text = Path(__file__).with_name(name).read_text(encoding="ascii")
+        return re.sub(r"@(\w+)@", lambda found: str(values[found[1]]), text)
 
     def _function(self, name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
         arguments = [f"real_t {inputs[0]}", *(f"const real_t *{i}" for i in inputs[1:])]

@@ -1,12 +1,12 @@
-"""Sobol' indices and correlations: the budget of a linear loop, the Ishigami function, coverage, refusals."""
+"""Sobol' indices: the budget of a linear loop, the Ishigami function, coverage, refusals."""
 
 import numpy as np
 import pytest
 from testing.sled import MISSION, SPREAD, loop_of
 
 import gnc_opt as go
-from gnc_opt.analysis import correlations, sobol_indices
 from gnc_opt.analysis import global_sensitivity as drivers
+from gnc_opt.analysis import sobol_indices
 from gnc_opt.simulation import Choice, Normal, Saturation
 
 
@@ -25,7 +25,7 @@ def found():
 
 
 def test_of_a_linear_loop_they_are_the_budget_of_the_linear_covariance(found):
-    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget("q")
+    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD)).budget("q")
     expected = {name: theory[name] for name in SPREAD}
     expected["noise"] = 1 - sum(expected.values())
     assert set(found.total) == set(expected)
@@ -99,17 +99,3 @@ def test_rows_with_failed_runs_are_left_out_and_counted():
             n=20,
             executor="serial",
         )
-
-
-def test_rank_correlations_name_what_rises_with_a_measure():
-    runs = go.monte_carlo(
-        loop_of(), 300, **MISSION, seed=3, dispersions=SPREAD, measures={"end": end_of_q}, executor="serial"
-    )
-    found = correlations(runs, "end")
-    theory = go.linear_covariance(go.Scenario(loop_of(), **MISSION, dispersions=SPREAD), checks=0).budget("q")
-    assert set(found.ranks) == {"initial.q", "initial.v"} and found.runs == 300
-    for name, share in found.ranks.items():  # of a normal pair: 6 / pi asin(rho / 2)
-        assert share.low < 6 / np.pi * np.arcsin(np.sqrt(theory[name]) / 2) < share.high
-    assert next(iter(found.ranks)) in str(found)
-    with pytest.raises(go.ArgumentError, match="between 0 and 1"):
-        correlations(runs, "end", confidence=2.0)

@@ -66,7 +66,7 @@ def test_that_all_runs_fail_is_no_proof_that_all_would():
 def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
     """Dispersions and noise alike: q(t_f) is normal, with the mean and sigma of the linear covariance."""
     loop, p = loop_of(), 1e-4
-    theory = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=SPREAD), checks=0)
+    theory = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=SPREAD))
     middle, sigma = theory.nominal[0, -1] + theory.mean[0, -1], theory.std("q")[0, -1]
     limit = middle + sigma * scipy.stats.norm.isf(p)
     found = failure_probability(

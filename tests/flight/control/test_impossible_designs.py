@@ -26,7 +26,7 @@ from gnc_opt.control import (
 )
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation import Measurement, design_ekf, design_ukf, output_feedback
-from gnc_opt.guidance import design_neighbouring_extremal, design_neighbouring_optimal
+from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.simulation import SensorOutage
 
 
@@ -187,13 +187,11 @@ SEEN = [Measurement("q", 0.1)]
         (lambda: design_ekf(cart(), [0, 0], SEEN, **FILTER | {"sigma0": [1.0, 1.0]}), "sigma0"),
         (lambda: design_ekf(cart(), [0, 0], SEEN, **FILTER, options={"hold": 3}), "options of 'EKF'"),
         (lambda: design_ukf(cart(), [0, 0], SEEN, **FILTER, options={"hold": 3}), "options of 'UKF'"),
-        (lambda: design_neighbouring_extremal("plan", last=1.0), "plan of design_neighbouring_extremal()"),
         (
             lambda: design_neighbouring_optimal("plan", LAW, Q=1.0, last=1.0),
             "plan of design_neighbouring_optimal()",
         ),
         (lambda: go.export_c("law", "folder"), "export_c() got"),
-        (lambda: go.export_c(LAW, "folder", options={"single": True}), "options of export_c()"),
     ],
 )
 def test_what_a_function_cannot_take_is_named_with_what_it_takes(asked, words, tmp_path, monkeypatch):

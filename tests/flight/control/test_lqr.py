@@ -109,6 +109,9 @@ def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
         slow = 1.0 if t < 0.3 else 3.0
         return np.array([[0, 1], [-1 - np.cos(3 * t), -0.1]]), np.array([[0], [slow + np.sin(t)]])
 
+    def linearize_many(times):
+        return tuple(np.stack(matrices) for matrices in zip(*map(linearize, times), strict=True))
+
     q, r, n, jumps = np.eye(2), np.eye(1), np.zeros((2, 1)), np.array([0.3])
 
     def flown(t, dt):
@@ -124,13 +127,15 @@ def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
     errors = []
     for dt in (0.4, 0.2):
         t = 0.3 - dt / 2
-        step = sample_along(linearize, q, r, n, t, dt, jumps)
+        step = sample_along(linearize_many, q, r, n, t, dt, jumps)
         exact = flown(t, dt)
         errors.append(max(np.max(np.abs(step.b[:, 0] - exact[:2])), abs(step.r[0, 0] - exact[2])))
     assert errors[0] < 1e-4
     assert errors[1] < errors[0] / 2**3.5  # the steps are one half as long; order four of the method
     constant = sample(*linearize(0.1), q, r, n, 0.1)
-    same = sample_along(lambda t: linearize(0.1), q, r, n, 5.0, 0.1, np.zeros(0))
+    same = sample_along(
+        lambda times: linearize_many(np.full(times.shape, 0.1)), q, r, n, 5.0, 0.1, np.zeros(0)
+    )
     assert np.allclose(same.q, constant.q, rtol=1e-12)
     assert np.allclose(same.b, constant.b, rtol=1e-12)
 

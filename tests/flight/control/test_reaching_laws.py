@@ -13,7 +13,6 @@ import gnc_opt as go
 from gnc_opt.control import (
     ConstantRate,
     ExponentialRate,
-    PowerRate,
     SaturationLayer,
     Sign,
     SuperTwisting,
@@ -25,8 +24,6 @@ from gnc_opt.errors import ArgumentError, DesignError
 LAWS = [
     ConstantRate(0.7),
     ExponentialRate(0.7, 1.3),
-    PowerRate(0.7, 0.3),
-    PowerRate(0.7, 0.8),
     SuperTwisting(1.5, 1.1),
 ]
 
@@ -51,8 +48,8 @@ def test_no_rate_is_steeper_than_stated(law, boundary):
         assert steepest == pytest.approx(stated, rel=1e-3)
 
 
-@pytest.mark.parametrize("law", [PowerRate(0.7, 0.3), SuperTwisting(1.5, 1.1)], ids=repr)
-def test_powers_are_infinitely_steep_at_zero_without_a_layer(law):
+def test_super_twisting_is_infinitely_steep_at_zero_without_a_layer():
+    law = SuperTwisting(1.5, 1.1)
     assert law.slope(Sign()) == np.inf
     assert rates(law, Sign(), [1e-12])[0] / 1e-12 > 1e3
 
@@ -63,14 +60,6 @@ def test_rates_are_odd_and_drive_towards_zero(law, boundary):
     s = np.array([1e-3, 0.04, 0.06, 1.0, 3.0])
     up, down = rates(law, boundary, s), rates(law, boundary, -s)
     assert np.all(up > 0) and down == pytest.approx(-up, rel=1e-14)
-
-
-@pytest.mark.parametrize("boundary", [Sign(), *LAYERS], ids=repr)
-def test_a_power_rate_balances_the_disturbance_at_its_band(boundary):
-    law = PowerRate(0.7, 0.3)
-    for bound in (0.05, 0.4, 2.0):
-        band = law.band(boundary, bound)
-        assert rates(law, boundary, [band])[0] == pytest.approx(bound, rel=1e-9)
 
 
 def designed(law, boundary, dt):
@@ -112,8 +101,6 @@ def number(value):
         (ConstantRate(3.0), TANH, 0.2, 3 * np.tanh(0.4)),
         (ExponentialRate(3.0, 2.0), SIGN, -0.2, -3.4),
         (ExponentialRate(3.0, 2.0), SAT, 0.2, 1.6),
-        (PowerRate(3.0, 0.5), SIGN, -0.25, -1.5),
-        (PowerRate(3.0, 0.5), SAT, 0.25, 0.75),
         (SuperTwisting(3.0, 2.0), SIGN, -0.25, -1.5),
     ],
 )
@@ -127,7 +114,6 @@ def test_rates_of_reaching_laws(law, boundary, s, rate):
         (ConstantRate(3.0), 0.0),
         (ConstantRate(3.0), 1.0),
         (ExponentialRate(3.0, 2.0), 1.0),
-        (PowerRate(3.0, 0.4), 0.0),
     ],
 )
 @pytest.mark.parametrize("start", [2.0, -0.5])
@@ -141,16 +127,9 @@ def test_reaching_times_are_those_of_the_differential_equation(law, bound, start
     assert law.reaching_time(start, bound) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_power_rate_never_quite_arrives_disturbed():
-    assert PowerRate(3.0, 0.4).reaching_time(1.0, 0.1) == INF
-    assert PowerRate(3.0, 0.4).gain == INF and ConstantRate(3.0).gain == 3.0
-
-
 def test_bands_without_a_layer():
     assert ConstantRate(3.0).band(SIGN, 1.2) == 0.0 and ExponentialRate(3.0, 2.0).band(SAT, 1.5) == 0.25
-    assert PowerRate(3.0, 0.5).band(SIGN, 1.5) == pytest.approx(0.25)
     assert SuperTwisting(3.0, 2.0).band(SAT, 1.0) == 0.25 and SuperTwisting(3.0, 2.0).band(SIGN, 1.0) == 0.0
-    assert PowerRate(0.01, 0.5).band(SAT, 5.0) == pytest.approx(250000.0)  # far outside the layer
 
 
 @pytest.mark.parametrize(
@@ -158,9 +137,6 @@ def test_bands_without_a_layer():
     [
         (lambda: ConstantRate(0.0), "gain eta"),
         (lambda: ExponentialRate(1.0, 0.0), "rate k"),
-        (lambda: PowerRate(0.0, 0.5), "gain k"),
-        (lambda: PowerRate(1.0, 1.0), "between 0 and 1"),
-        (lambda: PowerRate(1.0, 0.0), "exponent"),
         (lambda: SuperTwisting(0.0, 1.0), "k1"),
         (lambda: SuperTwisting(1.0, 0.0), "k2"),
         (lambda: SaturationLayer(0.0), "phi"),
@@ -169,7 +145,7 @@ def test_bands_without_a_layer():
         (lambda: read_bounds(ConstantRate(2.0), 2.0, ("a",)), "surface of 'a'"),
         (lambda: read_bounds(ConstantRate(2.0), [1.0, 2.1], ("a", "b")), "surface of 'b'"),
         (lambda: read_bounds(ConstantRate(2.0), -1.0, ("a",)), "give finite numbers >= 0"),
-        (lambda: read_bounds(PowerRate(2.0, 0.5), INF, ("a",)), "give finite numbers >= 0"),
+        (lambda: read_bounds(ConstantRate(2.0), INF, ("a",)), "give finite numbers >= 0"),
         (lambda: read_bounds(SuperTwisting(3.0, 2.0), 2.0, ("a",)), "raise k2"),
         (lambda: check_gains(2.0, 3.0, 1.0, "it"), "raise k1"),
         (lambda: SuperTwistingObserver(2.0, 3.0, 1.0), "raise k1"),

@@ -100,7 +100,6 @@ def test_vectorized_functions_that_return_no_columns_are_refused():
             lambda t: [np.where(t == 0.5, np.nan, t)],
             0,
             1,
-            tail="none",
             vectorized=True,
         ).u([0.1, 0.5])
 
@@ -158,12 +157,6 @@ def _effort(leg):
 def test_tails(solution):
     held = Reference(solution, tail="hold")
     assert held.u(9.0) == pytest.approx(held.u(held.final_time))
-    none = Reference(solution, tail="none")
-    assert none.tail_control is None
-    with pytest.raises(ArgumentError, match=r"runs from 0 s to .* not at 9\.0 s"):
-        none.x(9.0)
-    with pytest.raises(ArgumentError, match="give it a tail"):
-        none.u([0.0, 9.0])
     with pytest.raises(ArgumentError, match="no tail 'trimm': did you mean 'trim'"):
         Reference(solution, tail="trimm")
     with pytest.raises(ArgumentError, match=r"not at -1\.0 s"):
@@ -199,22 +192,6 @@ def test_bad_references_are_refused():
         Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0], 2, 1)
     with pytest.raises(ArgumentError, match="3 values"):
         Reference.constant(cart(), [1, 2, 3])
-
-
-def test_without_a_tail_a_loop_flies_to_the_very_end(tmp_path):
-    """The step in which the reference ends is finished with its last control: u = t + 1 up to t = 1."""
-    model = cart()
-    path = Reference.from_functions(
-        model, lambda t: [t**3 / 6 + t**2 / 2, t**2 / 2 + t], lambda t: [t + 1.0], 0.0, 1.0, tail="none"
-    )
-    assert path.mean_control([0.8, 0.9, 1.0], 0.2)[0] == pytest.approx([1.9, 1.975, 2.0], rel=1e-12)
-    law = go.design_tvlqr(model, path, Q=1, R=1, dt=0.2)
-    for tf in (1.0, 0.9):
-        assert go.ClosedLoop(model, law).simulate([0.0, 0.0], tf=tf).outcome.ok
-    with pytest.raises(ArgumentError, match=r"from 0 s to 1 s, not at 1\.4"):
-        go.ClosedLoop(model, law).simulate([0.0, 0.0], tf=1.4)
-    with pytest.raises(ArgumentError, match=r"goes on after 1 s, .* tells nothing: .* give it a tail"):
-        go.export_c(law, tmp_path)
 
 
 NAN, INF = np.nan, np.inf

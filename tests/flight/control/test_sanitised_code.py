@@ -9,7 +9,6 @@ from testing.c_compiler import follower, holder, needs_compiler, python, run, sa
 from testing.mpc_designs import tracker
 
 import gnc_opt as go
-from gnc_opt.control import CCodeOptions
 
 pytestmark = needs_compiler
 
@@ -129,8 +128,8 @@ def test_a_unit_keeps_to_its_memory_and_gives_the_law(tmp_path, design):
 @pytest.mark.parametrize("design", [lambda: follower(DT), lambda: holder(DT), limited])
 def test_single_precision_keeps_to_its_memory(tmp_path, design):
     controller = design()
-    options = CCodeOptions(precision="float32")
-    program = sanitized(go.export_c(controller, tmp_path, options=options), "-O1")
+    options = {"precision": "float32"}
+    program = sanitized(go.export_c(controller, tmp_path, **options), "-O1")
     times = START + DT * np.arange(len(STATES))
     found = run(program, times, STATES)
     assert found == pytest.approx(python(controller, times, STATES, DT), rel=2e-2, abs=1e-4)

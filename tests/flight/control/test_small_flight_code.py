@@ -21,7 +21,6 @@ from testing.internals import FLOAT
 from testing.mpc_designs import DT, A, B, tracker
 
 import gnc_opt as go
-from gnc_opt.control import CCodeOptions
 from gnc_opt.errors import ArgumentError
 
 SINGLE = ["-Wdouble-promotion", "-Wconversion", "-O0"]
@@ -39,15 +38,15 @@ def flight(law, count=40, seed=5):
 def test_single_precision_misses_the_law_by_what_is_told(tmp_path, design):
     law = design(0.1)
     times, measured, expected = flight(law)
-    options = CCodeOptions(precision="float32", samples=(times, measured))
-    code = go.export_c(law, tmp_path, options=options)
+    options = {"precision": "float32", "samples": (times, measured)}
+    code = go.export_c(law, tmp_path, **options)
     found = run(compiled(code, *SINGLE), times, measured.T)
     missed = np.max(np.abs(found - expected), axis=0)
     assert code.command_error == pytest.approx(missed, rel=0.5)
     size = np.max(np.abs(expected))
     assert 1e-9 * size < missed[0] < 2e-6 * size  # some roundings of 6e-8
     assert f"differ by at most {code.command_error[0]:.2g}" in code.header.read_text()
-    whole = go.export_c(law, tmp_path, options=CCodeOptions(samples=(times, measured)))
+    whole = go.export_c(law, tmp_path, samples=(times, measured))
     assert whole.command_error[0] < 1e-13 * size
     assert code.table_bytes * 2 == whole.table_bytes
 
@@ -63,7 +62,7 @@ def test_single_precision_keeps_the_row_late_on_the_clock(tmp_path):
     law = go.design_tvlqr(model, reference, Q=1, R=1, dt=0.1)
     times = late + 0.1 * np.arange(20)
     states = np.zeros((20, 2))
-    code = go.export_c(law, tmp_path, options=CCodeOptions(precision="float32"))
+    code = go.export_c(law, tmp_path, precision="float32")
     assert np.allclose(run(compiled(code, "-O0"), times, states), python(law, times, states, 0.1), rtol=1e-5)
 
 
@@ -75,8 +74,8 @@ def test_single_precision_of_a_quadratic_programme(tmp_path):
         states.append(x)
         u, z = law(k * DT, x, z)
         x = A @ x + B * u[0]
-    options = CCodeOptions(precision="float32", samples=(DT * np.arange(40), np.transpose(states)))
-    code = go.export_c(law, tmp_path, options=options)
+    options = {"precision": "float32", "samples": (DT * np.arange(40), np.transpose(states))}
+    code = go.export_c(law, tmp_path, **options)
     compiled(code, *SINGLE)
     assert 1e-9 < code.command_error[0] < 1e-3
 
@@ -85,21 +84,20 @@ def test_refusals(tmp_path, monkeypatch):
     law = follower(0.1)
     good = (0.5 + 0.1 * np.arange(3), np.zeros((2, 3)))
     for options, message in (
-        (CCodeOptions(precision="float16"), "no precision 'float16': did you mean"),
+        ({"precision": "float16"}, "no precision 'float16': did you mean"),
         (
-            CCodeOptions(samples=(good[0], np.zeros((3, 2)))),
+            {"samples": (good[0], np.zeros((3, 2)))},
             r"shapes \(3,\) and \(3, 2\), and 'TVLQR' measures 2 states",
         ),
-        (CCodeOptions(samples=good[0]), "are no pair"),
-        ({"precision": "float32"}, "the options of export_c"),
+        ({"samples": good[0]}, "are no pair"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            go.export_c(law, tmp_path / "none", options=options)
+            go.export_c(law, tmp_path / "none", **options)
     with pytest.raises(ArgumentError, match="1e\\+300 is beyond the numbers of the type 'float'"):
         FLOAT(1e300)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(go.GncOptError, match=r"no C compiler \(cc\) is found to compare"):
-        go.export_c(law, tmp_path, options=CCodeOptions(samples=good))
+        go.export_c(law, tmp_path, samples=good)
 
 
 @needs_compiler
@@ -109,8 +107,8 @@ def test_every_operation_has_its_single_form(tmp_path):
     law = law_of([*values, t, ca.SX(3.5)], t, x)
     times, measured = 0.1 * np.arange(12), 2 * np.random.default_rng(8).normal(size=(2, 12))
     measured = measured.astype(np.float32).astype(float)  # the same numbers in both
-    options = CCodeOptions(precision="float32", samples=(times, measured))
-    code = go.export_c(law, tmp_path, dt=0.1, options=options)
+    options = {"precision": "float32", "samples": (times, measured)}
+    code = go.export_c(law, tmp_path, dt=0.1, **options)
     compiled(code, *SINGLE)
     size = np.max(np.abs(python(law, times, measured.T, 0.1)), axis=0)
     assert np.all(code.command_error <= 2e-5 * (1 + size))

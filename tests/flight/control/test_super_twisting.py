@@ -1,11 +1,11 @@
-"""Super-twisting: finite-time convergence within the proven bound, sharp conditions on gains, the observer."""
+"""Super-twisting: sharp conditions on gains, the observer."""
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import check_gains, convergence_time
+from testing.internals import check_gains
 
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.errors import DesignError
@@ -22,33 +22,6 @@ def settle(k1, k2, s, z, disturbance_rate=lambda s, z: 0.0, *, dt=1e-4, tf=30.0,
     return last, abs(s)
 
 
-@pytest.mark.parametrize(("k1", "k2"), [(2.0, 3.0), (1.5, 1.1), (4.0, 1.0)])
-@pytest.mark.parametrize(("s", "z"), [(1.0, 0.0), (-0.5, 2.0)])
-def test_convergence_takes_no_longer_than_the_bound(k1, k2, s, z):
-    bound = convergence_time(k1, k2, s, z=z)
-    last, end = settle(k1, k2, s, z, dt=1e-3, tf=min(1.2 * bound + 1, 30.0))
-    assert 0 < last < bound
-    assert end < 1e-4
-
-
-def test_bound_holds_for_the_worst_disturbance_that_it_allows():
-    """The rate of the disturbance always pushes z away from zero."""
-    bound = convergence_time(3.0, 4.0, 1.0, bound=1.0)
-    assert np.isfinite(bound)
-    assert bound > convergence_time(3.0, 4.0, 1.0)
-    for push in (lambda s, z: np.sign(z), lambda s, z: np.sign(s), lambda s, z: -np.sign(s)):
-        last, end = settle(3.0, 4.0, 1.0, 0.0, push, dt=1e-3, tf=bound)
-        assert last < bound
-        assert end < 1e-4
-
-
-def test_bound_is_homogeneous():
-    """s -> m s takes sqrt(m) times as long; gains k1 sqrt(m), k2 m take 1 / sqrt(m) times as long for the same s."""
-    base = convergence_time(2.0, 3.0, 1.0)
-    assert convergence_time(2.0, 3.0, 9.0) == pytest.approx(3 * base, rel=1e-12)
-    assert convergence_time(2.0 * 2, 3.0 * 4, 1.0) == pytest.approx(base / 2, rel=1e-9)
-
-
 def test_gains_below_the_condition_fail_where_it_says():
     """k2 below the rate of the disturbance: s runs away; the classical 1.5, 1.1 holds against the worst one."""
     _, end = settle(1.5, 0.9, 0.1, 0.0, lambda s, z: 1.0, dt=1e-3, tf=60.0)
@@ -60,10 +33,6 @@ def test_gains_below_the_condition_fail_where_it_says():
         check_gains(1.5, 1.0, 1.0, "it")
     with pytest.raises(DesignError, match=r"k1 = 1.4 .* = 1.4491"):
         check_gains(1.4, 1.1, 1.0, "it")
-
-
-def test_no_bound_is_invented_where_there_is_no_proof():
-    assert convergence_time(1.5, 1.1, 1.0, bound=1.0) == np.inf
 
 
 def observe(observer, unknown, dt, tf):
@@ -86,17 +55,15 @@ def observe(observer, unknown, dt, tf):
 
 
 def test_observer_finds_the_unknown_in_finite_time():
-    """Its error obeys the super-twisting equation with z = -unknown(0) at first: the same bound holds."""
+    """Its error obeys the super-twisting equation with z = -unknown(0) at first."""
     observer = SuperTwistingObserver(3.0, 4.0, bound=1.0)
 
     def unknown(t):
         return 0.8 + np.sin(t)
 
-    bound = convergence_time(3.0, 4.0, 0.0, z=0.8, bound=1.0)
-    times, estimates = observe(observer, unknown, 1e-3, bound + 3.0)
+    times, estimates = observe(observer, unknown, 1e-3, 8.0)
     errors = np.abs(estimates - unknown(times))
     assert errors[0] > 0.7
-    assert np.max(errors[times > bound]) < 0.03
     assert np.max(errors[times > 3.0]) < 0.03
 
 

@@ -1,15 +1,12 @@
-"""Gains along a reference: jumps, and the table of linearizations."""
+"""Gains along a reference that jumps."""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import LinearizationTable, QuadraticCost, riccati_gains
-from testing.models import dynamics
+from testing.internals import QuadraticCost, riccati_gains
 
-import gnc_opt as go
 from gnc_opt.control import ErrorDynamics, Reference
 from gnc_opt.model import Model
 
@@ -40,37 +37,3 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
 
         p = float(solve_ivp(rate, (right, left), [p], rtol=1e-12, atol=1e-13, method="DOP853").y[0, -1])
         assert gains.P(start + left * unit)[0, 0] == pytest.approx(p, rel=2e-8)
-
-
-def pendulum() -> go.Model:
-    model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a * ca.cos(q) - ca.sin(q)})
-    return model
-
-
-def path(angle, jumps=()) -> Reference:
-    return Reference.from_functions(
-        pendulum(), lambda t: [angle(t), 0.0], lambda t: [1.0 if t < 1.3 else -1.0], 0.0, 4.0, jumps=jumps
-    )
-
-
-@pytest.mark.parametrize(
-    "reference",
-    [
-        path(np.cos, jumps=[1.3]),
-        path(lambda t: np.cos(40 * t), jumps=[1.3]),  # too fast for one interpolant: halved
-        path(lambda t: abs(t - 2.1)),  # a kink and a jump that nobody declared: the function itself
-    ],
-)
-def test_table_equals_the_linearization(reference):
-    deviation = ErrorDynamics(reference.model)
-    table = LinearizationTable(deviation, reference)
-    for t in np.concatenate([np.linspace(0.0, 4.0, 201), [1.3]]):
-        wanted = deviation.linearize(t, reference.x(t), reference.u(t))
-        for found, exact in zip(table(t), wanted, strict=True):
-            np.testing.assert_allclose(found, exact, atol=1e-12)
-
-
-def test_reference_without_duration():
-    reference = Reference.constant(pendulum(), [0.0, 0.0])
-    table = LinearizationTable(ErrorDynamics(reference.model), reference)
-    np.testing.assert_allclose(table(0.0)[0], [[0, 1], [-1, 0]], atol=1e-15)

@@ -168,7 +168,7 @@ def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
 def predictive() -> tuple[Model, Controller]:
     plant = double_integrator()
     limits: dict[str, Any] = {"limits": (-0.5, 0.5), "state_limits": {"v": (-0.3, 0.3)}}
-    return plant, design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, solver="piqp", **limits)
+    return plant, design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, **limits)
 
 
 @needs_compiler

@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing import constructed_solutions as by_hand
-from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.accessory import fine_times
-from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification import reduced_hessian
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.reduced_hessian import Curvature
@@ -139,23 +135,6 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(reduced_hessian, "open_end", lambda cone, s: ("", np.inf))
     assert reduced_hessian.reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL
-
-
-def resting(duration: float = 2.0, start: float = 1.0) -> PhaseSamples:
-    model, _x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
-    problem, leg = one_phase("integrator", model, start, start + duration)
-    problem.minimize(leg.integral(u**2))
-    flat = lambda t, k: np.array([1 + 0 * t])  # noqa: E731
-    breaks = start + duration * np.array([0.0, 0.25, 1.0])
-    return by_hand.samples(problem, flat, flat, flat, weights=(1.0,), breaks=breaks)
-
-
-def test_steps_of_the_system() -> None:
-    """300 over the phase and 4 more in every segment, at the breaks too."""
-    times = fine_times(resting().leg, 300, 4)
-    assert times.size == 75 + 4 + 225 + 4 + 1
-    np.testing.assert_allclose(times[[0, 79, -1]], [1.0, 1.5, 3.0])
-    np.testing.assert_allclose(np.diff(times)[[0, 78, 79]], [0.5 / 79, 0.5 / 79, 1.5 / 229])
 
 
 # --- the verdict ------------------------------------------------------------------------------------------

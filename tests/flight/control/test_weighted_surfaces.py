@@ -1,4 +1,4 @@
-"""Hierarchical surfaces: signs and ratios of weights against the Routh conditions of a tethered pair; its swing."""
+"""Weighted surfaces of more outputs than controls: the Routh conditions of a tethered pair, its swing."""
 
 from __future__ import annotations
 
@@ -6,16 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.controller_steps import step_through
-from testing.internals import hierarchical_errors
 
-from gnc_opt.control import (
-    ConstantRate,
-    Reference,
-    SaturationLayer,
-    Sign,
-    design_hierarchical_sliding_mode,
-    zero_dynamics,
-)
+from gnc_opt.control import ConstantRate, Reference, SaturationLayer, design_sliding_mode
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
 
@@ -27,37 +19,21 @@ def tether() -> Model:
     """Swing theta, height h of the leader and thrust angle gamma, without orbital terms, small angles."""
     model = Model("tether")
     theta, theta_rate = model.state("theta"), model.state("theta_rate")
-    h, h_rate, gamma, rate = (
-        model.state("h"),
-        model.state("h_rate"),
-        model.state("gamma"),
-        model.control("rate"),
-    )
+    h, h_rate = model.state("h"), model.state("h_rate")
+    gamma, rate = model.state("gamma"), model.control("rate")
     swing = -OMEGA2 * (theta + gamma)
-    model.ode(
-        {
-            theta: theta_rate,
-            theta_rate: swing,
-            h: h_rate,
-            h_rate: B * gamma + (A - B) * (theta + gamma),
-            gamma: rate,
-        }
-    )
+    lift = B * gamma + (A - B) * (theta + gamma)
+    model.ode({theta: theta_rate, theta_rate: swing, h: h_rate, h_rate: lift, gamma: rate})
     return model
 
 
 def weigh(k1=0.35, k2=0.01, k4=-0.06, **options):
     model = tether()
-    return design_hierarchical_sliding_mode(
-        model,
-        Reference.constant(model, np.zeros(5), [0.0]),
-        outputs=["theta", "h"],
-        slopes=[k1, k2],
-        weights=[1.0, k4],
-        reaching=ConstantRate(0.01),
-        boundary=SaturationLayer(0.02),
-        **options,
-    )
+    theta, theta_rate, h, h_rate = (model.symbol(n) for n in ("theta", "theta_rate", "h", "h_rate"))
+    total = theta_rate + k1 * theta + k4 * (h_rate + k2 * h)
+    reference = Reference.constant(model, np.zeros(5), [0.0])
+    law = {"reaching": ConstantRate(0.01), "boundary": SaturationLayer(0.02)}
+    return design_sliding_mode(model, reference, outputs={"S": total}, slopes=1.0, **law, **options)
 
 
 def polynomial(k1, k2, k4):
@@ -67,8 +43,7 @@ def polynomial(k1, k2, k4):
 
 
 def test_zero_dynamics_are_the_roots_of_the_hand_made_polynomial():
-    controller = weigh()
-    facts = controller.explain()
+    facts = weigh().explain()
     assert list(facts["relative degrees"]) == [2]
     assert facts["dimension of the zero dynamics"] == 3
     found = np.sort_complex(facts["eigenvalues of the zero dynamics"])
@@ -100,27 +75,18 @@ def test_all_outputs_follow_with_the_right_weights_and_part_at_the_stated_rate_w
     assert rate == pytest.approx(np.max(wrong.explain()["eigenvalues of the zero dynamics"].real), rel=0.02)
 
 
-def test_a_surface_of_relative_degree_one_needs_no_second_level():
+def test_a_surface_of_relative_degree_one():
     """A cart with a pendulum under gravity, balanced by the force on the cart."""
     model = Model("cart and pendulum")
     x, v, a, w = model.state("x"), model.state("v"), model.state("angle"), model.state("w")
     f = model.control("f")
     model.ode({x: v, v: f, a: w, w: 9.81 * ca.sin(a) - f * ca.cos(a)})
     reference = Reference.constant(model, np.zeros(4), [0.0])
+    law = {"reaching": ConstantRate(3.0), "boundary": SaturationLayer(0.05), "limits": (-10.0, 10.0)}
 
     def design(weight):
-        return design_hierarchical_sliding_mode(
-            model,
-            reference,
-            outputs=["angle", "x"],
-            slopes=[4.0, 1.0],
-            weights=[1.0, weight],
-            reaching=ConstantRate(3.0),
-            boundary=SaturationLayer(0.05),
-            bound=0.5,
-            dt=0.01,
-            limits=(-10.0, 10.0),
-        )
+        total = w + 4.0 * a + weight * (v + x)
+        return design_sliding_mode(model, reference, outputs={"S": total}, **law, bound=0.5, dt=0.01)
 
     with pytest.raises(DesignError, match="unstable"):
         design(-0.3)
@@ -128,30 +94,3 @@ def test_a_surface_of_relative_degree_one_needs_no_second_level():
     assert list(controller.explain()["relative degrees"]) == [1]
     run = step_through(controller, model, [0.0, 0.0, 0.2, 0.0], dt=0.01, tf=30.0)
     assert np.max(np.abs(run.x[:, -1])) < 1e-3
-
-
-def test_mistakes_are_named():
-    model = tether()
-    reference = Reference.constant(model, np.zeros(5), [0.0])
-
-    def design(**options):
-        options = {"outputs": ["theta", "h"], "slopes": [0.35, 0.01], "weights": [1.0, -0.06]} | options
-        return design_hierarchical_sliding_mode(
-            model, reference, reaching=ConstantRate(1.0), boundary=Sign(), **options
-        )
-
-    with pytest.raises(DesignError, match="one number for each"):
-        design(weights=[1.0])
-    with pytest.raises(DesignError, match="positive ones"):
-        design(slopes=[0.35, -0.01])
-    with pytest.raises(DesignError, match="a control enters the rate of output 'gamma'"):
-        design(outputs=["theta", "gamma"])
-    with pytest.raises(DesignError, match="not less than the gain"):
-        design(bound=2.0)
-
-
-def test_zero_dynamics_can_be_studied_without_a_design():
-    model = tether()
-    reference = Reference.constant(model, np.zeros(5), [0.0])
-    errors = hierarchical_errors(model, reference, ["theta", "h"], [0.005, 0.03], [1.0, -0.06])
-    assert zero_dynamics(errors, 0.0, np.zeros(5), np.zeros(1)).growth > 0
