@@ -41,13 +41,8 @@ def test_a_limit_that_is_flat_but_for_a_narrow_peak(at: float) -> None:
 
 @pytest.mark.parametrize(
     "wall",
-    [
-        lambda d: -1 / ca.sqrt(d**2 + 1e-10),
-        lambda d: ca.tanh((d**2 - 1e-8) / 1e-8),
-        lambda d: ca.fmin(d**2 / 1e-8, 4.0),
-        lambda d: (d / 1e-4) ** 8,
-    ],
-    ids=["inverse distance", "hyperbolic tangent", "cut off", "power"],
+    [lambda d: -1 / ca.sqrt(d**2 + 1e-10), lambda d: ca.fmin(d**2 / 1e-8, 4.0)],
+    ids=["inverse distance", "cut off"],
 )
 def test_one_wall_in_any_formula(wall: Any) -> None:
     """What must stay off 0.5187 by 1e-4."""
