@@ -70,7 +70,7 @@ class Measurement:
     period : float, optional
         Time between two new samples, s, a multiple of the control step; default every control step.
     delay : float
-        Time by which samples arrive late, s, a multiple of the control step (`SensorDelay`, behind `ZeroOrderHold`).
+        Time by which samples arrive late, s, a multiple of the control step (`Delay`, behind `ZeroOrderHold`).
     bias : float or one per component
         Standard deviation of a constant error, which then is estimated, too; its first value is 0.
     bias_walk : float or one per component

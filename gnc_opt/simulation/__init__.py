@@ -8,7 +8,6 @@ from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
     Lag,
-    MinimumImpulse,
     Pwm,
     Pwpf,
     Quantisation,
@@ -46,7 +45,7 @@ from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorDelay, SensorOutage
+from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
 from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
 
 __all__ = [
@@ -68,7 +67,6 @@ __all__ = [
     "ExternalPlantRun",
     "FinalValues",
     "Lag",
-    "MinimumImpulse",
     "Mixer",
     "Noise",
     "NonNegativeAllocation",
@@ -89,7 +87,6 @@ __all__ = [
     "Saturation",
     "ScaleFactor",
     "SchmittTrigger",
-    "SensorDelay",
     "SensorOutage",
     "SinusoidalDisturbance",
     "ThrusterSet",

@@ -134,8 +134,7 @@ class Block:
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         """Return the memory at the beginning, SX.
 
-        ``signal`` is the first sample (sensors), or zero, or the feedforward for actuators that begin in
-        trim.
+        ``signal`` is the first sample (sensors), the feedforward (actuators that begin in trim), or zero.
         """
         return ca.SX(0, 1)
 

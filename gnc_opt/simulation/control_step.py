@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
 
-from gnc_opt.control.sampled_data import in_order
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
 from gnc_opt.simulation.event_location import Watch, notes_of, record_of
-from gnc_opt.simulation.intersample_input import Input, Wave, stacked
+from gnc_opt.simulation.intersample_input import Wave, stacked
 from gnc_opt.simulation.quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, put, put_wave, take
 from gnc_opt.simulation.wiring import Wiring
@@ -138,7 +136,7 @@ class ControlStep:
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = stacked([waves[n] for n in link.on], tick.h)
+            wave = stacked([waves[n] for n in link.on])
             wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
             memory[key] = step.state
             _mark(saturated, step, link, origin)
@@ -155,7 +153,8 @@ class ControlStep:
         for i, link in enumerate(wiring.actuators):
             block, p = link.block, self.parameters_of(link)
             signal = take(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
-            memory[f"actuator {i}"] = first = block.start(signal, p, tick)
+            begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
+            memory[f"actuator {i}"] = first = block.start(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
                 signals = put(signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal)
@@ -194,26 +193,21 @@ class ControlStep:
         span: tuple[Any, Any] | None = None,
         watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
-        """Integrate the plant over a minor step from t, anew wherever an actuator bends or jumps."""
-        f, n, held = self._rate(state), self.substeps, all(wave.held for wave in waves)
-        first, last = span or (ca.SX(0), ca.SX(self.h))
-        breaks = in_order(_distinct([b for wave in waves for b in wave.breaks]))
-        if span is not None:
-            breaks = [ca.fmin(ca.fmax(b, first), last) for b in breaks]
-        mean = ca.vertcat(*[wave.mean for wave in waves])
-        for begin, end in itertools.pairwise([first, *breaks, last]):
-            applied = _applied(waves, begin, end)
+        """Integrate the plant over a minor step that begins at t, or over a ``span`` of it (s)."""
+        f, n, wave = self._rate(state), self.substeps, stacked(waves)
+        begin, end = span or (ca.SX(0), ca.SX(self.h))
+        length = end - begin
 
-            def stepped(taken: Taken, applied: Callable[[Any], Any] = applied) -> None:
-                for watch in watches:
-                    watch(taken, lambda nu: applied((taken.number + nu) * taken.length))
+        def applied(late: Any) -> Any:
+            return wave.value(lambda tau: ca.exp(-(begin + late) / tau))
 
-            if held:
-                x = dormand_prince(lambda t, x, _: f(t, x, mean), t + begin, x, end - begin, n, None, stepped)
-            else:
-                u = _inputs([wave.input(begin, end, n) for wave in waves])
-                x = dormand_prince(f, t + begin, x, end - begin, n, u, stepped)
-        return x
+        def stepped(taken: Taken) -> None:
+            for watch in watches:
+                watch(taken, lambda nu: applied((taken.number + nu) * taken.length))
+
+        if wave.at is None:
+            return dormand_prince(lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, stepped)
+        return dormand_prince(f, t + begin, x, length, n, wave.input(begin, length / n), stepped)
 
     def tick_of(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
         return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.by_state(state["plant"]))
@@ -259,7 +253,7 @@ class ControlStep:
         return self.log.join({**nothing, **told})
 
     def extremes(self, waves: Sequence[Wave]) -> Extremes:
-        panels = 2 if any(wave.tau is not None for wave in waves) else 1
+        panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
     def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
@@ -284,25 +278,6 @@ class ControlStep:
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
-
-
-def _inputs(inputs: Sequence[Input]) -> Input:
-    """Return several inputs as one column."""
-    return lambda k, node: ca.vertcat(*[value(k, node) for value in inputs])
-
-
-def _applied(waves: Sequence[Wave], begin: Any, end: Any) -> Callable[[Any], Any]:
-    """Return what is applied so long (s) after the beginning of a piece between breaks."""
-    return lambda late: ca.vertcat(*[wave.at(begin, end, begin + late) for wave in waves])
-
-
-def _distinct(breaks: list[Any]) -> list[Any]:
-    """Return SX scalars without those that are the same expression."""
-    found: list[Any] = []
-    for b in breaks:
-        if not any(ca.is_equal(b, other, 0) for other in found):
-            found.append(b)
-    return found
 
 
 def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.control.sampled_data import whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     Block,
@@ -20,7 +19,6 @@ from gnc_opt.simulation.block import (
     Parameters,
     Step,
     Tick,
-    rows,
     scalar,
     values,
 )
@@ -129,37 +127,6 @@ class RandomWalk(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(signal + state, state + p["sigma"] * math.sqrt(tick.dt) * noise)
-
-
-@dataclass(frozen=True)
-class SensorDelay(Block):
-    """Samples arrive ``delay`` (s, a multiple of the control step) late; until then the first one is there.
-
-    Parameters
-    ----------
-    delay : float
-        A multiple of the control step, s.
-
-    Examples
-    --------
-    >>> block = SensorDelay("bus", 0.2, on="q")
-    """
-
-    delay: float
-
-    def check(self, size: int, h: float, dt: float) -> None:
-        self._steps(dt)
-
-    def _steps(self, dt: float) -> int:
-        return whole_steps(self.delay, dt, f"the delay of '{self.name}'")
-
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return ca.repmat(signal, self._steps(tick.dt), 1)
-
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        kept = state.shape[0]
-        line = ca.vertcat(signal, state)  # newest first
-        return Step(line[kept:], rows(line, 0, kept))
 
 
 @dataclass(frozen=True)

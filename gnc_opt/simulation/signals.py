@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ import casadi as ca
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Block, rows
-from gnc_opt.simulation.intersample_input import Wave, cut
+from gnc_opt.simulation.intersample_input import Wave
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,6 @@ def put_wave(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wav
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave if size == wave.mean.shape[0] else cut(wave, at, at + size)
+        rest[name] = wave.mapped(partial(rows, begin=at, end=at + size))
         at += size
     return rest

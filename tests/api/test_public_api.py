@@ -55,10 +55,10 @@ EXPECTED = {
     """,
     "gnc_opt.simulation": """
         Allocation UniformInBall Bias Block Campaign Choice ClosedLoop ConstantDisturbance Deadband Delay Disturbance
-        FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag MinimumImpulse Mixer Noise
+        FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag Mixer Noise
         NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome ExternalPlantRun Pwm Pwpf Quantisation
         Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Saturation
-        ScaleFactor SchmittTrigger SensorDelay SinusoidalDisturbance RandomDirection ThrusterSet
+        ScaleFactor SchmittTrigger SinusoidalDisturbance RandomDirection ThrusterSet
         RandomRotation Uniform WheelArray
         simulate_external_plant monte_carlo
     """,

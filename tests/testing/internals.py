@@ -113,7 +113,7 @@ from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, disper
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, dormand_prince
 from gnc_opt.simulation.event_location import Watch
 from gnc_opt.simulation.final_values import integration_errors
-from gnc_opt.simulation.intersample_input import Part, Wave, stacked
+from gnc_opt.simulation.intersample_input import Wave, stacked
 from gnc_opt.simulation.measures import envelope
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.quantities import SAMPLES, sample_steps

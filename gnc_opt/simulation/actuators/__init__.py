@@ -1,14 +1,13 @@
 """Actuators: what becomes of a command on its way to the plant.
 
-A command is held over a minor step. `Delay`, `RateLimit` and `Lag` are followed within it in this order,
-blocks without memory act at every time, all others once per minor step with the mean.
+A command is held over a minor step. The output of a `Lag` is followed within it, also behind blocks without
+memory; all other blocks act once per minor step, on the mean of their input.
 """
 
 from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold
 from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
 from gnc_opt.simulation.actuators.static import (
     Deadband,
-    MinimumImpulse,
     Quantisation,
     Saturation,
     ScaleFactor,
@@ -18,7 +17,6 @@ __all__ = [
     "Deadband",
     "Delay",
     "Lag",
-    "MinimumImpulse",
     "Pwm",
     "Pwpf",
     "Quantisation",

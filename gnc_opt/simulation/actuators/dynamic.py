@@ -1,4 +1,4 @@
-"""Actuators with memory: lags, limited rates, delays and holds."""
+"""Blocks with memory: lags, limited rates, delays and holds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.intersample_input import Part, Wave
+from gnc_opt.simulation.intersample_input import Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 MIN_TIME_CONSTANT_S = 1e-12
@@ -49,16 +49,14 @@ class _Following(Block):
         return {"initial": (values(self.initial, size, f"the first output of '{self.name}'"), unit)}
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        if self.starts_at_trim:
-            return signal
-        return p["initial"] if "initial" in p else ca.SX.zeros(signal.shape[0])
+        return p.get("initial", signal)
 
 
 @dataclass(frozen=True)
 class Lag(_Following):
     r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
 
-    Exact for held commands, `Delay` and `RateLimit`; of other waves it takes the mean.
+    Exact within the minor step for held inputs; behind another lag it takes the mean over the minor step.
 
     Parameters
     ----------
@@ -82,24 +80,17 @@ class Lag(_Following):
         return {"tau": (0.0, math.inf)}
 
     def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave if wave.straight else wave.averaged()
-        tau, y = ca.fmax(p["tau"], MIN_TIME_CONSTANT_S), state
-        parts, impulse = [], ca.SX.zeros(state.shape[0])
-        for part, end in wave.pieces(tick.h):
-            length, settled = end - part.begin, part.value - part.slope * tau
-            gap = y - settled
-            parts.append(Part(part.begin, settled, part.slope, gap))
-            impulse += (settled + 0.5 * part.slope * length) * length - gap * tau * ca.expm1(-length / tau)
-            y = settled + part.slope * length + gap * ca.exp(-length / tau)
-        step = Step(impulse / tick.h, y)
-        return Wave(step.signal, tuple(parts), tau, wave.breaks), step
+        tau, target = ca.fmax(p["tau"], MIN_TIME_CONSTANT_S), wave.mean
+        gap, faded = state - target, ca.expm1(-tick.h / tau)
+        step = Step(target - gap * tau / tick.h * faded, state + gap * faded)
+        return Wave(step.signal, lambda decay: target + gap * decay(tau)), step
 
 
 @dataclass(frozen=True)
 class RateLimit(_Following):
     """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
-    Exact for held commands and `Delay`; of other waves it takes the mean.
+    Exact in its mean over each minor step, at which the output is held.
 
     Parameters
     ----------
@@ -122,34 +113,19 @@ class RateLimit(_Following):
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (POSITIVE, math.inf)}
 
-    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave if wave.stepped else wave.averaged()
-        y, size = state, state.shape[0]
-        zero, parts, breaks = ca.SX.zeros(size), [], list(wave.breaks)
-        impulse, saturated = zero, zero
-        for part, end in wave.pieces(tick.h):
-            length = end - part.begin
-            wanted = part.value - y
-            change = clip(wanted, -p["rate"] * length, p["rate"] * length)
-            ramp = ca.fabs(change) / p["rate"]
-            arrival = part.begin + ramp
-            parts += [
-                Part(part.begin, y, ca.sign(wanted) * p["rate"], zero),
-                Part(arrival, y + change, zero, zero),
-            ]
-            breaks += ca.vertsplit(arrival)
-            impulse += y * length + change * (length - 0.5 * ramp)
-            saturated = ca.fmax(saturated, differs(change, wanted))
-            y = y + change
-        step = Step(impulse / tick.h, y, saturated)
-        return Wave(step.signal, tuple(parts), None, tuple(breaks)), step
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        wanted, reach = signal - state, p["rate"] * tick.h
+        change = clip(wanted, -reach, reach)
+        mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
+        return Step(mean, state + change, differs(change, wanted))
 
 
 @dataclass(frozen=True)
 class Delay(_Following):
-    """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
+    """A command or sample arrives ``delay`` (s) later; any delay up to ``maximum`` (default: itself).
 
-    Exact for held commands; of waves the mean is taken. Put delays before rate limits and lags.
+    Held at its mean over each minor step (of sensors: interpolated between samples). Before, there is
+    ``initial``, or a sensor's first sample.
 
     Parameters
     ----------
@@ -182,22 +158,18 @@ class Delay(_Following):
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
 
-    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
-        wave = wave.averaged()
-        size = wave.mean.shape[0]
-        line = ca.vertcat(wave.mean, state)  # newest first
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        line = ca.vertcat(signal, state)  # newest first
         steps = p["delay"] / tick.h
         whole = ca.floor(steps + SAME_TIME)
-        share = ca.fmax(0.0, steps - whole)  # of the minor step, in which the older command still acts
+        share = ca.fmax(0.0, steps - whole)  # of the step, in which the older value still acts
         newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
         for i in range(line.shape[0] // size):
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
             older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)
-        begin, zero = share * tick.h, ca.SX.zeros(size)
-        parts = (Part(zero, older, zero, zero), Part(zero + begin, newer, zero, zero))
-        step = Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
-        return Wave(step.signal, parts, None, (begin,)), step
+        return Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Actuators that make something else of a command at once: limits, errors, dead zones, steps, least pulses."""
+"""Actuators that make something else of a command at once: limits, errors, dead zones, steps."""
 
 from __future__ import annotations
 
@@ -84,6 +84,8 @@ class ScaleFactor(Block):
 class Deadband(Block):
     """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged.
 
+    A least impulse bit over a control step ``dt`` is the width ``impulse / dt``.
+
     Parameters
     ----------
     width : float or one per component
@@ -130,29 +132,3 @@ class Quantisation(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)
-
-
-@dataclass(frozen=True)
-class MinimumImpulse(Block):
-    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped.
-
-    Parameters
-    ----------
-    impulse : float or one per component
-        Unit of the command times s, >= 0.
-
-    Examples
-    --------
-    >>> block = MinimumImpulse("least pulse", 0.02, on="a")
-    """
-
-    impulse: ArrayLike
-
-    def parameters(self, size: int, unit: str) -> Defaults:
-        return {"impulse": (values(self.impulse, size, f"the impulse of '{self.name}'"), f"{unit} s".strip())}
-
-    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"impulse": (0.0, math.inf)}
-
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(ca.if_else(ca.fabs(signal) * tick.dt < p["impulse"], 0.0, signal), state)

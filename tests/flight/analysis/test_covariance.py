@@ -16,6 +16,7 @@ import gnc_opt as go
 from gnc_opt.estimation import Measurement
 from gnc_opt.simulation import (
     Choice,
+    Delay,
     Event,
     Lag,
     Noise,
@@ -23,7 +24,6 @@ from gnc_opt.simulation import (
     RandomDirection,
     RandomRotation,
     Saturation,
-    SensorDelay,
     Uniform,
     UniformInBall,
 )
@@ -153,7 +153,7 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
         model,
         go.output_feedback(regulator(model), ekf),
         actuators=[Lag("motor", 0.15)],
-        sensors=[Noise("odometer", 0.05, on="q"), SensorDelay("late", 2 * DT, on="q")],
+        sensors=[Noise("odometer", 0.05, on="q"), Delay("late", 2 * DT, on="q")],
         minor_steps=2,
     )
     spread = {"initial.q": Normal(0.2), "initial.v": Normal(0.1), "motor.tau": Uniform(-0.02, 0.02)}
@@ -193,7 +193,7 @@ def test_a_covariance_that_moves_little_is_held():
         model, [0.5, 0.0], [Measurement("q", 0.05, delay=12 * DT)],
         sigma0={"q": 0.2, "v": 0.1}, process_noise={"v": 0.05}, dt=DT,
     )  # fmt: skip
-    sensors = [Noise("odometer", 0.05, on="q"), SensorDelay("late", 12 * DT, on="q")]
+    sensors = [Noise("odometer", 0.05, on="q"), Delay("late", 12 * DT, on="q")]
     loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf), sensors=sensors)
     flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).flight
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))

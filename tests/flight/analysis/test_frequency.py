@@ -13,7 +13,7 @@ import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
-from gnc_opt.simulation import Event, Lag, Saturation, ScaleFactor, SensorDelay, ZeroOrderHold
+from gnc_opt.simulation import Delay, Event, Lag, Saturation, ScaleFactor, ZeroOrderHold
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 
@@ -69,7 +69,7 @@ def test_a_light_mode_is_followed_where_the_nominal_run_rests(frequency):
 @pytest.mark.parametrize("steps", [1, 3])
 def test_a_late_sample_takes_its_delay_from_the_delay_margin(steps):
     before = loop_response(bare(), **HERE).margins()
-    after = loop_response(bare(sensors=[SensorDelay("bus", steps * DT)]), **HERE).margins()
+    after = loop_response(bare(sensors=[Delay("bus", steps * DT)]), **HERE).margins()
     assert before.delay - after.delay == pytest.approx(steps * DT, rel=1e-6)
     assert after.disk < before.disk
 
@@ -79,7 +79,7 @@ def test_a_statically_unstable_plant_has_the_gain_margin_down_of_its_response_at
     """-1 / L(z = 1) of the sampled pendulum about its upper rest, whatever delays: constants in the loop hid it."""
     pole, *_ = dynamics("pole", "q v", "a", lambda q, v, a: {q: v, v: 4.0 * q + a})
     law = go.design_lqr(pole, [0.0, 0.0], Q=1, R=1, dt=DT)
-    loop = go.ClosedLoop(pole, law, sensors=[SensorDelay("bus", steps * DT)] if steps else [])
+    loop = go.ClosedLoop(pole, law, sensors=[Delay("bus", steps * DT)] if steps else [])
     response = loop_response(loop, x0=[0.0, 0.0], tf=10 * DT, at=[5 * DT])
     at_rest = -0.25 * law.explain()["gain"][0, 0]
     assert response.open_loop([0.0])[0, 0, 0] == pytest.approx(at_rest, rel=1e-9)
@@ -89,7 +89,7 @@ def test_a_statically_unstable_plant_has_the_gain_margin_down_of_its_response_at
 
 def test_the_loop_is_lost_where_the_gain_margin_says():
     """A lag and a delay, and the gain of the actuator beyond and below the margin: the loop flown, not linearized."""
-    parts, sensors = [Lag("motor", 0.15)], [SensorDelay("bus", 2 * DT)]
+    parts, sensors = [Lag("motor", 0.15)], [Delay("bus", 2 * DT)]
     limit = loop_response(bare(*parts, sensors=sensors), **HERE).margins().gain_up[0]
     for factor, grows in ((0.97, False), (1.03, True)):
         loop = bare(ScaleFactor("gain", factor * limit), *parts, sensors=sensors)

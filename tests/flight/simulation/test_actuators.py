@@ -12,7 +12,6 @@ from gnc_opt.simulation import (
     Deadband,
     Delay,
     Lag,
-    MinimumImpulse,
     Noise,
     Pwm,
     Pwpf,
@@ -154,13 +153,11 @@ def test_saturation_limits_and_counts_its_time():
     assert run.total_variation("a")[0] == pytest.approx(np.sum(np.abs(np.diff(u))))
 
 
-def test_deadband_quantisation_scale_and_minimum_impulse():
+def test_deadband_quantisation_and_scale():
     u = wave(np.arange(20) * DT)
     assert fly([Deadband("dead", 0.7)], wave).applied[0] == pytest.approx(np.where(np.abs(u) < 0.7, 0, u))
     assert fly([Quantisation("adc", 0.25)], wave).applied[0] == pytest.approx(0.25 * np.floor(u / 0.25 + 0.5))
     assert fly([ScaleFactor("weak", 0.9, 0.1)], wave).applied[0] == pytest.approx(0.9 * u + 0.1)
-    kept = fly([MinimumImpulse("bit", 0.12)], wave, minor_steps=4).applied[0]
-    assert kept == pytest.approx(np.where(np.abs(u) * DT < 0.12, 0, u))
 
 
 def test_hold_takes_every_third_command():
@@ -251,7 +248,7 @@ SCALES = np.array([1.0, -0.6, 1.7])
     "block",
     [
         Saturation("b", -1.0, 1.5), ScaleFactor("b", 1.2, 0.1), Deadband("b", 0.5), Quantisation("b", 0.3),
-        MinimumImpulse("b", 0.05), Lag("b", 0.2), RateLimit("b", 3.0), Delay("b", 0.3),
+        Lag("b", 0.2), RateLimit("b", 3.0), Delay("b", 0.3),
         Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3), Pwpf("b", 1.0, 0.45, 0.15, 0.2, 4.5),
         ZeroOrderHold("b", 0.4),
     ],

@@ -16,7 +16,6 @@ from gnc_opt.simulation import (
     Delay,
     ExpressionDisturbance,
     Lag,
-    MinimumImpulse,
     Mixer,
     Noise,
     NonNegativeAllocation,
@@ -29,7 +28,6 @@ from gnc_opt.simulation import (
     Saturation,
     ScaleFactor,
     SchmittTrigger,
-    SensorDelay,
     SensorOutage,
     SinusoidalDisturbance,
     ThrusterSet,
@@ -79,7 +77,6 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
         (ScaleFactor("b"), {"factor": ([1, 1], ""), "bias": ([0, 0], "N")}, {}),
         (Deadband("b", 0.3), {"width": ([0.3, 0.3], "N")}, {"width": (0.0, INF)}),
         (Quantisation("b", 0.3), {"step_size": ([0.3, 0.3], "N")}, {"step_size": (POSITIVE, INF)}),
-        (MinimumImpulse("b", 0.3), {"impulse": ([0.3, 0.3], "N s")}, {"impulse": (0.0, INF)}),
         (Lag("b", 0.3), {"tau": ([0.3, 0.3], "s")}, {"tau": (0.0, INF)}),
         (Lag("b", 0.3, initial=2), {"tau": ([0.3, 0.3], "s"), "initial": ([2, 2], "N")}, {"tau": (0.0, INF)}),
         (RateLimit("b", 0.3), {"rate": ([0.3, 0.3], "N/s")}, {"rate": (POSITIVE, INF)}),
@@ -120,10 +117,6 @@ def test_parameters_have_values_units_and_permitted_ranges(block, expected, limi
     assert block.limits(H, DT) == limits
 
 
-def test_an_impulse_without_a_unit_is_in_seconds():
-    assert MinimumImpulse("b", 0.3).parameters(1, "")["impulse"][1] == "s"
-
-
 # --- one step ---------------------------------------------------------------------------------------------
 
 
@@ -137,7 +130,7 @@ def test_a_longest_delay_that_is_none_is_refused(longest):
     ("block", "message"),
     [
         (ZeroOrderHold("b", 0.0), "number of minor steps in the period of 'b'"), (ZeroOrderHold("b", 0.25), "multiple"),
-        (SensorDelay("b", 0.3), "multiple"), (PiecewiseConstantNoise("b", 1.0, 0.3, on="x"), "multiple"),
+        (PiecewiseConstantNoise("b", 1.0, 0.3, on="x"), "multiple"),
     ],
 )  # fmt: skip
 def test_periods_that_are_not_steps_are_refused_beforehand(block, message):

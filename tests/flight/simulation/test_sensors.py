@@ -6,7 +6,7 @@ import pytest
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation import Bias, ClosedLoop, Noise, RandomWalk, ScaleFactor, SensorDelay, ZeroOrderHold
+from gnc_opt.simulation import Bias, ClosedLoop, Delay, Noise, RandomWalk, ScaleFactor, ZeroOrderHold
 
 
 def see(sensors, *, tf=3.0, size=1, seed=0):
@@ -32,12 +32,12 @@ def test_sampling_holds_from_sample_to_sample():
 
 
 def test_delay_shifts_exactly_and_begins_with_the_first_sample():
-    run = see([SensorDelay("late", 0.3)])
+    run = see([Delay("late", 0.3)])
     assert np.array_equal(run.measured[0], run.states[0, np.maximum(np.arange(30) - 3, 0)])
 
 
 def test_delay_of_zero_is_none():
-    run = see([SensorDelay("late", 0.0)])
+    run = see([Delay("late", 0.0)])
     assert np.array_equal(run.measured, run.states[:, :-1])
 
 
@@ -66,8 +66,6 @@ def test_noise_on_a_manifold_moves_along_it():
 def test_periods_that_are_no_multiples_are_refused():
     with pytest.raises(ArgumentError, match=r"period of 'slow' is 0\.25 s, not a multiple"):
         see([ZeroOrderHold("slow", 0.25)])
-    with pytest.raises(ArgumentError, match=r"delay of 'late' is 0\.05 s, not a multiple"):
-        see([SensorDelay("late", 0.05)])
 
 
 def test_errors_that_a_retraction_does_not_take_are_refused():
