@@ -1,7 +1,6 @@
 """The command line.
 
-``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``;
-``gnc-opt film FILE``.
+``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from gnc_opt.commands import (
     ExitCode,
     check_command,
     examples_command,
-    film_command,
     multistart_command,
     new_command,
     solve_command,
@@ -88,7 +86,6 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_new(commands)
     _add_examples(commands)
-    _add_film(commands)
     _add_solve(commands)
     _add_multistart(commands)
     check = commands.add_parser("check", help="find errors in a problem without solving it")
@@ -118,45 +115,6 @@ def _add_examples(commands: Any) -> None:
         help="options of the problem; see NAME --help",
     )
     command.set_defaults(run=examples_command)
-
-
-def _add_film(commands: Any) -> None:
-    command = commands.add_parser("film", help="film a solution or a run that was saved")
-    add = command.add_argument
-    add("file", metavar="FILE", help="solution or run (.npz)")
-    add(
-        "--position",
-        metavar="STATE",
-        nargs="+",
-        required=True,
-        help="state of two or three components, or as many states",
-    )
-    add(
-        "--attitude", metavar="STATE", help="modified Rodrigues parameters or a quaternion, scalar part first"
-    )
-    add("--force", metavar="CONTROL", help="control drawn as a plume; in body axes with an attitude")
-    add(
-        "--keep-out",
-        metavar=("X", "Y", "Z", "RADIUS"),
-        type=float,
-        nargs=4,
-        action="append",
-        default=[],
-        help="sphere to draw; may be given several times",
-    )
-    add("--down", action="store_true", help="draw z downwards")
-    add("--others", metavar="FILE", nargs="+", default=[], help="solutions or runs drawn in grey")
-    add("--seconds", metavar="S", type=float, default=8.0, help="length of the film, default %(default)g")
-    add("--rate", metavar="N", type=float, default=20.0, help="pictures per second, default %(default)g")
-    add(
-        "-o",
-        "--output",
-        metavar="FILE",
-        default="film.gif",
-        help=".gif, or .mp4 by ffmpeg; default %(default)s",
-    )
-    add("--debug", action="store_true", help="show the traceback of an error")
-    command.set_defaults(run=film_command)
 
 
 def number_or_none(text: str) -> float | None:

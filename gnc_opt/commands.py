@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from gnc_opt.planning.problem.problem import Problem
     from gnc_opt.planning.solution.solution import Solution
     from gnc_opt.planning.solution.verdict import Verdict
-    from gnc_opt.simulation import Run
 
 
 REFINE_TOLERANCE = 1e-8
@@ -136,38 +135,6 @@ def examples_command(args: argparse.Namespace) -> int:
     print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
     print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].problems}")
     return ExitCode.OK
-
-
-def film_command(args: argparse.Namespace) -> ExitCode:
-    from gnc_opt.plot import View, save_film
-
-    view = View(
-        args.position if len(args.position) > 1 else args.position[0],
-        args.attitude,
-        args.force,
-        {f"keep-out {i + 1}": (sphere[:3], sphere[3]) for i, sphere in enumerate(args.keep_out)},
-        args.down,
-    )
-    others = [_moved(other) for other in args.others]
-    path = save_film(
-        _moved(args.file), args.output, view, others=others, seconds=args.seconds, rate=args.rate
-    )
-    print(f"written: {path}")
-    return ExitCode.OK
-
-
-def _moved(path: str) -> Solution | Run:
-    """Load a solution or a run."""
-    from gnc_opt.planning.solution import load
-    from gnc_opt.simulation import Run
-
-    try:
-        return load(path)
-    except GncOptError as error:
-        try:
-            return Run.load(path)
-        except GncOptError:
-            raise error from None
 
 
 def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:

@@ -40,7 +40,6 @@ RENAMED = {
     "gnc_opt.simulation.MinimumImpulse": "gnc_opt.simulation.Deadband",
     "gnc_opt.simulation.Occurrence": "gnc_opt.simulation.EventOccurrence",
     "gnc_opt.simulation.Outage": "gnc_opt.simulation.SensorOutage",
-    "gnc_opt.simulation.PlantFlight": "gnc_opt.simulation.ExternalPlantRun",
     "gnc_opt.simulation.RandomHold": "gnc_opt.simulation.PiecewiseConstantNoise",
     "gnc_opt.simulation.Replanner": "gnc_opt.guidance.Replanner",
     "gnc_opt.simulation.Sampling": "gnc_opt.simulation.ZeroOrderHold",
@@ -50,7 +49,6 @@ RENAMED = {
     "gnc_opt.simulation.Sphere": "gnc_opt.simulation.RandomDirection",
     "gnc_opt.simulation.Turn": "gnc_opt.simulation.RandomRotation",
     "gnc_opt.simulation.consistency": "gnc_opt.analysis.consistency",
-    "gnc_opt.simulation.fly_plant": "gnc_opt.simulation.simulate_external_plant",
 }
 """From the full former name to the full present one."""
 

@@ -2,9 +2,8 @@
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls
-from gnc_opt.plot.film import save_film
 from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
-from gnc_opt.plot.path import plot_curves, plot_motion, plot_path
+from gnc_opt.plot.path import plot_motion
 from gnc_opt.plot.refinement import plot_refinement, plot_verdict
 from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
 from gnc_opt.plot.style import save_figure
@@ -17,7 +16,6 @@ __all__ = [
     "plot_bode",
     "plot_controls",
     "plot_costates",
-    "plot_curves",
     "plot_dispersion",
     "plot_distributions",
     "plot_envelope",
@@ -25,7 +23,6 @@ __all__ = [
     "plot_margins",
     "plot_motion",
     "plot_nyquist",
-    "plot_path",
     "plot_refinement",
     "plot_run_controls",
     "plot_run_errors",
@@ -34,5 +31,4 @@ __all__ = [
     "plot_states",
     "plot_verdict",
     "save_figure",
-    "save_film",
 ]

@@ -1,9 +1,8 @@
-"""Figures of motion in space: the path with the body's axes along it; plain curves over time."""
+"""Figures of motion in space: the path, the vehicle along it, other bodies and keep-out volumes."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,16 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
     axis_label,
-    legend_above,
     legend_on_top,
-    line_look,
     new_figure,
     style,
 )
@@ -28,95 +24,6 @@ from gnc_opt.plot.view import AXIS, VEHICLE_HALF_EDGES, Moved, View, motion, spa
 
 PATH_SAMPLES = 400
 """Points of a drawn path."""
-
-
-def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: str) -> Figure:
-    """Return a figure that shows rows of values over time in one axis, e.g. Euler angles computed from a solution.
-
-    Parameters
-    ----------
-    t : array (n_times,)
-        s.
-    values : array (n, n_times)
-    labels : sequence of n str
-    ylabel : str
-        With its unit.
-
-    Examples
-    --------
-    >>> t = np.linspace(0.0, 2.0, 50)
-    >>> figure = plot_curves(t, 0.5 * solution.state("v")(t) ** 2, ["kinetic"], "energy, J/kg")
-    """
-    times = np.asarray(t, dtype=float)
-    with style():
-        figure = new_figure(3.0)
-        ax = figure.subplots()
-        for i, row in enumerate(np.atleast_2d(np.asarray(values, dtype=float))):
-            ax.plot(times, row, label=labels[i], **line_look(i))
-        ax.set_xlim(times[0], times[-1])
-        ax.set_xlabel("time (s)")
-        ax.set_ylabel(ylabel)
-        legend_above(ax)
-    return figure
-
-
-def plot_path(
-    r_L: ArrayLike,
-    *,
-    dcm_BL: ArrayLike | None = None,
-    at: Sequence[int] = (),
-    unit: str = "m",
-    axis_length: float | None = None,
-    axis_notes: Sequence[str] = ("", "", ""),
-    down: bool = True,
-) -> Figure:
-    """Return a figure that shows a path in three dimensions with the body's axes along it.
-
-    Parameters
-    ----------
-    r_L : array (3, n_times)
-        Positions in frame L.
-    dcm_BL : array (3, 3, n_times), optional
-        Attitude of the body: its rows are the body's axes in L.
-    at : sequence of int
-        Indices of the times at which to draw the body's axes.
-    unit : str
-        Of the positions.
-    axis_length : float, optional
-        Of the drawn axes; default 12 % of the path's largest extent.
-    axis_notes : sequence of str
-        Added to the names of the three axes, e.g. ("along velocity", "", "to Earth").
-    down : bool
-        Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
-
-    Examples
-    --------
-    >>> angle = np.linspace(0.0, 6.0, 60)
-    >>> figure = plot_path(np.array([np.cos(angle), np.sin(angle), 0.1 * angle]))
-    """
-    r = np.asarray(r_L, dtype=float)
-    length = axis_length or 0.12 * float(np.max(np.ptp(r, axis=1)))
-    with style():
-        figure = new_figure(4.6)
-        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=20, azim=-58)
-        ax.plot(*r, color="black", linewidth=1.6, zorder=4)
-        ax.plot(*r[:, :1], "o", color="black", markersize=6, zorder=6)
-        ax.plot(*r[:, -1:], "s", color="black", markersize=6, zorder=6)
-        handles = [
-            Line2D([], [], color="black", linewidth=1.6, label="path"),
-            Line2D([], [], color="black", marker="o", linestyle="none", label="start"),
-            Line2D([], [], color="black", marker="s", linestyle="none", label="end"),
-        ]
-        tips = [r]
-        if dcm_BL is not None:
-            tips += _draw_body_axes(ax, r, np.asarray(dcm_BL, dtype=float), at, length)
-            handles += [
-                Line2D([], [], color=COLORS[i], linewidth=1.6, label=f"$b_{name}$")
-                for i, name in enumerate("xyz")
-            ]
-        frame_space(ax, np.hstack(tips), unit, axis_notes, down)
-        legend_on_top(figure, handles)
-    return figure
 
 
 def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
@@ -170,7 +77,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             ax.plot_wireframe(*surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2)
             drawn.append(surface.reshape(3, -1))
             handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label=name))
-        frame_space(ax, np.hstack(drawn), path.unit, ("", "", ""), view.down, zoom=1.15)
+        _frame_space(ax, np.hstack(drawn), path.unit, view.down)
         legend_on_top(figure, handles)
     return figure
 
@@ -190,19 +97,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 
 """Corners of each face, in the order of `itertools.product`."""
 
 
-def _draw_body_axes(ax: Any, r: Array, dcm: Array, at: Sequence[int], length: float) -> list[Array]:
-    tips = []
-    for k in at:
-        for i in range(3):
-            tip = r[:, k] + length * dcm[i, :, k]
-            ax.plot(*np.column_stack([r[:, k], tip]), color=COLORS[i], linewidth=1.3, zorder=5)
-            tips.append(tip[:, None])
-    return tips
-
-
-def frame_space(
-    ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool, zoom: float = 1.05
-) -> None:
+def _frame_space(ax: Any, points: Array, unit: str, down: bool) -> None:
     """Equal scales on all axes, limits around all points, labels with units."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))
@@ -210,10 +105,9 @@ def frame_space(
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
     ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
-    ax.set_box_aspect(high - low, zoom=zoom)
+    ax.set_box_aspect(high - low, zoom=1.15)
     for axis, extent in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, strict=True):
         axis.set_major_locator(MaxNLocator(max(1, round(6 * extent / float(np.max(high - low))))))
-    names = [axis_label(f"${name}$ {note}".strip(), unit) for name, note in zip("xyz", notes, strict=True)]
-    ax.set_xlabel(names[0], labelpad=12)
-    ax.set_ylabel(names[1], labelpad=4)
-    ax.set_zlabel(names[2])
+    ax.set_xlabel(axis_label("$x$", unit), labelpad=12)
+    ax.set_ylabel(axis_label("$y$", unit), labelpad=4)
+    ax.set_zlabel(axis_label("$z$", unit))

@@ -127,15 +127,6 @@ class Plume:
     basis: Array
     values: Array
 
-    def force(self, dcm_BL: Array | None) -> Array:
-        """Return the force in L, (3, n)."""
-        return _in_frame(self.basis @ self.values, dcm_BL)
-
-    def root(self, dcm_BL: Array | None) -> Array:
-        """Return where the plume begins, relative to the body, in L, (3, n)."""
-        sides = np.sign(self.values) if len(self.values) == 1 else np.ones((1, self.values.shape[1]))
-        return _in_frame(self.nozzle[:, None] * sides, dcm_BL)
-
 
 @dataclass(frozen=True)
 class Motion:
@@ -173,12 +164,6 @@ def motion(moved: Moved, view: View, times: Array) -> Motion:
         unit = parts[0].unit(_each(view.position)[0])
     dcm = None if view.attitude is None else _dcm(of(view.attitude), ", ".join(_each(view.attitude)))
     return Motion(times, position, dcm, _plumes(view, of), unit)
-
-
-def track(moved: Moved, view: View, n: int) -> Array:
-    """Return n positions along the whole of a motion, (3, n); it needs no attitude and no force."""
-    seen = view if view.position is None else View(view.position)
-    return motion(moved, seen, np.linspace(*span(moved, seen), n)).position
 
 
 def _plumes(view: View, of: Any) -> dict[str, Plume]:
@@ -264,11 +249,6 @@ def _each(names: Names) -> list[str]:
 
 
 # --- geometry -------------------------------------------------------------------------------------------
-
-
-def _in_frame(vector_B: Array, dcm_BL: Array | None) -> Array:
-    """Turn vectors (3, n) from B into L."""
-    return vector_B if dcm_BL is None else np.einsum("ijk,ik->jk", dcm_BL, vector_B)
 
 
 def sphere(centre: Array, semi_axes: Array) -> Array:

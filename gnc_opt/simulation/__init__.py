@@ -38,7 +38,6 @@ from gnc_opt.simulation.disturbances import (
     SinusoidalDisturbance,
 )
 from gnc_opt.simulation.events import Event, EventOccurrence
-from gnc_opt.simulation.external_plant import ExternalPlantRun, simulate_external_plant
 from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.measures import Envelope
 from gnc_opt.simulation.monte_carlo import monte_carlo
@@ -64,7 +63,6 @@ __all__ = [
     "Event",
     "EventOccurrence",
     "ExpressionDisturbance",
-    "ExternalPlantRun",
     "FinalValues",
     "Lag",
     "Mixer",
@@ -95,7 +93,6 @@ __all__ = [
     "WheelArray",
     "ZeroOrderHold",
     "monte_carlo",
-    "simulate_external_plant",
 ]
 
 

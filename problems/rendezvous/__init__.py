@@ -29,7 +29,7 @@ from problems.rendezvous.model import (
     chaser_model,
     printed_angular_acceleration,
 )
-from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, figures, switch_arcs, switch_mesh
+from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, switch_arcs, switch_mesh
 
 __all__ = [
     "ALTITUDE",
@@ -50,7 +50,6 @@ __all__ = [
     "Equation",
     "build",
     "chaser_model",
-    "figures",
     "printed_angular_acceleration",
     "switch_arcs",
     "switch_mesh",

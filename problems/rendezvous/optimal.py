@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from gnc_opt.spacecraft import mrp_to_dcm
 from problems._example import Reference
 from problems.rendezvous.model import CASES, EQUATIONS, Equation, check_case
 
@@ -145,15 +141,3 @@ def switch_arcs(case: int = 1) -> NDArray[np.int64]:
 
 def _all_switches(case: int) -> list[float]:
     return sorted(t for channel in SWITCHES[case].values() for t in channel.switching_times)
-
-
-def figures(solution: go.Solution, directory: str | Path | None = None) -> Mapping[str, Any]:
-    """Return the path in the target's frame with the chaser's axes along it, by file stem; for ``--report``."""
-    from gnc_opt.plot.path import plot_path
-
-    leg = solution.phase()
-    t = leg.sample_times(24)
-    shown = [int(k) for k in np.linspace(0, t.size - 1, 9)]
-    dcm_BL = mrp_to_dcm(np.asarray(leg.state("sigma")(t)))
-    notes = ("along velocity", "cross-track", "to Earth")
-    return {"path": plot_path(np.asarray(leg.state("r_L")(t)), dcm_BL=dcm_BL, at=shown, axis_notes=notes)}

@@ -56,11 +56,11 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation UniformInBall Bias Block Campaign Choice ClosedLoop ConstantDisturbance Deadband Delay Disturbance
         FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag Mixer Noise
-        NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome ExternalPlantRun Pwm Pwpf Quantisation
+        NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome Pwm Pwpf Quantisation
         Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Saturation
         ScaleFactor SchmittTrigger SinusoidalDisturbance RandomDirection ThrusterSet
         RandomRotation Uniform WheelArray
-        simulate_external_plant monte_carlo
+        monte_carlo
     """,
     "gnc_opt.analysis": """
         CovarianceCheck Consistency  Scenario FailureProbability InnovationTest
@@ -82,10 +82,10 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        Thruster View plot_bode plot_controls plot_costates plot_curves plot_dispersion plot_distributions
-        plot_envelope plot_hamiltonian plot_margins plot_nyquist plot_motion plot_path plot_refinement plot_run_controls
+        Thruster View plot_bode plot_controls plot_costates plot_dispersion plot_distributions
+        plot_envelope plot_hamiltonian plot_margins plot_nyquist plot_motion plot_refinement plot_run_controls
         plot_run_errors plot_run_states plot_sensitivity plot_states
-        plot_verdict save_figure save_film
+        plot_verdict save_figure
     """,
     "gnc_opt.report": """
         MessageMetadata search_dict summary summary_dict write_aem write_campaign_report write_json write_oem

@@ -18,9 +18,7 @@ from gnc_opt.plot import (
     axes,
     plot_controls,
     plot_costates,
-    plot_curves,
     plot_hamiltonian,
-    plot_path,
     plot_states,
     save_figure,
 )
@@ -137,19 +135,6 @@ def test_unknown_names_are_refused(cart: go.Solution) -> None:
         plot_states(cart, ["speed"])
     with pytest.raises(go.UnknownNameError, match="known: a"):
         plot_controls(cart, ["b"])
-
-
-def test_curves_and_path() -> None:
-    t = np.linspace(0.0, 1.0, 20)
-    r = np.array([t, t**2, -t])
-    curves = plot_curves(t, r, ("one", "two", "three"), "angle (deg)")
-    assert curves.axes[0].get_ylabel() == "angle (deg)" and len(curves.axes[0].get_lines()) == 3
-    dcm = np.tile(np.eye(3)[:, :, None], 20)
-    figure = plot_path(r, dcm_BL=dcm, at=[0, 10], unit="km", axis_notes=("ahead", "", "down"))
-    ax = figure.axes[0]
-    assert ax.get_xlabel() == "$x$ ahead (km)" and ax.get_zlabel() == "$z$ down (km)"
-    assert ax.get_zlim()[0] > ax.get_zlim()[1] and ax.get_ylim()[0] > ax.get_ylim()[1]
-    assert len(ax.get_lines()) == 3 + 2 * 3  # path, start, end and two triads
 
 
 def test_files_are_written_and_settings_left_alone(cart: go.Solution, tmp_path: Path) -> None:
