@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_setting
 from gnc_opt.templates import write_template
+from gnc_opt.text import json_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,7 +81,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
 
 def multistart_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.study import multistart
-    from gnc_opt.report.json_output import search_text, write_search
+    from gnc_opt.report import search_dict, write_json
 
     _check_targets(args)
     options = dict(parse_setting(text) for text in args.set)
@@ -99,9 +100,9 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
         )
     _say(_console(args), str(found))
     if args.json == "-":
-        print(search_text(found), end="")
+        print(json_text(search_dict(found)), end="")
     elif args.json is not None:
-        write_search(args.json, found)
+        write_json(args.json, found)
     if found.interrupted:
         return ExitCode.INTERRUPTED
     return ExitCode.OK if found.minima else ExitCode.NOT_SOLVED
@@ -191,11 +192,11 @@ def _show(console: Console, solution: Solution, verdict: Verdict | None, conditi
 def _write(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
-    from gnc_opt.report.json_output import json_text, write_json
+    from gnc_opt.report import summary_dict, write_json
     from gnc_opt.report.report import write_report
 
     if args.json == "-":
-        print(json_text(solution, verdict), end="")
+        print(json_text(summary_dict(solution, verdict)), end="")
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:

@@ -1,9 +1,12 @@
-"""Pieces of HTML, for reports and notebooks: every text that goes in is escaped here."""
+"""Texts of results: pieces of HTML, in which every text that goes in is escaped, and JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from typing import Any
 
 
 def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -34,6 +37,24 @@ class Printed:
 
 def _cells(tag: str, values: Iterable[object]) -> str:
     return "".join(f"<{tag}>{escape(str(value))}</{tag}>" for value in values)
+
+
+def plain_json(value: Any) -> Any:
+    """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_json(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(content: Any, indent: int | None = 2) -> str:
+    """Return `plain_json` of content as text with a trailing newline."""
+    return json.dumps(plain_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 GREEK_NAMES = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.environment import imported
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.text import json_text
 
 
 def read_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
@@ -137,18 +137,17 @@ def _write_csv(records: Records, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([records.axis.name, *records.columns])
-        writer.writerows([_plain(value, "") for value in row] for row in rows)
+        writer.writerows(map(_csv_value, row) for row in rows)
 
 
 def _write_json(records: Records, path: Path) -> None:
     content = {
         **records.about,
         "units": records.units,
-        records.axis.name: _plain_list(records.points),
-        "columns": {label: _plain_list(values) for label, values in records.columns.items()},
+        records.axis.name: records.points,
+        "columns": records.columns,
     }
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, default=str)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(json_text(content, indent=None), encoding="utf-8")
 
 
 def _write_mat(records: Records, path: Path) -> None:
@@ -170,14 +169,10 @@ _WRITERS: dict[str, Callable[[Records, Path], None]] = {
 }
 
 
-def _plain_list(values: Iterable[Any]) -> list[Any]:
-    return [_plain(value, None) for value in values]
-
-
-def _plain(value: Any, missing: Any) -> Any:
-    """Return a Python number or string; NaN becomes the given substitute."""
+def _csv_value(value: Any) -> Any:
+    """Return a Python number or string; "" for a number that is not finite."""
     plain = value.item() if isinstance(value, np.generic) else value
-    return missing if isinstance(plain, float) and not np.isfinite(plain) else plain
+    return "" if isinstance(plain, float) and not np.isfinite(plain) else plain
 
 
 def _is_words(values: Any) -> bool:

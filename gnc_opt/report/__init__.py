@@ -3,7 +3,7 @@
 from gnc_opt.planning.solution.summary import summary
 from gnc_opt.report.ccsds import MessageMetadata, write_aem, write_oem
 from gnc_opt.report.flight_report import write_campaign_report, write_run_report
-from gnc_opt.report.json_output import search_dict, summary_dict, write_json, write_search
+from gnc_opt.report.json_output import search_dict, summary_dict, write_json
 from gnc_opt.report.report import write_report
 
 __all__ = [
@@ -17,5 +17,4 @@ __all__ = [
     "write_oem",
     "write_report",
     "write_run_report",
-    "write_search",
 ]

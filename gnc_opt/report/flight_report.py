@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,9 +138,8 @@ def write_campaign_report(
     files = save_figures(folder, _campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Overview": _outcomes(campaign) + _pass_rates(campaign),
+        "Overview": preformatted(str(campaign)),
         "Motion": motion,
-        "Percentiles": _percentiles(campaign),
         "Distributions": picture(
             files, "distributions", "Distribution of each measure over all runs, with its limit."
         ),
@@ -176,52 +174,6 @@ def write_campaign_report(
     saved = campaign.save(folder / "campaign.npz")
     page = write_page(folder, document(title, headline, sections))
     return [page, saved, statistics, *files.values()]
-
-
-# --- numbers ----------------------------------------------------------------------------------------------
-
-
-def _outcomes(campaign: Campaign) -> str:
-    """Return how the runs ended, and the share of all possible runs that stay below each maximum."""
-    from gnc_opt.simulation.confidence_intervals import share_below_maximum
-
-    below = 100 * share_below_maximum(len(campaign))
-    events = "".join(f"; event {name} in {count} runs" for name, count in campaign.event_totals.items())
-    return (
-        f"<p>{escape(str(campaign).splitlines()[0].capitalize() + events)}.</p>"
-        f"<p>With 95 % confidence, {below:.2f} % of all runs stay below each maximum.</p>"
-    )
-
-
-def _pass_rates(campaign: Campaign) -> str:
-    """Return the pass rate of each limit with its interval."""
-    rows = []
-    for name, limit in campaign.limits.items():
-        found = campaign.pass_rate(name)
-        value = f"{limit:.4g} {campaign.unit(name)}".strip()
-        rows.append(
-            (name, value, f"{found.passed} of {found.runs}", *_percents(found.rate, found.low, found.high))
-        )
-    found = campaign.pass_rate()
-    rows.append(("all", "", f"{found.passed} of {found.runs}", *_percents(found.rate, found.low, found.high)))
-    return table(("measure", "limit", "runs that pass", "rate", "95 % interval"), rows)
-
-
-def _percents(rate: float, low: float, high: float) -> tuple[str, str]:
-    return f"{100 * rate:.1f} %", f"{100 * low:.1f} % to {100 * high:.1f} %"
-
-
-def _percentiles(campaign: Campaign) -> str:
-    """Return percentiles of each measure with their intervals."""
-    from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
-
-    rows = []
-    for name in shown_measures(campaign):
-        found = [campaign.percentile(name, level) for level in LEVELS]
-        texts = [f"{p.value:.3g} ({p.low:.3g} to {p.high:.3g})".replace("inf", "∞") for p in found]
-        rows.append((name, campaign.unit(name), *texts, f"{campaign.maximum(name):.3g}"))
-    titles = ("measure", "unit", *(f"{100 * level:g} %" for level in LEVELS), "maximum")
-    return "<p>In parentheses: intervals of 95 % confidence by order statistics.</p>" + table(titles, rows)
 
 
 # --- motion -----------------------------------------------------------------------------------------------

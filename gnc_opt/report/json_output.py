@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.summary import known_quality, left_tables
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart import Multistart
+from gnc_opt.text import json_text, plain_json
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -47,30 +46,6 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     }
 
 
-def search_text(found: Multistart) -> str:
-    """Return `search_dict` as indented JSON text with a trailing newline."""
-    return json.dumps(search_dict(found), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write_search(path: str | Path, found: Multistart) -> Path:
-    """Return the path of a file to which `search_dict` is written as UTF-8 JSON.
-
-    Parameters
-    ----------
-    path : str or Path
-    found : Multistart
-
-    Examples
-    --------
-    >>> from gnc_opt.report import write_search
-    >>> print(write_search("search.json", go.multistart(problem, n=2, seed=1, executor="serial", refine=False)))
-    search.json
-    """
-    target = Path(path)
-    target.write_text(search_text(found), encoding="utf-8")
-    return target
-
-
 SCHEMA = 2
 """Raised when a key is removed or changes its meaning; new keys may come at any time."""
 
@@ -92,63 +67,61 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     """
     quality = known_quality(solution)
     spent = solution.statistics
-    told: dict[str, Any] = _plain(
-        {
-            "schema": SCHEMA,
-            "problem": solution.problem_name,
-            "status": solution.status.value,
-            "solved": solution.status.solved,
-            "objective": solution.objective,
-            "objective_unit": "" if solution.problem is None else solution.problem.cost_unit,
-            "maximised": solution.maximised,
-            "iterations": spent.iterations,
-            "build_s": spent.build_s,
-            "solve_s": spent.solve_s,
-            "scheme": next(iter(solution.phases.values())).scheme,
-            "mesh": _mesh(solution),
-            "max_defect": quality and quality.max_defect,
-            "max_defect_where": quality and quality.defect_location,
-            "max_bound_violation": quality and quality.max_bound_violation,
-            "max_bound_violation_where": quality and quality.bound_location,
-            "propagation_error": quality and quality.propagation_error,
-            "terminal_error_where": quality and quality.propagation_location,
-            "bound": _bound(solution),
-            "outside_tables": [str(found) for found in left_tables(solution)],
-            "verdict": None if verdict is None else _verdict(verdict),
-            "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
-            "structure": [_arc(arc) for arc in solution.structure],
-            "refinement": None if solution.history is None else _refinement(solution.history),
-            "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
-            "phases": [_phase(leg) for leg in solution.phases.values()],
-            "provenance": dict(solution.provenance),
-        }
+    return dict(
+        plain_json(
+            {
+                "schema": SCHEMA,
+                "problem": solution.problem_name,
+                "status": solution.status.value,
+                "solved": solution.status.solved,
+                "objective": solution.objective,
+                "objective_unit": "" if solution.problem is None else solution.problem.cost_unit,
+                "maximised": solution.maximised,
+                "iterations": spent.iterations,
+                "build_s": spent.build_s,
+                "solve_s": spent.solve_s,
+                "scheme": next(iter(solution.phases.values())).scheme,
+                "mesh": _mesh(solution),
+                "max_defect": quality and quality.max_defect,
+                "max_defect_where": quality and quality.defect_location,
+                "max_bound_violation": quality and quality.max_bound_violation,
+                "max_bound_violation_where": quality and quality.bound_location,
+                "propagation_error": quality and quality.propagation_error,
+                "terminal_error_where": quality and quality.propagation_location,
+                "bound": _bound(solution),
+                "outside_tables": [str(found) for found in left_tables(solution)],
+                "verdict": None if verdict is None else _verdict(verdict),
+                "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
+                "structure": [_arc(arc) for arc in solution.structure],
+                "refinement": None if solution.history is None else _refinement(solution.history),
+                "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
+                "phases": [_phase(leg) for leg in solution.phases.values()],
+                "provenance": dict(solution.provenance),
+            }
+        )
     )
-    return told
 
 
-def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:
-    """Return the path of a file to which `summary_dict` is written as UTF-8 JSON.
+def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict | None = None) -> Path:
+    """Return the path of a file to which the summary of a solution or search is written as UTF-8 JSON.
 
     Parameters
     ----------
     path : str or Path
-    solution : Solution
+    found : Solution or Multistart
+        Written by `summary_dict` or `search_dict`.
     verdict : Verdict, optional
-        None leaves ``verdict`` null.
+        Of a solution; None leaves ``verdict`` null.
 
     Examples
     --------
     >>> from gnc_opt.report import write_json
     >>> path = write_json("cart.json", solution)
     """
+    content = summary_dict(found, verdict) if isinstance(found, Solution) else search_dict(found)
     target = Path(path)
-    target.write_text(json_text(solution, verdict), encoding="utf-8")
+    target.write_text(json_text(content), encoding="utf-8")
     return target
-
-
-def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
-    """Return `summary_dict` as indented JSON text with a trailing newline."""
-    return json.dumps(summary_dict(solution, verdict), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _mesh(solution: Solution) -> str:
@@ -204,16 +177,3 @@ def _members(value: Any, *names: str) -> dict[str, Any]:
 
 def _layout(layout: Layout) -> list[dict[str, Any]]:
     return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]
-
-
-def _plain(value: Any) -> Any:
-    """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

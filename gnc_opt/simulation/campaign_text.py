@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections import defaultdict
@@ -11,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
+from gnc_opt.text import json_text, plain_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
@@ -89,7 +89,7 @@ def _short(value: float) -> str:
 def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
     """Return the statistics of a campaign and what failed as plain JSON values; null is infinite."""
     runs = len(campaign)
-    return {
+    content = {
         "runs": runs,
         "asked": campaign.asked,
         "seed": campaign.seed,
@@ -103,7 +103,7 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
                 "run": index,
                 "status": outcome.status.value,
                 "what": outcome.what,
-                "time": _number(outcome.time),
+                "time": outcome.time,
             }
             for index, outcome in campaign.failures.items()
         ],
@@ -111,6 +111,7 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "passed": _rate(campaign.pass_rate()) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
+    return dict(plain_json(content))
 
 
 def _measure(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
@@ -118,24 +119,20 @@ def _measure(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     return {
         "unit": campaign.unit(name),
         "percentiles": [_percentile(campaign.percentile(name, level)) for level in LEVELS],
-        "max": _number(campaign.maximum(name)),
+        "max": campaign.maximum(name),
         "limit": campaign.limits[name] if limited else None,
         "passed": _rate(campaign.pass_rate(name)) if limited else None,
     }
 
 
 def _percentile(found: Percentile) -> dict[str, Any]:
-    return {name: _number(getattr(found, name)) for name in ("level", "value", "low", "high")}
+    return {name: getattr(found, name) for name in ("level", "value", "low", "high")}
 
 
 def _rate(found: PassRate) -> dict[str, Any]:
     return {"passed": found.passed, "rate": found.rate, "low": found.low, "high": found.high}
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def campaign_text(campaign: CampaignStatistics) -> str:
     """Return `campaign_dict` as indented JSON text with a trailing newline."""
-    return json.dumps(campaign_dict(campaign), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text(campaign_dict(campaign))

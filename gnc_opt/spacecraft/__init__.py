@@ -1,13 +1,9 @@
 """Spacecraft dynamics, symbolic and numeric alike; each module begins with a page of equations and sources."""
 
 from gnc_opt.spacecraft.atmosphere import (
-    FLATTENING_EARTH,
     RATE_EARTH,
     air_density,
     air_temperature,
-    air_velocity,
-    altitude,
-    drag_acceleration,
     speed_of_sound,
     us76,
 )
@@ -16,10 +12,8 @@ from gnc_opt.spacecraft.attitude import (
     mrp_from_axis_angle,
     mrp_rate,
     mrp_retraction,
-    mrp_shadow,
     mrp_to_dcm,
     mrp_to_quaternion,
-    mrp_to_rotation,
 )
 from gnc_opt.spacecraft.flexible_body import FlexibleBody
 from gnc_opt.spacecraft.gravity import (
@@ -27,7 +21,6 @@ from gnc_opt.spacecraft.gravity import (
     MU_EARTH,
     RADIUS_EARTH,
     gravity_gradient_torque,
-    gravity_potential,
     j2_gravity,
     point_mass_gravity,
 )
@@ -41,7 +34,6 @@ from gnc_opt.spacecraft.quaternion import (
     quaternion_rate,
     quaternion_retraction,
     quaternion_to_dcm,
-    quaternion_to_rotation,
 )
 from gnc_opt.spacecraft.relative_motion import (
     differential_j2,
@@ -68,7 +60,6 @@ from gnc_opt.spacecraft.rigid_body import (
 from gnc_opt.spacecraft.vectors import apply, cross, transpose
 
 __all__ = [
-    "FLATTENING_EARTH",
     "J2_EARTH",
     "MU_EARTH",
     "PYRAMID_ELEVATION",
@@ -77,8 +68,6 @@ __all__ = [
     "FlexibleBody",
     "air_density",
     "air_temperature",
-    "air_velocity",
-    "altitude",
     "angular_acceleration",
     "angular_momentum",
     "apply",
@@ -86,9 +75,7 @@ __all__ = [
     "cross",
     "differential_j2",
     "divide_by_inertia",
-    "drag_acceleration",
     "gravity_gradient_torque",
-    "gravity_potential",
     "hill_acceleration",
     "inertial_from_relative",
     "j2_gravity",
@@ -98,10 +85,8 @@ __all__ = [
     "mrp_from_axis_angle",
     "mrp_rate",
     "mrp_retraction",
-    "mrp_shadow",
     "mrp_to_dcm",
     "mrp_to_quaternion",
-    "mrp_to_rotation",
     "point_mass_gravity",
     "quaternion_angle",
     "quaternion_conjugate",
@@ -112,7 +97,6 @@ __all__ = [
     "quaternion_rate",
     "quaternion_retraction",
     "quaternion_to_dcm",
-    "quaternion_to_rotation",
     "radial_frame",
     "radial_frame_rate",
     "relative_acceleration",

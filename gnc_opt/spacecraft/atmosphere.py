@@ -1,4 +1,4 @@
-r"""The Earth's atmosphere and rotation, for ascents, re-entries and low orbits.
+r"""The Earth's atmosphere, for ascents, re-entries and low orbits.
 
 **US Standard Atmosphere 1976** up to 86 km, in layers of constant temperature gradient :math:`L_i` over the
 geopotential height :math:`H = r_0 z / (r_0 + z)`, with :math:`T_i, p_i` at the base :math:`H_i` of a layer,
@@ -12,12 +12,7 @@ geopotential height :math:`H = r_0 z / (r_0 + z)`, with :math:`T_i, p_i` at the 
 0.3 % of the density, 0.6 K). Above 86 km: exponential model of Vallado (table 8-4), mean solar activity, to
 1000 km.
 
-**Drag** of a body of cross-section A, drag coefficient C_D and mass m in air that turns with the planet:
-
-.. math:: a_D = -\tfrac12 \rho\, \frac{C_D A}{m} |v_{rel}|\, v_{rel}, \qquad v_{rel} = v - \omega \times r.
-
-SI units, altitudes geometric. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last, in an inertial
-frame with Z along the planet's axis.
+SI units, altitudes geometric.
 
 References
 ----------
@@ -38,14 +33,9 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.table import Table, table
-from gnc_opt.spacecraft.gravity import RADIUS_EARTH
-from gnc_opt.spacecraft.vectors import Vector, dot, scale, stack
 
 RATE_EARTH = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""
-
-FLATTENING_EARTH = 1 / 298.257223563
-"""Of the Earth's ellipsoid (WGS 84)."""
 
 TOP = 86e3
 """Geometric altitude up to which the standard atmosphere has layers, m."""
@@ -180,62 +170,3 @@ def _log_density() -> Table:
     z = np.linspace(-5e3, 85e3, 91)
     altitudes = np.concatenate([z, _UPPER[:, 0]])
     return table(altitudes, np.log(np.concatenate([us76(z)[2], _UPPER[:, 1]])), name="log air density")
-
-
-def altitude(r: Vector, radius: Any = RADIUS_EARTH, flattening: Any = FLATTENING_EARTH) -> Any:
-    """Return the altitude above an ellipsoid, to first order in its flattening (Earth: within 80 m below 1000 km), m.
-
-    Parameters
-    ----------
-    r : casadi (3, 1), array (3,) or (3, n_times)
-        Position, Z along the planet's axis, m.
-    radius, flattening : float or casadi scalar
-        Equatorial, m; 0 for a sphere.
-
-    Examples
-    --------
-    >>> print(altitude([6778137.0, 0.0, 0.0]))
-    400000.0
-    """
-    square = dot(r, r)
-    return square**0.5 - radius * (1 - flattening * r[2] * r[2] / square)
-
-
-def air_velocity(r: Vector, v: Vector, rate: Any = RATE_EARTH) -> Vector:
-    """Return the velocity relative to air that turns with the planet, v - omega x r, m/s.
-
-    Parameters
-    ----------
-    r, v : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position (m) and velocity (m/s).
-    rate : float or casadi scalar
-        Of the planet's rotation about Z, rad/s.
-
-    Examples
-    --------
-    >>> print(np.round(air_velocity([6778137.0, 0.0, 0.0], [0.0, 7668.6, 0.0]), 1) + 0.0)
-    [   0.  7174.3    0. ]
-    """
-    return stack([v[0] + rate * r[1], v[1] - rate * r[0], v[2]])
-
-
-def drag_acceleration(velocity: Vector, density: Any, area_per_mass: Any, coefficient: Any = 2.2) -> Vector:
-    """Return the acceleration by drag, m/s^2.
-
-    Parameters
-    ----------
-    velocity : casadi (3, 1), array (3,) or (3, n_times)
-        Relative to the air, m/s; not zero in an expression to be differentiated.
-    density : float, array (n_times,) or casadi scalar
-        kg/m^3.
-    area_per_mass : float or casadi scalar
-        m^2/kg.
-    coefficient : float or casadi scalar
-        Of drag; 2.2 is customary for satellites.
-
-    Examples
-    --------
-    >>> print(f"{drag_acceleration([0.0, 7500.0, 0.0], 1e-12, 0.01)[1]:.4e} m/s^2")
-    -6.1875e-07 m/s^2
-    """
-    return scale(-0.5 * density * coefficient * area_per_mass * dot(velocity, velocity) ** 0.5, velocity)

@@ -31,11 +31,8 @@ H. Schaub, J. L. Junkins, Analytical Mechanics of Space Systems, AIAA, chapter 3
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
@@ -90,22 +87,6 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
     return stack(
         [0.25 * ((1 - square) * omega_BL_B[i] + 2 * across[i] + 2 * along * sigma_BL[i]) for i in range(3)]
     )
-
-
-def mrp_shadow(sigma_BL: Vector) -> Vector:
-    """Return the other MRP of the same attitude; singular at ``sigma = 0``.
-
-    Parameters
-    ----------
-    sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
-        Modified Rodrigues parameters of B relative to L.
-
-    Examples
-    --------
-    >>> print(mrp_shadow([0.5, 0.0, 0.0]) + 0.0)
-    [-2.  0.  0.]
-    """
-    return scale(-1 / dot(sigma_BL, sigma_BL), sigma_BL)
 
 
 def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
@@ -207,19 +188,3 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
             f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero."
         )
     return np.asarray(direction / length * np.tan(angle / 4))
-
-
-def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
-    """Return scipy's (active) `Rotation` from the axes of L to those of B; numeric.
-
-    Parameters
-    ----------
-    sigma_BL : array (3,) or (3, n_times)
-        Modified Rodrigues parameters of B relative to L.
-
-    Examples
-    --------
-    >>> print(np.round(np.degrees(mrp_to_rotation([0.0, np.tan(np.pi / 8), 0.0]).magnitude()), 6))
-    90.0
-    """
-    return scipy.spatial.transform.Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)

@@ -80,26 +80,6 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
     return stack([factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]])
 
 
-def gravity_potential(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = RADIUS_EARTH) -> Any:
-    """Return the potential U of point mass and oblateness at the inertial position r (m), m^2/s^2.
-
-    Parameters
-    ----------
-    r : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position, Z along the planet's axis, m.
-    mu, j2, radius : float or casadi scalar
-        m^3/s^2, 1 and m (equatorial).
-
-    Examples
-    --------
-    >>> print(f"{gravity_potential([7e6, 0.0, 0.0], j2=0.0):.6e}")
-    -5.694292e+07
-    """
-    square = dot(r, r)
-    flattening = 0.5 * j2 * radius**2 / square * (3 * r[2] * r[2] / square - 1)
-    return -mu / square**0.5 * (1 - flattening)
-
-
 def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Vector:
     """Return the torque of gravity on an extended body, N m.
 

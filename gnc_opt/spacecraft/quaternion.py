@@ -198,22 +198,6 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
 
 
-def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
-    """Return scipy's (active) `Rotation` from the axes of A to those of B; numeric.
-
-    Parameters
-    ----------
-    q_BA : array (4,) or (4, n_times)
-        Of B relative to A.
-
-    Examples
-    --------
-    >>> print(np.round(quaternion_to_rotation([0.0, 1.0, 0.0, 0.0]).as_rotvec(), 6) + 0.0)
-    [3.141593 0.       0.      ]
-    """
-    return scipy.spatial.transform.Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
-
-
 def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
     """Return the quaternion (4,), scalar part >= 0, of turns about the axes of the moving frame; numeric.
 

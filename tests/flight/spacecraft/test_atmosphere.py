@@ -1,4 +1,4 @@
-"""The atmosphere against the published tables, its smooth stand-ins against it, drag and rotation by hand."""
+"""The atmosphere against the published tables, its smooth stand-ins against it."""
 
 import casadi as ca
 import numpy as np
@@ -6,14 +6,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.spacecraft import (
-    FLATTENING_EARTH,
-    RADIUS_EARTH,
-    RATE_EARTH,
     air_density,
     air_temperature,
-    air_velocity,
-    altitude,
-    drag_acceleration,
     speed_of_sound,
     us76,
 )
@@ -74,29 +68,6 @@ def test_expressions_have_the_values_and_derivatives_of_numbers() -> None:
         assert value == pytest.approx(float(air_density(at)), rel=1e-12)
         assert slope == pytest.approx((air_density(at + 1.0) - air_density(at - 1.0)) / 2.0, rel=1e-5)
         assert sound == pytest.approx(speed_of_sound(at), rel=1e-12)
-
-
-def test_altitude_above_the_ellipsoid() -> None:
-    polar = RADIUS_EARTH * (1 - FLATTENING_EARTH)
-    assert altitude(np.array([RADIUS_EARTH + 5.0, 0.0, 0.0])) == pytest.approx(5.0)
-    assert altitude(np.array([0.0, 0.0, polar + 7.0])) == pytest.approx(7.0, abs=1e-6)
-    latitude, height = np.radians(45.0), 200e3  # geodetic
-    e2 = FLATTENING_EARTH * (2 - FLATTENING_EARTH)
-    n = RADIUS_EARTH / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
-    r = np.array([(n + height) * np.cos(latitude), 0.0, (n * (1 - e2) + height) * np.sin(latitude)])
-    assert altitude(r) == pytest.approx(height, abs=80.0)
-    assert altitude(r, flattening=0.0) == pytest.approx(np.linalg.norm(r) - RADIUS_EARTH)
-
-
-def test_drag_in_air_that_turns() -> None:
-    r, v = np.array([7e6, 0.0, 0.0]), np.array([0.0, 7500.0, 100.0])
-    wind = air_velocity(r, v)
-    np.testing.assert_allclose(wind, v - np.cross([0.0, 0.0, RATE_EARTH], r))
-    a = drag_acceleration(wind, 1e-11, 0.01)
-    np.testing.assert_allclose(np.cross(a, wind), 0.0, atol=1e-12)
-    assert np.linalg.norm(a) == pytest.approx(0.5 * 1e-11 * 2.2 * 0.01 * wind @ wind) and a @ wind < 0
-    symbolic = drag_acceleration(air_velocity(ca.SX(r), ca.SX(v)), 1e-11, 0.01)
-    np.testing.assert_allclose(ca.DM(symbolic).full()[:, 0], a)
 
 
 @pytest.mark.parametrize("z", [90e3, -6e3, np.nan, "high"])
