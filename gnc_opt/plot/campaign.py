@@ -1,4 +1,4 @@
-"""Figures of campaigns: where runs end, how measures are distributed, and the tube that holds a share of runs."""
+"""Figures of campaigns: where runs end, how measures are distributed, and quantities over time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import (
     COLORS,
@@ -27,51 +26,6 @@ from gnc_opt.plot.style import (
 )
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
-
-SHOWN_RUN_SHARE = 0.95
-"""Of the runs."""
-
-
-def tube(positions: Array, share: float = SHOWN_RUN_SHARE) -> Array:
-    """Return points of the tube at each instant, (3, n_times, 25)."""
-    mean = positions.mean(axis=0)
-    least = 1e-6 * max(float(np.max(np.ptp(mean, axis=1))), np.finfo(float).tiny)
-    angle = np.linspace(0.0, 2.0 * np.pi, 25)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    sections = []
-    for k, across in enumerate(_across(mean)):
-        deviations = across @ (positions[:, :, k] - mean[:, k]).T  # (2, n_runs)
-        variances, directions = np.linalg.eigh(deviations @ deviations.T / deviations.shape[1])
-        widths = np.sqrt(np.maximum(variances, least**2))
-        distances = np.linalg.norm(directions.T @ deviations / widths[:, None], axis=0)
-        reach = float(np.quantile(distances, share, method="higher"))
-        root = directions @ (
-            widths[:, None] * directions.T
-        )  # symmetric: sections do not turn from one to the next
-        sections.append(mean[:, [k]] + reach * across.T @ root @ circle)
-    return np.stack(sections, axis=1)
-
-
-def _across(mean: Array) -> list[Array]:
-    """Return two unit vectors across the path at each instant, (2, 3), that turn as little as they can along it."""
-    steps = np.gradient(mean, axis=1)
-    speeds = np.linalg.norm(steps, axis=0)
-    moving = np.flatnonzero(speeds > 1e-9 * max(float(speeds.max()), np.finfo(float).tiny))
-    found: list[Array] = []
-    first = np.eye(3)[0]
-    for k in range(mean.shape[1]):
-        near = (
-            moving[np.argmin(np.abs(moving - k))] if moving.size else None
-        )  # at rest: as it came or will go
-        along = np.array([0.0, 0.0, 1.0]) if near is None else steps[:, near] / speeds[near]
-        first = first - (first @ along) * along
-        if np.linalg.norm(first) < 0.1:
-            axis = np.eye(3)[int(np.argmin(np.abs(along)))]
-            first = axis - (axis @ along) * along
-        first = first / np.linalg.norm(first)
-        found.append(np.stack([first, np.cross(along, first)]))
-    return found
-
 
 _PASSED: dict[str, Any] = {
     "color": COLORS[0],

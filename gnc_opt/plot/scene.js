@@ -15,7 +15,7 @@
   const [button, slider, clock, choice] = document.getElementById("film").querySelectorAll("button,input,output,select");
   const names = Object.keys(data.motions), last = data.times.length - 1, seconds = 8;
   const decimals = Math.max(0, 2 - Math.floor(Math.log10(data.times[last] - data.times[0] || 1)));
-  const hue = { x: "#0072b2", y: "#d55e00", z: "#009e73", keep: "#cc79a7", plume: "#e69f00", tube: "#56b4e9" };
+  const hue = { x: "#0072b2", y: "#d55e00", z: "#009e73", keep: "#cc79a7", plume: "#e69f00" };
   let shown = data.motions[names[0]], now = 0, begun = null;
 
   // --- vectors
@@ -33,7 +33,6 @@
       colorscale: [[0, color], [1, color]], contours: { x: { highlight: false }, y: { highlight: false }, z: { highlight: false } },
       ...common });
   const still = Object.entries(data.volumes).map(([name, points]) => skin(name, points, hue.keep, 0.35));
-  if (data.tube) still.push(skin(data.tube_name, data.tube, hue.tube, 0.3));
   if (data.moves && names.length > 1) {
     const all = { ...line("all runs", "#777777", 1), opacity: 0.35 };
     for (const motion of Object.values(data.motions))

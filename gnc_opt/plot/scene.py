@@ -19,7 +19,6 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.campaign import SHOWN_RUN_SHARE, tube
 from gnc_opt.plot.view import AXIS, PLUME, VEHICLE_HALF_EDGES, Motion, Moved, View, motion, span, sphere
 
 _INSTANTS = (41, 241)
@@ -33,8 +32,7 @@ _DIGITS = 4
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
     """Return the scene as a piece of HTML, to be used once in a page; without Plotly, a line on how to get it.
 
-    Of ten or more in ``shown``, the tube of dispersion is drawn; those that are not ``regular`` do not count
-    for it.
+    Motions that are not ``regular`` do not count for the limits of the axes.
     """
     data = _described(shown, view, regular or {})
     try:
@@ -75,8 +73,6 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
     low, high, size = _extent([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
-    many = len(usual) >= 10 and view.position is not None
-    around = tube(np.stack(usual)) if many else None
     return {
         "times": np.round(times, 6).tolist(),
         "unit": first.unit,
@@ -90,8 +86,6 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
         "bodies": bodies,
         "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
-        "tube": None if around is None else np.round(around, digits).tolist(),
-        "tube_name": f"holds {SHOWN_RUN_SHARE:.0%} of the runs",
         "plumes": {
             name: {"nozzle": p.nozzle.tolist(), "basis": p.basis.tolist()} for name, p in first.plumes.items()
         },

@@ -106,7 +106,7 @@ def write_campaign_report(
         Made if it does not exist. Files of an earlier report are replaced.
     title : str
     view : gnc_opt.plot.View, optional
-        Motion in three dimensions: any of the runs, simulated again, and the tube that holds 95 % of them.
+        Motion in three dimensions: any of the runs, simulated again.
     runs : int
         At most so many are shown there, those that did not pass first.
     command : str, optional

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -273,7 +272,6 @@ class ClosedLoop:
         seed: Any = 0,
         parameters: Mapping[str, ArrayLike] | None = None,
         every: int = 1,
-        folder: str | Path | None = None,
     ) -> Run:
         """Return a run of the loop with everything logged, also if it fails: see its outcome.
 
@@ -287,11 +285,9 @@ class ClosedLoop:
             Changes by dotted name, see `layout`.
         every : int
             Log every n-th control step, and the end. Sums such as the effort include all.
-        folder : path, optional
-            Stores the log as ``states.npy`` and so on instead of in memory.
         """
         flight = self.compile(x0, t0=t0, tf=tf, parameters=parameters)
-        return flight.run(flight.nominal, seed, every=every, folder=folder)
+        return flight.run(flight.nominal, seed, every=every)
 
     def kernel(self, substeps: int) -> Kernel:
         """Return the symbolic step with that many integration steps per minor step."""

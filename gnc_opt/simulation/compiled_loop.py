@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from gnc_opt.simulation.final_values import FinalValues, integration_errors
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
 from gnc_opt.simulation.quantities import sample_steps
-from gnc_opt.simulation.run import Log, Run
+from gnc_opt.simulation.run import Run
 
 LEG = 1000
 """Control steps that are flown in one call at most, so that its memory does not grow with the run."""
@@ -174,17 +174,9 @@ class CompiledLoop:
                 refused[i] = culprit
                 continue
             course = self._course()
-            legs = self.legs(seed, known, course, again=again)
-            for first, rows in legs:
-                if first == 0:
-                    X, C, again = *self._begun(rows[0], P[:, i]), True
-                else:
-                    self._consider(course, first, X, rows, C)
-                self._fly(X, rows, C, final[i])
-                X[:] = final[i]
-                self._sample(samples[..., i], first + len(rows), X[0])
-                if all(self._stopped(x) for x in X):
-                    break
+            for last, X, _ in self._flown_legs(P[:, i], seed, known, course, again=again):
+                self._sample(samples[..., i], last, X[0])
+                final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i, :1].T)[:, 0]
@@ -196,13 +188,13 @@ class CompiledLoop:
         record = self.kernel.state.split(final[:, 0].T)["quantities"]
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
-    def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
+    def run(self, P: Array, seed: Any, *, every: int = 1) -> Run:
         """Return all of one run; its last state has the bits of `final`.
 
         Parameters
         ----------
         P : array (n_parameters,)
-        seed, every, folder
+        seed, every
             As in `ClosedLoop.simulate`.
 
         Raises
@@ -216,48 +208,33 @@ class CompiledLoop:
         if culprit:
             raise ArgumentError(f"the run cannot be flown: {culprit}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
-        sizes = {"states": self.states.size, "memory": self.memory.size}
-        sizes |= {
-            "measured": self.measured.size,
-            "commands": self.commands.size,
-            "applied": self.controls.size,
-        }
-        if self.followed_rows is not None:
-            sizes["errors"] = self.error_layout.size
-        lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
-        log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
+        log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._course(), self.n_steps
-        legs = self.legs(seed, known, course)
-        for first, rows in legs:
-            if first == 0:
-                X, C = self._begun(rows[0], P)
-            else:
-                self._consider(course, first, X, rows, C)
-            if self._stopped(X[0]):  # the companion goes on until an event ends it, too
-                self._fly(X.copy(), rows, C, X)
+        for end, X, logged in self._flown_legs(P, seed, known, course, logged=True):
+            if logged is None:  # the companion goes on until an event ends it, too
                 continue
-            columns, logs = self._logged(X.copy(), rows, C, X)
-            parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
-            flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
+            parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
+            count = logged[1].shape[1]
+            flown, first = count, end - count
             if self.events.size:
+                flown = int(np.sum(parts["stop"][0, :-1] < 0.5))
                 events += occurrences(told, flown, self.events.names, self.states.size)
             at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
-                noted = {name: values[:, at] for name, values in told.items()}
-                self._note(log, parts, noted, at, course.reference_at(self.times[first + at]))
+                for name in ("measured", "commands", "applied"):
+                    log[name].append(told[name][:, at])
+                self._note(log, parts, at, course.reference_at(self.times[first + at]))
             if self._stopped(X[0]):
                 last = first + flown
-            if all(self._stopped(x) for x in X):
-                break
         final = self.kernel.state.split(X[:1].T)
-        end = self._last_times(final)
+        ended = self._last_times(final)
         followed = self._followed_at_end(course, X[:1].T)
-        self._note(log, final, {}, np.array([0]), followed)
+        self._note(log, final, np.array([0]), followed)
         ending = self._ending(X[None], {}, followed)
-        arrays = log.close()
-        times = np.append(self.times[kept[kept < last]], end)
+        arrays = {name: np.hstack(columns) for name, columns in log.items()}
+        times = np.append(self.times[kept[kept < last]], ended)
         return Run(
             times=times,
             states=arrays["states"],
@@ -386,31 +363,42 @@ class CompiledLoop:
         for folded, x, c, end in zip(self._folded, X, C, final, strict=True):
             folded.fly(x, rows, c, end)
 
-    def _logged(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> tuple[Array, Array]:
-        """Do the same, and return states and logs of the run, see `StepExecutor.logged`."""
-        run, companion = self._folded
-        columns, logs = run.logged(X[0], rows, C[0])
-        companion.fly(X[1], rows, C[1], final[1])
-        final[0] = columns[:, -1]
-        return columns, logs
+    def _flown_legs(
+        self,
+        P: Array,
+        seed: Any,
+        known: Array,
+        course: ActiveReference,
+        *,
+        again: bool = False,
+        logged: bool = False,
+    ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
+        """Yield the last step of each leg, the states (2, n_state) there, and states and logs of the run on the way."""
+        for first, rows in self.legs(seed, known, course, again=again):
+            if first == 0:
+                X, C = self._begun(rows[0], P)
+            else:
+                self._consider(course, first, X, rows, C)
+            before, told = X.copy(), None
+            if logged and not self._stopped(X[0]):
+                told = self._folded[0].logged(before[0], rows, C[0])
+                self._folded[1].fly(before[1], rows, C[1], X[1])
+                X[0] = told[0][:, -1]
+            else:
+                self._fly(before, rows, C, X)
+            yield first + len(rows), X, told
+            if all(self._stopped(x) for x in X):
+                return
 
     def _note(
-        self,
-        log: Log,
-        parts: dict[str, Array],
-        logs: dict[str, Array],
-        at: Any,
-        followed: Array | None,
+        self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
         """Log the states of a leg at its columns ``at``, beside what is followed there."""
         states = parts["plant"][:, at]
-        log.add("states", states)
-        log.add("memory", parts["memory"][:, at])
+        log["states"].append(states)
+        log["memory"].append(parts["memory"][:, at])
         if self.followed_rows is not None:
-            log.add("errors", self._relative(states, followed))
-        for name, values in logs.items():
-            if name in log.arrays:
-                log.add(name, values)
+            log["errors"].append(self._relative(states, followed))
 
     def _stopped(self, X: Array) -> bool:
         """Whether an event has ended the run."""

@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
-from testing.internals import document, scene_html, tube
-from testing.models import one_phase
+from testing.internals import document, scene_html
 
 import gnc_opt as go
 from gnc_opt.plot import Thruster, View
@@ -102,36 +101,6 @@ def test_page_carries_the_motion(solution):
     )
 
 
-@pytest.mark.parametrize("share", [0.5, 0.95, 1.0])
-def test_tube_holds_the_share_of_the_runs(share):
-    """Runs beside a helix: of each section, those inside are counted by winding, not by the ellipse's equation."""
-    rng = np.random.default_rng(5)
-    t = np.linspace(0, 4, 9)
-    helix = np.stack([np.cos(t), np.sin(t), 0.3 * t])
-    runs = helix + rng.normal(size=(400, 3, 1)) * np.array([0.02, 0.05, 0.01])[:, None]
-    around = tube(runs, share)
-    mean = runs.mean(axis=0)
-    tangent = np.gradient(mean, axis=1)
-    for k in range(t.size):
-        ring = around[:, k].T - mean[:, k]
-        assert np.allclose(ring @ tangent[:, k], 0, atol=1e-12)  # lies across
-        basis = np.linalg.svd(tangent[:, [k]].T)[2][1:]
-        corners, points = ring @ basis.T, (runs[:, :, k] - mean[:, k]) @ basis.T
-        angle = np.arctan2(*(corners[None, :, :] - points[:, None, :]).transpose(2, 0, 1))
-        turns = np.abs(np.unwrap(angle, axis=1)[:, -1] - np.unwrap(angle, axis=1)[:, 0]) / (2 * np.pi)
-        # a polygon of 24 corners holds a little less than its ellipse
-        assert share - 0.02 - 1 / 400 <= np.mean(turns > 0.5) <= share + 1 / 400
-
-
-def test_tube_of_runs_in_one_plane_and_at_rest():
-    t = np.linspace(0, 1, 5)
-    runs = np.stack([np.stack([np.minimum(t, 0.5), 0 * t + w, 0 * t]) for w in np.linspace(-1, 1, 21)])
-    around = tube(runs, 1.0)
-    assert np.all(np.isfinite(around))
-    assert np.allclose(np.abs(around[1]).max(axis=1), 1.0)  # as wide as the runs, also where they stand
-    assert np.abs(around[2]).max() < 1e-5
-
-
 def test_campaign_carries_any_run(campaign, tmp_path):
     page = write_campaign_report(campaign, tmp_path, view=View("r", force="u"), runs=30)[0].read_text("utf-8")
     assert len(page) < LARGEST and "30 of 40 runs" in page
@@ -143,7 +112,6 @@ def test_campaign_carries_any_run(campaign, tmp_path):
     name = next(iter(data["motions"]))
     flown = campaign.rerun(numbers[0]).state("r")(data["times"])
     assert np.allclose(data["motions"][name]["position"], flown, atol=1e-3)
-    assert np.shape(data["tube"])[:2] == (3, len(data["times"]))
 
 
 def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
@@ -226,7 +194,6 @@ def test_what_a_browser_shows(solution, tmp_path):
         assert tab.ask("[...document.querySelector('#film select').options].map(o => o.value)") == list(shown)
         tab.ask("(s => { s.selectedIndex = 1; s.onchange(); })(document.querySelector('#film select'))")
         check_vehicle(tab, data, "back", k)
-        assert tab.ask(f"{POINTS}('{data['tube_name']}')") == data["tube"]
         click = "(b => { b.click(); return b.textContent; })(document.querySelector('#film button'))"
         assert tab.ask(f"[{click}, {click}]") == [
             "Pause",
