@@ -15,12 +15,9 @@ from gnc_opt.model import Model
 from gnc_opt.simulation import (
     Campaign,
     ClosedLoop,
-    ConstantDisturbance,
-    Delay,
     Event,
     Lag,
     Normal,
-    RateLimit,
     RunStatus,
     monte_carlo,
 )
@@ -349,29 +346,6 @@ class _Of:
         return x[self.component] - self.level
 
 
-def test_a_delayed_push_that_arrives_within_the_step_is_flown_before_and_after_the_event():
-    plant, h, v = ball()
-    loop = ClosedLoop(
-        plant,
-        scheduled(plant, lambda t: 40.0 * (t > 0.35)),
-        [Delay("line", 0.05)],
-        [],
-        [ConstantDisturbance("wind", 1.0, on="v")],
-        events=[Event("bounce", h, "falling", reset={v: -0.5 * v})],
-        dt=0.2,
-    )
-    run = loop.simulate([0.8, 0.0], tf=0.6)
-    pull = G - 1.0
-    hit = np.sqrt(1.6 / pull)  # 0.426 s, before the push that arrives at 0.45 s
-    assert 0.4 < hit < 0.45 and [e.time for e in run.events] == pytest.approx([hit], abs=1e-13)
-    up, wait, rest = 0.5 * pull * hit, 0.45 - hit, 0.15
-    speed = up - pull * wait
-    height = up * wait - pull * wait**2 / 2
-    assert run.states[:, -1] == pytest.approx(
-        [height + speed * rest + (40 - pull) * rest**2 / 2, speed + (40 - pull) * rest], abs=1e-12
-    )
-
-
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
     body = Model("spinning body")
     sigma = body.state("sigma", 3)
@@ -507,28 +481,6 @@ def test_a_braking_curve_above_the_ground_is_not_lost_where_the_run_ends_on_it()
     for height in np.linspace(1.3, 3.7, 30):
         run = loop.simulate([height, 0.0], tf=3.0)
         assert run.outcome.ok and run.outcome.what == "touchdown"
-
-
-@pytest.mark.parametrize("minor_steps", [1, 3])
-@pytest.mark.parametrize("substeps", [1, 4])
-def test_a_bounce_behind_an_actuator_that_bends_happens_once(minor_steps, substeps):
-    """Thrust rises by 5 m/s^3 to 2 m/s^2 until 0.4 s, in the control step of the bounce. It happened twice there, the
-    second time at the same instant, and the ball went through the ground, of some starts in an ok run."""
-    ball = Model("ball")
-    h, w, T = ball.state("h"), ball.state("w"), ball.control("T")
-    ball.ode({h: w, w: T - 10.0})
-    bounce = Event("bounce", h, "falling", reset={w: -0.6 * w})
-    law = feedforward(Reference.constant(ball, [0.0, 0.0], [2.0]))
-    loop = ClosedLoop(
-        ball, law, actuators=[RateLimit("servo", 5.0)], events=[bounce], dt=1.0,
-        minor_steps=minor_steps, substeps=substeps,
-    )  # fmt: skip
-    for start in np.linspace(2.0, 2.6, 7):
-        run = loop.simulate([start, 0.0], tf=1.0)
-        met = np.roots([-4.0, -0.4, start + 0.16 / 3]).max()
-        speed, rest = 0.6 * (8 * met + 0.4), 1 - met
-        assert run.outcome.ok and [e.time for e in run.events] == pytest.approx([met], abs=1e-12)
-        assert run.states[:, -1] == pytest.approx([speed * rest - 4 * rest**2, speed - 8 * rest], abs=1e-11)
 
 
 @pytest.mark.parametrize("direction", ["falling", "rising"])
