@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 import io
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
 from benchmarks.performance.page import numbers
-from gnc_opt.plot import plot_controls, plot_run_controls, plot_run_states, plot_states
+from gnc_opt.plot import plot_controls, plot_run, plot_states
 from gnc_opt.problem_file import Example, examples
 from problems._example import Reference
 from website.sphinx_math import module_page
@@ -126,7 +126,10 @@ def pictures(example: Example) -> dict[str, bytes]:
         answer = go.solve(module.build(), mesh=getattr(module, "MESH", None), throw=False)
         draw: dict[str, Callable[[Any], Any]] = {"states": plot_states, "controls": plot_controls}
     else:
-        answer, draw = module.example_run(), {"states": plot_run_states, "controls": plot_run_controls}
+        answer, draw = (
+            module.example_run(),
+            {kind: partial(plot_run, kind=kind) for kind in ("states", "controls")},
+        )
     return {f"gallery/{example.name}_{kind}.svg": _svg(draw[kind](answer)) for kind in shown(example)}
 
 

@@ -5,7 +5,7 @@ from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.plot.path import plot_motion
 from gnc_opt.plot.refinement import plot_refinement, plot_verdict
-from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
+from gnc_opt.plot.run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
 from gnc_opt.plot.view import Thruster, View
@@ -24,9 +24,7 @@ __all__ = [
     "plot_motion",
     "plot_nyquist",
     "plot_refinement",
-    "plot_run_controls",
-    "plot_run_errors",
-    "plot_run_states",
+    "plot_run",
     "plot_sensitivity",
     "plot_states",
     "plot_verdict",

@@ -1,118 +1,81 @@
-"""Figures of closed-loop runs: states with their reference, controls, errors."""
+"""Figure of a closed-loop run: states with their reference, applied controls, or errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.plot.style import QUIET, axis_label, legend_above, line_look, name_text, new_figure, style
 from gnc_opt.simulation.run import Logged, Run
 
+Kind: TypeAlias = Literal["states", "controls", "errors"]
 
-def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Return a figure that shows states of the plant, one axis per (vector) state; their reference dashed grey.
+_FOLLOWED: dict[str, Any] = {"color": QUIET, "linestyle": "--", "linewidth": 1.0}
+
+
+def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None) -> Figure:
+    """Return a figure that shows signals of a run over time, one axis per (vector) signal.
 
     Parameters
     ----------
     run : Run
+    kind : {"states", "controls", "errors"}
+        States of the plant, their reference dashed grey; applied controls (means over control steps), commands
+        of the same name dashed grey; errors of the states relative to the reference.
     names : sequence of str, optional
         Default all.
 
     Raises
     ------
     UnknownNameError
-        There is no such state.
-
-    Examples
-    --------
-    >>> figure = plot_run_states(run, ["q"])
-    """
-
-    def draw(ax: Axes, name: str) -> None:
-        signal = run.state(name)
-        if run.reference is not None and name in run.followed:
-            followed = run.reference[run.followed.slice(name)]
-            for i, row in enumerate(followed):
-                label = "reference" if i == 0 else "_"
-                ax.plot(run.times, row, color=QUIET, linestyle="--", linewidth=1.0, label=label)
-        _lines(ax, signal)
-
-    return _axes(run, names or run.layouts["state"].names, draw)
-
-
-def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Return a figure that shows the errors of states relative to the reference, one axis each.
-
-    Parameters
-    ----------
-    run : Run
-    names : sequence of str, optional
-        States; default all.
-
-    Raises
-    ------
+        There is no such signal.
     ArgumentError
-        The controller of the run follows no reference.
+        Another kind, or errors of a run whose controller follows no reference.
 
     Examples
     --------
-    >>> figure = plot_run_errors(run)
+    >>> figure = plot_run(run, "states", ["q"])
     """
-    return _axes(
-        run,
-        names or [n for n in run.followed.names if n in run.layouts["error"]],
-        lambda ax, name: _lines(ax, run.error(name)),
-    )
-
-
-def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:
-    """Return a figure that shows the applied controls (means over control steps), and commands of the same name.
-
-    Parameters
-    ----------
-    run : Run
-    names : sequence of str, optional
-        Controls of the plant; default all.
-
-    Examples
-    --------
-    >>> figure = plot_run_controls(run)
-    """
-
-    def draw(ax: Axes, name: str) -> None:
-        if name in run.layouts["command"]:
-            command = run.command(name)
-            for i, row in enumerate(command.values):
-                label = "command" if i == 0 else "_"
-                ax.step(
-                    command.times, row, where="post", color=QUIET, linestyle="--", linewidth=1.0, label=label
-                )
-        _lines(ax, run.control(name))
-
-    return _axes(run, names or run.layouts["applied"].names, draw)
-
-
-def _axes(run: Run, names: Sequence[str], draw: Callable[[Axes, str], None]) -> Figure:
+    known = {
+        "states": run.layouts["state"].names,
+        "controls": run.layouts["applied"].names,
+        "errors": [n for n in run.followed.names if n in run.layouts["error"]],
+    }
+    if kind not in known:
+        raise ArgumentError(f"a run has no {shown(kind)} to draw: {did_you_mean(str(kind), known)}")
+    signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
+    names = names or known[kind]
     with style():
         figure = new_figure(1.2 + 1.6 * len(names))
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
-            draw(ax, name)
+            signal = signal_of(name)
+            if kind == "states":
+                _draw_reference(ax, run, name)
+            elif kind == "controls" and name in run.layouts["command"]:
+                _draw(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
+            looks = [{"label": name_text(label), **line_look(i)} for i, label in enumerate(signal.labels)]
+            _draw(ax, signal, looks)
+            ax.set_ylabel(axis_label(name_text(signal.name), signal.unit))
             legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
         axes[-1].set_xlabel("time (s)")
     return figure
 
 
-def _lines(ax: Axes, signal: Logged) -> None:
-    """Draw the components of a signal and label their axis."""
+def _draw_reference(ax: Axes, run: Run, name: str) -> None:
+    if run.reference is None or name not in run.followed:
+        return
+    for i, row in enumerate(run.reference[run.followed.slice(name)]):
+        ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
+
+
+def _draw(ax: Axes, signal: Logged, looks: Sequence[dict[str, Any]]) -> None:
+    """Draw the components of a signal, the last look for all further ones."""
     for i, row in enumerate(signal.values):
-        look = line_look(i)
-        label = name_text(signal.labels[i])
-        if signal.held:
-            ax.step(signal.times, row, where="post", label=label, **look)
-        else:
-            ax.plot(signal.times, row, label=label, **look)
-    ax.set_ylabel(axis_label(name_text(signal.name), signal.unit))
+        look = {"label": "_", **looks[min(i, len(looks) - 1)]}
+        ax.plot(signal.times, row, drawstyle="steps-post" if signal.held else "default", **look)

@@ -204,14 +204,14 @@ def _any_run(campaign: Campaign, view: View, runs: int) -> str:
 
 def _run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
     from gnc_opt.plot.path import plot_motion
-    from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
+    from gnc_opt.plot.run import plot_run
 
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(run, view)
-    yield "states", plot_run_states(run)
-    yield "controls", plot_run_controls(run)
+    yield "states", plot_run(run)
+    yield "controls", plot_run(run, "controls")
     if run.errors is not None:
-        yield "errors", plot_run_errors(run)
+        yield "errors", plot_run(run, "errors")
 
 
 def _campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
