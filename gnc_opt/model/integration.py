@@ -1,8 +1,4 @@
-"""Integration of dynamics with guaranteed termination, and the time and reason of an early end.
-
-Dormand and Prince's method of order 8, a step in one call of CasADi, with the step control of SciPy's DOP853
-(Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, II.4 and II.5).
-"""
+"""Integration of dynamics by SciPy with guaranteed termination, and the time and reason of an early end."""
 
 from __future__ import annotations
 
@@ -10,104 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
 
-STAGES = 12
-"""Evaluations of the dynamics per step: the last one is the next step's first."""
-
-ORDER = 8
-
-STEP_SAFETY_FACTOR, STEP_MIN_FACTOR, STEP_MAX_FACTOR = 0.9, 0.2, 10.0
-"""A step is this share of what its error allows, and at least and at most so many times as long as the last one."""
-
-
 Controls = Callable[[Array], Array]
 """Controls (m, n_times) at times (n_times,)."""
-
-
-def step_function(rates: Any) -> Any:
-    """Return (t, h, x, dx/dt, later controls, ...) -> (x, dx/dt, errors of order 5 and 3 per second)."""
-    method = scipy.integrate.DOP853
-    size, channels = rates.size1_in(1), rates.size1_in(2)
-    t, h, x, first = (
-        ca.MX.sym(name, rows) for name, rows in (("t", 1), ("h", 1), ("x", size), ("rate", size))
-    )
-    column = ca.MX.sym("u", channels * (STAGES - 1))
-    u = ca.horzsplit(ca.reshape(column, channels, STAGES - 1))
-    others = [ca.MX.sym(rates.name_in(i), rates.size1_in(i)) for i in range(3, rates.n_in())]
-    stages = [first]
-    for shares, place, control in zip(method.A[1:STAGES], method.C[1:STAGES], u, strict=True):
-        moved = x + h * (ca.horzcat(*stages) @ ca.DM(shares[: len(stages)]))
-        stages.append(rates(t + place * h, moved, control, *others))
-    last = x + h * (ca.horzcat(*stages) @ ca.DM(method.B))
-    stages.append(rates(t + h, last, u[-1], *others))
-    errors = [ca.horzcat(*stages) @ ca.DM(method.E5), ca.horzcat(*stages) @ ca.DM(method.E3)]
-    result = ca.densify(ca.vertcat(last, stages[-1], *errors))
-    return ca.Function("step", [t, h, x, first, column, *others], [result])
-
-
-def carried(
-    step: Callable[..., Array],
-    rate: Rate,
-    controls: Controls,
-    x: Array,
-    span: tuple[float, float],
-    tolerance: Tolerance,
-    budget: Budget,
-) -> Array | None:
-    """Return the state (n,) at the end of a span, or None where numbers or steps do not stay ordinary."""
-    t, end = span
-    places = np.asarray(scipy.integrate.DOP853.C[1:STAGES])
-    smallest, largest = tolerance.relative * tolerance.magnitude, GROWTH_LIMIT * tolerance.magnitude
-    with np.errstate(all="ignore"):
-        slope = rate(t, x)
-        h, grows = _first_step(rate, x, slope, span, tolerance), True
-        while t < end:
-            shortest = 10 * np.spacing(abs(t))
-            width = min(max(h, shortest), end - t)
-            found = step(t, width, x, slope, controls(t + width * places).ravel("F"))
-            budget.spend(t, STAGES)
-            new, new_slope, *errors = found.reshape(4, -1)
-            scale = smallest + tolerance.relative * np.maximum(np.abs(x), np.abs(new))
-            error = width * _norm(errors[0] / scale, errors[1] / scale)
-            if not np.isfinite(error) or not np.all(np.abs(new) < largest):
-                return None
-            growth = STEP_SAFETY_FACTOR * error ** (-1.0 / ORDER) if error > 0 else STEP_MAX_FACTOR
-            if error >= 1.0:
-                if width <= shortest:
-                    return None
-                h, grows = width * max(STEP_MIN_FACTOR, growth), False
-                continue
-            h, grows = width * min(STEP_MAX_FACTOR if grows else 1.0, max(STEP_MIN_FACTOR, growth)), True
-            t, x, slope = (end if width == end - t else t + width), new, new_slope
-    return x if np.all(np.isfinite(slope)) else None
-
-
-def _norm(fifth: Array, third: Array) -> float:
-    """The error of a step per second, from its estimates of two orders in units of the tolerance."""
-    square = float(fifth @ fifth)
-    both = square + 0.01 * float(third @ third)
-    return square / float(np.sqrt(both * fifth.size)) if both != 0 else 0.0
-
-
-def _first_step(rate: Rate, x: Array, slope: Array, span: tuple[float, float], tolerance: Tolerance) -> float:
-    """A first step from the sizes of the state along the trajectory and of its first two derivatives (ibid., II.4)."""
-    length = span[1] - span[0]
-    scale = tolerance.relative * (tolerance.magnitude + np.abs(x))
-
-    def size(values: Array) -> float:
-        return float(np.linalg.norm(values / scale) / np.sqrt(x.size))
-
-    state, speed = size(np.maximum(np.abs(x), tolerance.magnitude)), size(slope)
-    trial = min(0.01 * state / speed if speed > 0 else length, length)
-    bend = size(rate(span[0] + trial, x + trial * slope) - slope) / trial
-    steepest = max(speed, bend)
-    wanted = max(1e-6, 1e-3 * trial) if steepest <= 1e-15 else (0.01 / steepest) ** (1.0 / ORDER)
-    return min(100.0 * trial, wanted, length)
 
 
 Rate: TypeAlias = Callable[[float, Array], Array]

@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import Operations, evaluate, fast_call
-from gnc_opt.model.integration import step_function
 from gnc_opt.model.variables import as_expression
 from gnc_opt.planning.problem.expressions import end_points, parameter_arguments
 from gnc_opt.planning.problem.phase import Phase
@@ -67,14 +66,6 @@ class PhaseFunctions:
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
         return fast_call(function, costates, multipliers, self.weights, self.p, self.q)
-
-    def fast_steps(self) -> Callable[..., Array]:
-        """Return `gnc_opt.model.integration.step_function` of the dynamics without conversion overhead."""
-        function = self.functions["rates"]
-        if "step" not in self.functions:
-            self.functions["step"] = step_function(function)
-        costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return fast_call(self.functions["step"], costates, multipliers, self.weights, self.p, self.q)
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, carried, integrate
+from gnc_opt.model.integration import Budget, Controls, EndedError, Tolerance, integrate
 from gnc_opt.planning.problem.functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
@@ -150,7 +150,7 @@ class _Flight:
     """The dynamics, integrated from one discontinuity of the control to the next."""
 
     def __init__(self, functions: PhaseFunctions, tolerance: Tolerance, budget: Budget) -> None:
-        self._rates, self._steps = functions.fast_rates(), functions.fast_steps()
+        self._rates = functions.fast_rates()
         self._tolerance, self._budget = tolerance, budget
 
     def end(self, controls: Controls, x: Array, span: tuple[float, float]) -> Array:
@@ -159,14 +159,7 @@ class _Flight:
         def rate(t: float, x: Array) -> Array:
             return self._rates(t, x, controls(np.array([t]))[:, 0])
 
-        spent = self._budget.count
-        found = carried(self._steps, rate, controls, x, span, self._tolerance, self._budget)
-        if found is not None:
-            return found
-        self._budget.count = spent
-        run = integrate(
-            rate, x, span, tolerance=self._tolerance, budget=self._budget
-        )  # says what is the matter
+        run = integrate(rate, x, span, tolerance=self._tolerance, budget=self._budget)
         return run.states[:, -1]
 
 
