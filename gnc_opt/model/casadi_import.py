@@ -8,11 +8,8 @@ from numbers import Integral
 from typing import Any
 
 import casadi as ca
-from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, shown, unknown_name
-from gnc_opt.model.variables import as_vector
 
 
 @dataclass(frozen=True)
@@ -22,53 +19,6 @@ class Declared:
     name: str
     size: int
     symbol: Any = None
-
-    def value(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Return the value (size,) that a parameter has among values by name."""
-        if self.name not in values:
-            raise ModelError(f"parameter '{self.name}' has no value: add it to values=.")
-        return as_vector(values[self.name], self.size, f"parameter '{self.name}'", ModelError)
-
-
-@dataclass(frozen=True)
-class Given:
-    """Components of a model from CasADi expressions: its variables, values and units by name."""
-
-    states: list[Declared]
-    controls: list[Declared]
-    parameters: list[Declared]
-    values: Mapping[str, ArrayLike]
-    units: Mapping[str, str]
-
-    @classmethod
-    def read(
-        cls,
-        model: str,
-        x: Any,
-        u: Any,
-        p: Any,
-        values: Mapping[str, ArrayLike] | None,
-        units: Mapping[str, str] | None,
-    ) -> Given:
-        """Return what `Model.from_casadi` got for a model of this name."""
-        states, controls, parameters = (
-            declared(given, f"the {what} of model '{model}'")
-            for what, given in (("states", x), ("controls", u), ("parameters", p))
-        )
-        names = [v.name for v in (*states, *controls, *parameters)]
-        units = known_names(units, names, f"units= of '{model}'")
-        values = known_names(values, [v.name for v in parameters], f"values= of '{model}'")
-        return cls(states, controls, parameters, values, units)
-
-    def unit(self, variable: Declared) -> str:
-        """Return the unit of a variable, "" if there is none."""
-        return self.units.get(variable.name, "")
-
-    def symbols(self, t: Any) -> dict[str, list[Any]]:
-        """Return the symbols of t (or None), x, u and p, in the order of the model's arguments."""
-        groups = {"x": self.states, "u": self.controls, "p": self.parameters}
-        times = [] if t is None else [t]
-        return {"t": times} | {letter: [v.symbol for v in group] for letter, group in groups.items()}
 
 
 def declared(given: Any, what: str) -> list[Declared]:

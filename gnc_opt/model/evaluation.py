@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,92 +27,55 @@ NUMPY_MIN_COLUMNS_SHORT = 60
 CALL = 60
 """Overhead of a CasADi call, in operations on one column."""
 
-Operation: TypeAlias = Callable[..., Any]
-
-
-def _twice(values: Any) -> Any:
-    return 2.0 * values
-
-
-def _constant() -> None:
-    """Marks a number that is put into a register."""
-
-
-def _given() -> None:
-    """Marks a row of an argument that is put into a register."""
-
-
-def _told() -> None:
-    """Marks a register that is a row of the output."""
-
-
-_OPERATIONS: dict[int, Operation] = {
-    ca.OP_ASSIGN: np.positive,
-    ca.OP_ADD: np.add,
-    ca.OP_SUB: np.subtract,
-    ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide,
-    ca.OP_NEG: np.negative,
-    ca.OP_EXP: np.exp,
-    ca.OP_LOG: np.log,
-    ca.OP_POW: np.power,
-    ca.OP_CONSTPOW: np.power,
-    ca.OP_SQRT: np.sqrt,
-    ca.OP_SQ: np.square,
-    ca.OP_TWICE: _twice,
-    ca.OP_INV: np.reciprocal,
-    ca.OP_SIN: np.sin,
-    ca.OP_COS: np.cos,
-    ca.OP_TAN: np.tan,
-    ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan,
-    ca.OP_ATAN2: np.arctan2,
-    ca.OP_SINH: np.sinh,
-    ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh,
-    ca.OP_FABS: np.abs,
-    ca.OP_FMIN: np.fmin,
-    ca.OP_FMAX: np.fmax,
+_OPERATIONS: dict[int, Callable[..., Any]] = {
+    ca.OP_ASSIGN: np.positive, ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide, ca.OP_NEG: np.negative, ca.OP_EXP: np.exp, ca.OP_LOG: np.log, ca.OP_POW: np.power,
+    ca.OP_CONSTPOW: np.power, ca.OP_SQRT: np.sqrt, ca.OP_SQ: np.square, ca.OP_TWICE: lambda x: 2.0 * x,
+    ca.OP_INV: np.reciprocal, ca.OP_SIN: np.sin, ca.OP_COS: np.cos, ca.OP_TAN: np.tan, ca.OP_ASIN: np.arcsin,
+    ca.OP_ACOS: np.arccos, ca.OP_ATAN: np.arctan, ca.OP_ATAN2: np.arctan2, ca.OP_SINH: np.sinh,
+    ca.OP_COSH: np.cosh, ca.OP_TANH: np.tanh, ca.OP_FABS: np.abs, ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax,
     ca.OP_HYPOT: np.hypot,
-}
+}  # fmt: skip
 """Supported operations; CasADi evaluates functions with others."""
+
+_ACCESSES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
+"""A number or a row of an argument that is put into a register, and a register that is a row of an output."""
 
 
 @dataclass(frozen=True)
 class Operations:
-    """The operations of a CasADi function of columns with one dense column as its first output."""
+    """The operations of a CasADi function of columns with one dense column as its first output.
+
+    Attributes
+    ----------
+    rows : int
+        Of the output.
+    registers : int
+    steps : tuple
+        Codes (``casadi.OP_...``) with their results and operands.
+    """
 
     rows: int
     registers: int
-    steps: tuple[tuple[Operation, int, Sequence[Any]], ...]
+    steps: tuple[tuple[int, Sequence[int], Sequence[Any]], ...]
 
     @classmethod
     def of(cls, function: Any) -> Operations | None:
         """Read a function; None if it is too long, or has operations beyond those known here."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None
-        if function.n_instructions() > NUMPY_MAX_OPERATIONS:
+        count = function.n_instructions()
+        codes = [function.instruction_id(k) for k in range(count)]
+        if count > NUMPY_MAX_OPERATIONS or not all(c in _OPERATIONS or c in _ACCESSES for c in codes):
             return None
-        steps: list[tuple[Operation, int, Sequence[Any]]] = []
-        for k in range(function.n_instructions()):
-            code, given, result = (
-                function.instruction_id(k),
-                function.instruction_input(k),
-                function.instruction_output(k),
-            )
-            if code == ca.OP_CONST:
-                steps.append((_constant, result[0], (function.instruction_constant(k),)))
-            elif code == ca.OP_INPUT:
-                steps.append((_given, result[0], tuple(given)))
-            elif code == ca.OP_OUTPUT:
-                if result[0] == 0:
-                    steps.append((_told, result[1], tuple(given)))
-            elif code in _OPERATIONS:
-                steps.append((_OPERATIONS[code], result[0], tuple(given)))
-            else:
-                return None
-        return cls(function.size1_out(0), function.sz_w(), tuple(steps))
+        results = [function.instruction_output(k) for k in range(count)]
+        given = [
+            (function.instruction_constant(k),)
+            if code == ca.OP_CONST
+            else tuple(function.instruction_input(k))
+            for k, code in enumerate(codes)
+        ]
+        return cls(function.size1_out(0), function.sz_w(), tuple(zip(codes, results, given, strict=True)))
 
     def pays(self, n: int) -> bool:
         """Whether it is quicker than CasADi for n columns."""
@@ -120,20 +83,20 @@ class Operations:
 
     def __call__(self, n: int, *arguments: Array) -> Array:
         """Evaluate with arguments (rows,) or (rows, n), (rows of the output, n)."""
+        constant, argument, output = _ACCESSES
         register: list[Any] = [0.0] * self.registers
         found = np.zeros((self.rows, n))
         with np.errstate(all="ignore"):
-            for operation, place, given in self.steps:
-                if operation is _told:
-                    found[place] = register[given[0]]
-                elif operation is _given:
-                    register[place] = arguments[given[0]][given[1]]
-                elif operation is _constant:
-                    register[place] = given[0]
-                elif len(given) == 1:
-                    register[place] = operation(register[given[0]])
-                else:
-                    register[place] = operation(register[given[0]], register[given[1]])
+            for code, result, given in self.steps:
+                if code == constant:
+                    register[result[0]] = given[0]
+                elif code == argument:
+                    register[result[0]] = arguments[given[0]][given[1]]
+                elif code != output:
+                    operands = map(register.__getitem__, given)
+                    register[result[0]] = _OPERATIONS[code](*operands)
+                elif result[0] == 0:
+                    found[result[1]] = register[given[0]]
         return found
 
 

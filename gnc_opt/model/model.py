@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import Strict, expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, right_symbol
-from gnc_opt.model.casadi_import import Given, derivative_in
+from gnc_opt.model.casadi_import import declared, derivative_in, known_names
 from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.evaluation import checked, evaluate
 from gnc_opt.model.table import TableUse
@@ -171,15 +171,30 @@ class Model(Strict):
         >>> cart.f(0.0, [0.0, 2.0], 3.0)
         array([2., 3.])
         """
-        model, given = cls(name), Given.read(name, x, u, p, values, units)
-        for v in given.states:
-            model.state(v.name, v.size, unit=given.unit(v))
-        for v in given.controls:
-            model.control(v.name, v.size, unit=given.unit(v))
-        for v in given.parameters:
-            model.parameter(v.name, v.value(given.values), unit=given.unit(v))
+        model = cls(name)
+        states, controls, parameters = (
+            declared(given, f"the {what} of model '{name}'")
+            for what, given in (("states", x), ("controls", u), ("parameters", p))
+        )
+        names = [v.name for v in (*states, *controls, *parameters)]
+        units = known_names(units, names, f"units= of '{name}'")
+        values = known_names(values, [v.name for v in parameters], f"values= of '{name}'")
+        for v in states:
+            model.state(v.name, v.size, unit=units.get(v.name, ""))
+        for v in controls:
+            model.control(v.name, v.size, unit=units.get(v.name, ""))
+        for v in parameters:
+            if v.name not in values:
+                raise ModelError(f"parameter '{v.name}' has no value: add it to values=.")
+            value = as_vector(values[v.name], v.size, f"parameter '{v.name}'", ModelError)
+            model.parameter(v.name, value, unit=units.get(v.name, ""))
+        symbols = {
+            letter: [v.symbol for v in group]
+            for letter, group in zip("xup", (states, controls, parameters), strict=True)
+        }
+        symbols = {"t": [] if t is None else [t], **symbols}
         arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
-        rate = derivative_in(f, arguments, given.symbols(t), model.states.size, f"dx/dt of model '{name}'")
+        rate = derivative_in(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
 
