@@ -92,11 +92,13 @@ class Operations:
                     register[result[0]] = given[0]
                 elif code == argument:
                     register[result[0]] = arguments[given[0]][given[1]]
-                elif code != output:
-                    operands = map(register.__getitem__, given)
-                    register[result[0]] = _OPERATIONS[code](*operands)
-                elif result[0] == 0:
-                    found[result[1]] = register[given[0]]
+                elif code == output:
+                    if result[0] == 0:
+                        found[result[1]] = register[given[0]]
+                elif len(given) == 1:
+                    register[result[0]] = _OPERATIONS[code](register[given[0]])
+                else:
+                    register[result[0]] = _OPERATIONS[code](register[given[0]], register[given[1]])
         return found
 
 
