@@ -2,7 +2,7 @@
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls
-from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
+from gnc_opt.plot.frequency import plot_response
 from gnc_opt.plot.path import plot_motion
 from gnc_opt.plot.refinement import plot_refinement, plot_verdict
 from gnc_opt.plot.run import plot_run
@@ -13,19 +13,16 @@ from gnc_opt.plot.view import Thruster, View
 __all__ = [
     "Thruster",
     "View",
-    "plot_bode",
     "plot_controls",
     "plot_costates",
     "plot_dispersion",
     "plot_distributions",
     "plot_envelope",
     "plot_hamiltonian",
-    "plot_margins",
     "plot_motion",
-    "plot_nyquist",
     "plot_refinement",
+    "plot_response",
     "plot_run",
-    "plot_sensitivity",
     "plot_states",
     "plot_verdict",
     "save_figure",

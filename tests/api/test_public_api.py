@@ -82,9 +82,9 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        Thruster View plot_bode plot_controls plot_costates plot_dispersion plot_distributions
-        plot_envelope plot_hamiltonian plot_margins plot_nyquist plot_motion plot_refinement
-        plot_run plot_sensitivity plot_states
+        Thruster View plot_controls plot_costates plot_dispersion plot_distributions
+        plot_envelope plot_hamiltonian plot_motion plot_refinement plot_response
+        plot_run plot_states
         plot_verdict save_figure
     """,
     "gnc_opt.report": """

@@ -12,7 +12,7 @@ from testing.sled import DT, loop_of, regulator, sled
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.errors import ArgumentError
-from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
+from gnc_opt.plot import plot_response
 from gnc_opt.simulation import Delay, Event, Lag, Saturation, ScaleFactor, ZeroOrderHold
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
@@ -145,7 +145,7 @@ def test_where_all_commands_are_at_their_limits_the_loop_is_open_and_has_no_marg
         response.margins(0)
     free = loop_response(bare(), x0=[0.0, 0.0], tf=1.0)
     assert response.disk_margins == pytest.approx([np.nan, free.disk_margins[0]], nan_ok=True)
-    assert plot_margins(response) and plot_nyquist(response)
+    assert plot_response(response, "margins") and plot_response(response, "nyquist")
     model = sled()
     still = go.feedforward(go.Reference.constant(model, [0.0, 0.0]))
     assert loop_response(go.ClosedLoop(model, still, dt=DT), x0=[0, 0], tf=1.0).margins().disk == 2.0
@@ -153,21 +153,23 @@ def test_where_all_commands_are_at_their_limits_the_loop_is_open_and_has_no_marg
 
 def test_figures_show_what_they_say():
     response = loop_response(bare(Lag("motor", 0.1)), **HERE, at=[0.0, 0.5])
-    gain, phase = plot_bode(response).axes
+    gain, phase = plot_response(response).axes
     omega = response.frequencies
     assert gain.lines[0].get_ydata() == pytest.approx(np.abs(response.channel(omega, "F")))
     crossing = np.argmin(np.abs(np.log(gain.lines[0].get_ydata())))
     margin = np.degrees(response.margins().phase[0])
     assert phase.lines[0].get_ydata()[crossing] == pytest.approx(-180 + margin, abs=1.0)
-    (plane,) = plot_nyquist(response).axes
+    (plane,) = plot_response(response, "nyquist").axes
     (disk,) = plane.patches
     line = plane.lines[0]
     apart = np.hypot(line.get_xdata() - disk.center[0], line.get_ydata()) / disk.radius
     assert 1 - 1e-3 < apart.min() < 1.01  # it touches the disk
-    left, right = plot_sensitivity(response).axes
+    left, right = plot_response(response, "sensitivity").axes
     assert left.lines[0].get_ydata() == pytest.approx(np.abs(response.sensitivity(omega)[:, 0, 0]))
     assert right.lines[0].get_ydata()[0] == pytest.approx(1.0, abs=0.01)
-    assert plot_margins(response).axes[0].lines[0].get_ydata() == pytest.approx(response.disk_margins)
+    assert plot_response(response, "margins").axes[0].lines[0].get_ydata() == pytest.approx(
+        response.disk_margins
+    )
 
 
 def test_mistakes_are_refused():
@@ -189,6 +191,6 @@ def test_mistakes_are_refused():
         wild.margins()
     assert wild.disk_margins.tolist() == [0.0]
     with pytest.raises(go.ArgumentError, match="too many lines"):
-        plot_bode(loop_response(loop_of(), **HERE, at=[0.1 * k for k in range(8)]))
+        plot_response(loop_response(loop_of(), **HERE, at=[0.1 * k for k in range(8)]))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
         loop_response(model, **HERE)
