@@ -7,15 +7,13 @@ OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: att
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 
@@ -23,51 +21,8 @@ _UNIT = 1e-6
 """How far the length of a quaternion may be from 1; it is made 1."""
 
 
-@dataclass(frozen=True)
-class MessageMetadata:
-    """Object and clock of a CCSDS message.
-
-    Parameters
-    ----------
-    epoch : str
-        Date and time of day of t = 0 in the time system.
-    time_system : str
-        By its CCSDS name, ``"UTC"``.
-    object_name, object_id, originator : str
-        The id is the international designator, ``"2027-001A"``.
-
-    Examples
-    --------
-    >>> from gnc_opt.report import MessageMetadata
-    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
-    """
-
-    epoch: str
-    time_system: str
-    object_name: str
-    object_id: str
-    originator: str
-
-    def __post_init__(self) -> None:
-        _date(self.epoch)
-        for key in ("time_system", "object_name", "object_id", "originator"):
-            _line(key, getattr(self, key))
-
-    @property
-    def object(self) -> dict[str, str]:
-        """Keywords of the object."""
-        return {"OBJECT_NAME": self.object_name, "OBJECT_ID": self.object_id}
-
-
 def write_oem(
-    path: str | Path,
-    times: ArrayLike,
-    r: ArrayLike,
-    v: ArrayLike,
-    *,
-    frame: str,
-    center: str,
-    metadata: MessageMetadata,
+    path: str | Path, times: ArrayLike, r: ArrayLike, v: ArrayLike, *, epoch: str, **metadata: str
 ) -> Path:
     """Return the path of an orbit ephemeris message that is written.
 
@@ -78,43 +33,35 @@ def write_oem(
         s since the epoch, increasing by a nanosecond at least.
     r, v : array (3, n)
         Position (m) and velocity (m/s) relative to the centre in the frame.
-    frame, center : str
-        By their CCSDS names: ``"EME2000"``, ``"EARTH"``.
-    metadata : MessageMetadata
+    epoch : str
+        Date and time of day of t = 0 in the time system, without a zone.
+    **metadata : str
+        ``originator``, ``object_name``, ``object_id`` (``"2027-001A"``), ``time_system``, ``center_name`` and
+        ``ref_frame`` by their CCSDS names (``"UTC"``, ``"EARTH"``, ``"EME2000"``).
 
     Raises
     ------
     ArgumentError
-        Arrays that do not fit or hold no numbers, times that do not increase, empty texts.
+        Arrays that do not fit or hold no numbers, times that do not increase, metadata that are missing.
 
     Examples
     --------
-    >>> from gnc_opt.report import MessageMetadata, write_oem
+    >>> from gnc_opt.report import write_oem
     >>> t = np.linspace(0.0, 600.0, 11)
     >>> r = 7e6 * np.array([np.cos(1.078e-3 * t), np.sin(1.078e-3 * t), 0 * t])
     >>> v = 1.078e-3 * np.array([-r[1], r[0], r[2]])
-    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
-    >>> message = write_oem("orbit.oem", t, r, v, frame="EME2000", center="EARTH", metadata=about)
-    >>> print(message.read_text().splitlines()[0])
+    >>> about = {"originator": "EXAMPLE", "object_name": "CHASER", "object_id": "2027-001A", "time_system": "UTC"}
+    >>> about |= {"epoch": "2027-03-01T12:00:00", "center_name": "EARTH", "ref_frame": "EME2000"}
+    >>> print(write_oem("orbit.oem", t, r, v, **about).read_text().splitlines()[0])
     CCSDS_OEM_VERS = 2.0
     """
-    expect(metadata, MessageMetadata, "the metadata of a message", "write MessageMetadata(epoch, ...)")
-    stamps = _stamps(times, metadata.epoch)
+    stamps = _stamps(times, epoch)
     rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / 1e3
-    about = metadata.object | {"CENTER_NAME": center, "REF_FRAME": frame}
-    lines = _message("OEM", "2.0", metadata, about | _span(metadata, stamps))
-    return _written(path, [*lines, "", *_data(stamps, rows)])
+    told = _told(metadata, "center_name", "ref_frame") | _span(metadata, stamps)
+    return _written(path, ("OEM", "2.0", metadata["originator"]), told, _data(stamps, rows))
 
 
-def write_aem(
-    path: str | Path,
-    times: ArrayLike,
-    q_BA: ArrayLike,
-    *,
-    frame_a: str,
-    frame_b: str,
-    metadata: MessageMetadata,
-) -> Path:
+def write_aem(path: str | Path, times: ArrayLike, q_BA: ArrayLike, *, epoch: str, **metadata: str) -> Path:
     """Return the path of an attitude ephemeris message that is written.
 
     Parameters
@@ -124,9 +71,10 @@ def write_aem(
         s since the epoch, increasing by a nanosecond at least.
     q_BA : array (4, n)
         Unit quaternion of frame B relative to frame A, scalar part first.
-    frame_a, frame_b : str
-        By their CCSDS names: ``"EME2000"``, ``"SC_BODY_1"``.
-    metadata : MessageMetadata
+    epoch : str
+    **metadata : str
+        As in `write_oem`, with ``ref_frame_a`` and ``ref_frame_b`` (``"EME2000"``, ``"SC_BODY_1"``) in place of
+        centre and frame.
 
     Raises
     ------
@@ -135,28 +83,42 @@ def write_aem(
 
     Examples
     --------
-    >>> from gnc_opt.report import MessageMetadata, write_aem
+    >>> from gnc_opt.report import write_aem
     >>> t = np.linspace(0.0, 60.0, 7)
     >>> q_BA = np.array([np.cos(0.01 * t), 0 * t, 0 * t, np.sin(0.01 * t)])  # a turn about z
-    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
-    >>> frames = {"frame_a": "EME2000", "frame_b": "SC_BODY_1"}
-    >>> message = write_aem("attitude.aem", t, q_BA, **frames, metadata=about)
-    >>> print(message.read_text().splitlines()[0])
+    >>> about = {"originator": "EXAMPLE", "object_name": "CHASER", "object_id": "2027-001A", "time_system": "UTC"}
+    >>> about |= {"epoch": "2027-03-01T12:00:00", "ref_frame_a": "EME2000", "ref_frame_b": "SC_BODY_1"}
+    >>> print(write_aem("attitude.aem", t, q_BA, **about).read_text().splitlines()[0])
     CCSDS_AEM_VERS = 1.0
     """
-    expect(metadata, MessageMetadata, "the metadata of a message", "write MessageMetadata(epoch, ...)")
-    stamps = _stamps(times, metadata.epoch)
+    stamps = _stamps(times, epoch)
     q = _vectors(q_BA, 4, stamps.size, "q_BA")
     size = np.linalg.norm(q, axis=0)
     if np.max(np.abs(size - 1.0)) > _UNIT:
         raise ArgumentError(
             f"q_BA has a column of length {size[np.argmax(np.abs(size - 1.0))]:.6g}: give unit quaternions."
         )
-    about = metadata.object | {"REF_FRAME_A": frame_a, "REF_FRAME_B": frame_b, "ATTITUDE_DIR": "A2B"}
-    form = {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
-    lines = _message("AEM", "1.0", metadata, about | _span(metadata, stamps) | form)
-    scalar_last = np.roll(q / size, -1, axis=0)
-    return _written(path, [*lines, "", "DATA_START", *_data(stamps, scalar_last), "DATA_STOP"])
+    told = _told(metadata, "ref_frame_a", "ref_frame_b") | {"ATTITUDE_DIR": "A2B"} | _span(metadata, stamps)
+    told |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
+    data = ["DATA_START", *_data(stamps, np.roll(q / size, -1, axis=0)), "DATA_STOP"]
+    return _written(path, ("AEM", "1.0", metadata["originator"]), told, data)
+
+
+def _told(metadata: dict[str, str], *frames: str) -> dict[str, str]:
+    """Return the lines of the object and its frames; refuse metadata that are missing, unknown or no line of text."""
+    names = ("originator", "object_name", "object_id", "time_system", *frames)
+    for name in sorted({*names} ^ {*metadata}):
+        raise ArgumentError(
+            f"the metadata of a message are {', '.join(names)}: '{name}' is missing or none of them."
+        )
+    for name, text in metadata.items():
+        if not isinstance(text, str) or not text.strip() or not text.isprintable():
+            raise ArgumentError(f"{name} of a message is {shown(text)}: state it in one line of text.")
+    return {name.upper(): metadata[name] for name in ("object_name", "object_id", *frames)}
+
+
+def _span(metadata: dict[str, str], stamps: Any) -> dict[str, str]:
+    return {"TIME_SYSTEM": metadata["time_system"], "START_TIME": stamps[0], "STOP_TIME": stamps[-1]}
 
 
 def _stamps(times: ArrayLike, epoch: str) -> Any:
@@ -190,32 +152,17 @@ def _vectors(values: ArrayLike, size: int, n: int, name: str) -> Array:
     return numbers
 
 
-def _span(metadata: MessageMetadata, stamps: Any) -> dict[str, str]:
-    return {"TIME_SYSTEM": metadata.time_system, "START_TIME": stamps[0], "STOP_TIME": stamps[-1]}
+def _data(stamps: Any, rows: Array) -> list[str]:
+    columns = zip(stamps, rows.T.tolist(), strict=True)
+    return [" ".join([stamp, *map(repr, column)]) for stamp, column in columns]
 
 
-def _line(key: str, text: str) -> None:
-    if not isinstance(text, str) or not text.strip() or not text.isprintable():
-        raise ArgumentError(
-            f"{key.lower().replace('_', ' ')} is {shown(text)}: state it in one line of text."
-        )
-
-
-def _message(kind: str, version: str, metadata: MessageMetadata, told: Mapping[str, str]) -> Iterator[str]:
-    head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": metadata.originator}
-    for key, text in told.items():
-        _line(key, text)
-    yield f"CCSDS_{kind}_VERS = {version}"
-    yield from (f"{key} = {text}" for key, text in head.items())
-    yield from ("", "META_START", *(f"{key} = {text}" for key, text in told.items()), "META_STOP")
-
-
-def _data(stamps: Any, rows: Array) -> Iterator[str]:
-    for stamp, column in zip(stamps, rows.T, strict=True):
-        yield " ".join([stamp, *(repr(float(value)) for value in column)])
-
-
-def _written(path: str | Path, lines: list[str]) -> Path:
+def _written(path: str | Path, about: tuple[str, str, str], told: dict[str, str], data: list[str]) -> Path:
+    """Write a message; ``about`` is its kind, version and originator."""
+    kind, version, originator = about
+    head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": originator}
+    lines = [f"CCSDS_{kind}_VERS = {version}", *(f"{key} = {text}" for key, text in head.items())]
+    lines += ["", "META_START", *(f"{key} = {text}" for key, text in told.items()), "META_STOP", "", *data]
     target = Path(path)
     target.write_text("\n".join(lines) + "\n", encoding="ascii", errors="strict")
     return target

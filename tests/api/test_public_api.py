@@ -88,7 +88,7 @@ EXPECTED = {
         plot_verdict save_figure
     """,
     "gnc_opt.report": """
-        MessageMetadata search_dict summary summary_dict write_aem write_campaign_report write_json write_oem
+        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem
         write_report write_run_report
     """,
 }
