@@ -14,15 +14,9 @@ from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import (
     Campaign,
-    Choice,
-    Normal,
     Outcome,
-    RandomDirection,
-    RandomRotation,
     Run,
     RunStatus,
-    Uniform,
-    UniformInBall,
 )
 
 NAN, INF = math.nan, math.inf
@@ -253,48 +247,6 @@ def test_criteria_are_checked_and_applied():
             wrong.check(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
         Criteria(measures={"own": lambda c: np.zeros(3)}).applied(campaign)
-
-
-# --- dispersions ------------------------------------------------------------------------------------------
-
-
-TWO = np.array([10.0, -20.0])
-
-
-@pytest.mark.parametrize(
-    ("dispersion", "nominal", "message"),
-    [
-        (Normal([1.0, 2.0, 3.0]), TWO, "standard deviation of 'x'"),
-        (Normal(1.0, mean=[1.0, 2.0, 3.0]), TWO, "mean deviation of 'x'"),
-        (Normal(1.0, relative=True), 0 * TWO, "nominally zero"),
-        (Uniform([0.0] * 3, 1.0), TWO, "lower end of 'x'"),
-        (Uniform(0.0, [1.0] * 3), TWO, "upper end of 'x'"),
-        (Uniform(0.0, 1.0, relative=True), 0 * TWO, "nominally zero"),
-        (Choice([1.0, [1.0] * 3]), TWO, "choice of 'x'"),
-        (RandomRotation(0.1), TWO, "neither a quaternion"),
-        (RandomRotation(0.1), np.array([1.0, 1e-2, 0, 0]), "no unit quaternion"),
-    ],
-)
-def test_dispersions_that_do_not_fit(dispersion, nominal, message):
-    with pytest.raises(ArgumentError, match=message):
-        dispersion.check("x", nominal)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: Normal([1.0, -1.0]), "standard deviation"), (lambda: Normal(1.0, mean=INF), "mean"),
-        (lambda: Normal(INF), "finite"), (lambda: Normal(1.0, truncate=-1.0), "truncate"),
-        (lambda: Uniform([0.0, 2.0], [1.0, 1.0]), "lower end first"), (lambda: Uniform(0.0, INF), "high"),
-        (lambda: Uniform(NAN, 0.0), "low"),
-        (lambda: RandomDirection(Uniform(0, 1, relative=True)), "relative to nothing"),
-        (lambda: RandomDirection(Normal([1.0, 2.0])), "radius"), (lambda: RandomRotation(-0.1), "angle"),
-        (lambda: UniformInBall(-1.0), "radius"),
-    ],
-)  # fmt: skip
-def test_dispersions_that_make_no_sense(wrong, message):
-    with pytest.raises(ArgumentError, match=message):
-        wrong()
 
 
 # --- statistics and metrics -------------------------------------------------------------------------------
