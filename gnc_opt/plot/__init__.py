@@ -8,10 +8,9 @@ from gnc_opt.plot.refinement import plot_refinement, plot_verdict
 from gnc_opt.plot.run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
-from gnc_opt.plot.view import Thruster, View
+from gnc_opt.plot.view import View
 
 __all__ = [
-    "Thruster",
     "View",
     "plot_controls",
     "plot_costates",

@@ -72,20 +72,16 @@
     const end = add(root, along, -length);
     return [root, end, ...ring.map(([c, s]) => add(add(end, side, 0.18 * length * c), other, 0.18 * length * s))];
   };
-  Object.entries(data.plumes).forEach(([name, plume], index) => {
+  if (data.plume) {
     const around = ring.map((_, i) => i);
-    const mesh = { type: "mesh3d", name: index ? name : names.length && Object.keys(data.plumes).length > 1 ? "plumes" : "plume",
-      legendgroup: "plumes", color: hue.plume, opacity: 0.85, ...common, showlegend: !index, x: [], y: [], z: [],
+    const mesh = { type: "mesh3d", name: "plume", color: hue.plume, opacity: 0.85, ...common, x: [], y: [], z: [],
       i: around.flatMap(() => [0, 1]), j: around.flatMap((i) => [2 + i, 2 + i]),
       k: around.flatMap((i) => [2 + (i + 1) % 12, 2 + (i + 1) % 12]) };
     moving.push([mesh, (k) => {
-      const values = shown.plumes[name].map((row) => row[k]), axes = frame(k);
-      const force = turned(plume.basis.map((row) => row.reduce((sum, b, i) => sum + b * values[i], 0)), axes);
-      const side = values.length === 1 ? Math.sign(values[0]) : 1;
-      const root = add(at(k), turned(plume.nozzle, axes), side * data.axis);
-      return columns(cone(root, unit(force), data.plume * Math.hypot(...force)));
+      const force = turned(shown.force.map((row) => row[k]), frame(k));
+      return columns(cone(at(k), unit(force), data.plume * Math.hypot(...force)));
     }]);
-  });
+  }
 
   // --- the picture
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

@@ -1,4 +1,4 @@
-"""Motion in three dimensions in a page: a vehicle, its path and its plumes over a slider of time.
+"""Motion in three dimensions in a page: a vehicle, its path and its plume over a slider of time.
 
 Plotly, of the extra ``report``, draws it; the page needs no network.
 """
@@ -26,7 +26,7 @@ _INSTANTS = (41, 241)
 _SCENE_MAX_SAMPLES = 60_000
 """Instants of all motions together: what keeps a page of a thousand runs below five megabytes."""
 _DIGITS = 4
-"""Of positions, relative to the extent of what is drawn; of axes and plumes to the length of a unit vector."""
+"""Of positions, relative to the extent of what is drawn; of axes and forces to the length of a unit vector."""
 
 
 def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
@@ -82,13 +82,10 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
         "low": low.tolist(),
         "high": high.tolist(),
         "axis": AXIS * size,
-        "plume": PLUME * size,
+        "plume": None if first.force is None else PLUME * size,
         "bodies": bodies,
         "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
-        "plumes": {
-            name: {"nozzle": p.nozzle.tolist(), "basis": p.basis.tolist()} for name, p in first.plumes.items()
-        },
         "motions": {name: _sampled(each, digits) for name, each in motions.items()},
     }
 
@@ -99,7 +96,7 @@ def _sampled(each: Motion, digits: int) -> dict[str, Any]:
     return {
         "position": np.round(each.position, digits).tolist(),
         "axes": axes,
-        "plumes": {name: np.round(p.values, _DIGITS).tolist() for name, p in each.plumes.items()},
+        "force": None if each.force is None else np.round(each.force, _DIGITS).tolist(),
     }
 
 

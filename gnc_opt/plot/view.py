@@ -28,31 +28,6 @@ AXIS, PLUME = 0.12, 0.2
 
 
 @dataclass(frozen=True)
-class Thruster:
-    """An actuator with a force on the body along one line; its plume points the other way.
-
-    Attributes
-    ----------
-    control : str
-        A scalar control, state or component, such as ``"F_B[0]"``. If it takes both signs, the nozzle is
-        mirrored.
-    direction : array (3,)
-        Direction of the force for a positive control: in B if the view has an attitude, else in L.
-    position : array (3,)
-        Of the nozzle in the same axes, in lengths of the axes as drawn.
-
-    Examples
-    --------
-    >>> main = Thruster("F_B[0]", direction=(1, 0, 0), position=(-0.4, 0, 0))
-    >>> view = View("r_L", attitude="q_BL", force={"main": main})
-    """
-
-    control: str
-    direction: ArrayLike
-    position: ArrayLike = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
 class View:
     """View of a motion in space, by the names of states and controls.
 
@@ -64,8 +39,8 @@ class View:
         One to three components: x, y and z in the frame L. None leaves the body at the origin.
     attitude : str or sequence of str, optional
         Of the body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar part first).
-    force : str, sequence of str, or mapping of str to Thruster, optional
-        The resultant force, in B if there is an attitude, else in L; or the actuators by name, each with its plume.
+    force : str or sequence of str, optional
+        The resultant force, in B if there is an attitude, else in L, whose plume is drawn.
     keep_out : mapping of str to (centre, radius)
         Spheres, or ellipsoids with three semi-axes along those of L, in the unit of the position.
     down : bool
@@ -75,12 +50,12 @@ class View:
 
     Examples
     --------
-    >>> view = View("q", force={"main": Thruster("a", (0, 0, 1))})
+    >>> view = View("q", force="a")
     """
 
     position: Names | None = None
     attitude: Names | None = None
-    force: Names | Mapping[str, Thruster] | None = None
+    force: Names | None = None
     keep_out: Mapping[str, tuple[ArrayLike, ArrayLike]] = field(default_factory=dict)
     down: bool = False
     bodies: Mapping[str, ArrayLike] = field(default_factory=dict)
@@ -94,17 +69,6 @@ class View:
             self.volume(name)
         for name, position in self.bodies.items():
             _three(position, f"the position of '{name}'")
-        for name, thruster in self.thrusters.items():
-            if not isinstance(thruster, Thruster):
-                raise ArgumentError(f"the thruster '{name}' is a {type(thruster).__name__}: give a Thruster.")
-            _three(thruster.position, f"the position of the thruster '{name}'")
-            if not np.any(_three(thruster.direction, f"the direction of the thruster '{name}'")):
-                raise ArgumentError(f"the thruster '{name}' has no direction: say which way it pushes.")
-
-    @property
-    def thrusters(self) -> Mapping[str, Thruster]:
-        """The actuators, if they are named one by one."""
-        return self.force if isinstance(self.force, Mapping) else {}
 
     def volume(self, name: str) -> tuple[Array, Array]:
         """Return centre (3,) and semi-axes (3,) of a volume to keep out of."""
@@ -120,22 +84,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class Plume:
-    """Of one actuator: its nozzle (3,), and its force ``basis @ values``, (3, k) by (k, n), shares of the largest."""
-
-    nozzle: Array
-    basis: Array
-    values: Array
-
-
-@dataclass(frozen=True)
 class Motion:
-    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), plumes by name."""
+    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), force (3, n) as shares of its largest."""
 
     times: Array
     position: Array
     dcm_BL: Array | None
-    plumes: Mapping[str, Plume]
+    force: Array | None
     unit: str
 
 
@@ -163,28 +118,11 @@ def motion(moved: Moved, view: View, times: Array) -> Motion:
         position = _in_space(of(view.position), f"the position {', '.join(_each(view.position))}")
         unit = parts[0].unit(_each(view.position)[0])
     dcm = None if view.attitude is None else _dcm(of(view.attitude), ", ".join(_each(view.attitude)))
-    return Motion(times, position, dcm, _plumes(view, of), unit)
-
-
-def _plumes(view: View, of: Any) -> dict[str, Plume]:
-    found: dict[str, Plume] = {}
-    if view.thrusters:
-        for name, thruster in view.thrusters.items():
-            values = of(thruster.control)
-            if len(values) != 1:
-                raise ArgumentError(
-                    f"the thruster '{name}' has the control {thruster.control} of {len(values)} components: name one "
-                    f"of them, such as '{thruster.control}[0]'."
-                )
-            along = np.asarray(thruster.direction, dtype=float)
-            basis = (along / np.linalg.norm(along))[:, None]
-            found[name] = Plume(np.asarray(thruster.position, dtype=float), basis, values)
-    elif view.force is not None and not isinstance(view.force, Mapping):
-        values = _in_space(of(view.force), f"the force {', '.join(_each(view.force))}")
-        found["plume"] = Plume(np.zeros(3), np.eye(3), values)
-    largest = max((float(np.max(np.linalg.norm(p.values, axis=0))) for p in found.values()), default=0.0)
-    scale = max(largest, np.finfo(float).tiny)
-    return {name: Plume(p.nozzle, p.basis, p.values / scale) for name, p in found.items()}
+    force = None
+    if view.force is not None:
+        force = _in_space(of(view.force), f"the force {', '.join(_each(view.force))}")
+        force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
+    return Motion(times, position, dcm, force, unit)
 
 
 # --- where the numbers come from ------------------------------------------------------------------------

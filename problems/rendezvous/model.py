@@ -33,7 +33,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
-from gnc_opt.plot import Thruster, View
+from gnc_opt.plot import View
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,
     angular_momentum,
@@ -87,14 +87,11 @@ MESH = PAPER_MESH
 VIEW = View(
     position="r_L",
     attitude="sigma",
-    force={
-        axis: Thruster(f"F_B[{i}]", np.eye(3)[i], -0.36 * np.eye(3)[i])  # a pair along each axis of the body
-        for i, axis in enumerate("xyz")
-    },
+    force="F_B",
     down=True,
     bodies={"target": (0.0, 0.0, 0.0)},
 )
-"""Chaser with its axes and thrusters, and the target; z points to the Earth."""
+"""Chaser with its axes and plume, and the target; z points to the Earth."""
 
 
 def chaser_model(equation: Equation = "printed") -> go.Model:

@@ -82,7 +82,7 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        Thruster View plot_controls plot_costates plot_dispersion plot_distributions
+        View plot_controls plot_costates plot_dispersion plot_distributions
         plot_envelope plot_hamiltonian plot_motion plot_refinement plot_response
         plot_run plot_states
         plot_verdict save_figure

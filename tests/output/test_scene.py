@@ -12,7 +12,7 @@ from testing.browser import BROWSER, PHONE, browser
 from testing.internals import document, scene_html
 
 import gnc_opt as go
-from gnc_opt.plot import Thruster, View
+from gnc_opt.plot import View
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report, write_run_report
 from gnc_opt.simulation import Normal
@@ -27,7 +27,7 @@ RATE = 0.5
 VIEW = View(
     "r",
     "sigma",
-    {"main": Thruster("F[0]", (1, 0, 0), (-0.5, 0, 0)), "side": Thruster("F[1]", (0, 1, 0))},
+    "F",
     keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))},
     down=True,
 )
@@ -92,7 +92,7 @@ def test_page_carries_the_motion(solution):
     size = np.ptp(expected, axis=1).max() / RATE**2
     assert np.allclose(motion["position"][:2], expected / RATE**2, atol=2e-4 * size)
     assert np.allclose(motion["axes"], [[c, s, 0 * t], [-s, c, 0 * t]], atol=1e-4)
-    assert np.allclose(motion["plumes"]["main"], 1.0) and np.allclose(motion["plumes"]["side"], -0.5)
+    assert np.allclose(np.transpose(motion["force"]), np.array([2.0, -1.0, 0.0]) / np.sqrt(5), atol=1e-4)
     assert data["unit"] == "m" and data["down"]
     rock = np.array(data["volumes"]["rock"])
     assert np.allclose((((rock.T - [1, 2, 0]) / [0.5, 0.4, 0.3]) ** 2).sum(axis=-1), 1, atol=1e-2)
@@ -157,8 +157,7 @@ def test_views_of_the_problems_name_what_there_is(name):
     leg = next(iter(file.build().phases.values()))
     view, model = file.VIEW, leg.model
     known = {*model.states.names, *model.controls.names, *model.composed_controls}
-    forces = [t.control for t in view.thrusters.values()] if view.thrusters else view.force
-    for part in (view.position, view.attitude, forces):
+    for part in (view.position, view.attitude, view.force):
         for each in [part] if isinstance(part, str) else part or ():
             assert each.partition("[")[0] in known
 
@@ -205,7 +204,7 @@ def test_what_a_browser_shows(solution, tmp_path):
 
 
 def check_vehicle(tab, data, name, k):
-    """Whether vehicle, axes and plumes are where the k-th sample of a motion has them."""
+    """Whether vehicle, axes and plume are where the k-th sample of a motion has them."""
     motion = data["motions"][name]
     here = np.array(motion["position"])[:, k]
     axes = np.array(motion["axes"])[:, :, k]
@@ -216,9 +215,8 @@ def check_vehicle(tab, data, name, k):
     for axis, label in zip(axes, ("bx", "by", "bz"), strict=True):
         root, tip = np.array(tab.ask(f"{POINTS}('{label}')")).T
         assert np.allclose(root, here) and np.allclose(tip - root, data["axis"] * axis)
-    for label, nozzle, along in (("plumes", [-0.5, 0, 0], axes[0]), ("side", [0, 0, 0], axes[1])):
-        thruster = "main" if label == "plumes" else label  # the first stands for all in the legend
-        share = motion["plumes"][thruster][0][k]  # negative: mirrored
-        root, tip = np.array(tab.ask(f"{POINTS}('{label}')"))[:, :2].T
-        assert np.allclose(root, here + np.sign(share) * data["axis"] * (np.array(nozzle) @ axes))
-        assert np.allclose(tip - root, -share * data["plume"] * along, atol=1e-3 * data["plume"])
+    force = np.array(motion["force"])[:, k] @ axes
+    root, tip = np.array(tab.ask(f"{POINTS}('plume')"))[:, :2].T
+    assert np.allclose(root, here) and np.allclose(
+        tip - root, -data["plume"] * force, atol=1e-3 * data["plume"]
+    )

@@ -6,7 +6,7 @@ import pytest
 from testing.internals import motion, span
 
 import gnc_opt as go
-from gnc_opt.plot import Thruster, View
+from gnc_opt.plot import View
 from gnc_opt.spacecraft import mrp_rate
 
 RATE = 0.5
@@ -39,7 +39,7 @@ def sampled(moved, view, n):
 
 
 def force(seen):
-    return seen.plumes["plume"].basis @ seen.plumes["plume"].values
+    return seen.force
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,6 @@ def test_phases_follow_one_another():
         (View("r", force="G"), "G"),
         (View("q"), "position q has 4 components"),
         (View("r[3]"), r"r has no component r\[3\]: it has r\[0\]"),
-        (View("r", force={"main": Thruster("F", (1, 0, 0))}), r"F of 3 components: name one of them, such as 'F\[0\]'"),
         (View(("r", "v")), "position r, v has 6 components"),
         (View("r", attitude="m"), r"m has 1 components: give modified Rodrigues parameters \(3\)"),
     ],
@@ -129,9 +128,6 @@ def test_views_that_do_not_fit_are_refused(solution, view, message):
             {"position": "r", "keep_out": {"rock": ((0, 0, 0), (1, 1, 0))}},
             "the radius of 'rock' .* length > 0",
         ),
-        ({"position": "r", "force": {"main": "F"}}, "thruster 'main' is a str"),
-        ({"position": "r", "force": {"main": Thruster("F[0]", (0, 0, 0))}}, "'main' has no direction"),
-        ({"position": "r", "force": {"main": Thruster("F[0]", (1, 0))}}, "direction of the thruster 'main'"),
     ],
 )
 def test_views_that_cannot_be_meant_are_refused_where_they_are_written(wrong, message):
