@@ -200,9 +200,7 @@ def _write(
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
-        paths = write_report(
-            solution, verdict, args.report, figures=file.figures, view=file.view, command=args.command
-        )
+        paths = write_report(solution, verdict, args.report, view=file.view, command=args.command)
         _say(console, f"report: {paths[0]}")
 
 

@@ -1,7 +1,7 @@
 """Problem files: any Python file, or package, with ``build(**options) -> Problem``, and those that come with gnc_opt.
 
-Optional names: ``MESH`` is the default mesh, ``figures(solution, directory)`` draws the problem's own
-figures, and ``VIEW`` (a `gnc_opt.plot.View`) defines the motion in three dimensions of a report.
+Optional names: ``MESH`` is the default mesh, and ``VIEW`` (a `gnc_opt.plot.View`) defines
+the motion in three dimensions of a report.
 """
 
 from __future__ import annotations
@@ -126,11 +126,6 @@ class ProblemFile:
     def mesh(self) -> Any:
         """The file's default mesh; None leaves it to `solve`."""
         return getattr(self.module, "MESH", None)
-
-    @property
-    def figures(self) -> Any:
-        """The file's ``figures(solution, directory)``, or None."""
-        return getattr(self.module, "figures", None)
 
     @property
     def view(self) -> Any:

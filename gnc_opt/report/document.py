@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from datetime import date
 from html import escape
 from pathlib import Path
@@ -11,9 +11,6 @@ from typing import Any
 
 from gnc_opt.environment import package_version
 from gnc_opt.errors import GncOptError
-
-_KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
-"""Content that browsers draw inside a page."""
 
 
 def report_folder(directory: str | Path) -> Path:
@@ -58,18 +55,13 @@ def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
 
 
 def pictures(figures: Mapping[Path, str]) -> str:
-    """Return SVG and PNG files with their captions as part of a page; other files are left out."""
-    return "".join(_picture(path, caption) for path, caption in figures.items() if path.suffix in _KINDS)
+    """Return SVG files with their captions as part of a page."""
+    return "".join(_picture(path, caption) for path, caption in figures.items())
 
 
 def picture(files: Mapping[str, Path], stem: str, caption: str) -> str:
     """Return the figure of a stem with its caption; nothing if there is no such figure."""
     return pictures({files[stem]: caption}) if stem in files else ""
-
-
-def figures_of_user(paths: Sequence[Path]) -> str:
-    """Return figures with the words of their file names as captions."""
-    return pictures({path: path.stem.replace("_", " ").capitalize() + "." for path in paths})
 
 
 def chip(word: str, tone: str) -> str:
@@ -89,7 +81,7 @@ def _anchor(title: str) -> str:
 def _picture(path: Path, caption: str) -> str:
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     name = escape(caption)
-    source = f"data:{_KINDS[path.suffix]};base64,{data}"
+    source = f"data:image/svg+xml;base64,{data}"
     return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.summary import (
     objective_text,
 )
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe
-from gnc_opt.report.document import chip, command_text, document, figures_of_user, picture
+from gnc_opt.report.document import chip, command_text, document, picture
 from gnc_opt.report.problem_statement import problem_statement
 from gnc_opt.text import table
 
@@ -45,7 +45,6 @@ def page(
     solution: Solution,
     verdict: Verdict | None,
     files: Mapping[str, Path],
-    own: Sequence[Path] = (),
     *,
     motion: str = "",
     command: str | None = None,
@@ -64,7 +63,6 @@ def page(
         "Arcs": _arcs(solution),
         "Refinement": _refinement(solution.history) + shown("refinement"),
         "Conditions": _conditions(verdict) + shown("verdict"),
-        "Figures": figures_of_user(own),
         "Multipliers": _multipliers(solution),
         "Software": _software(solution, command),
     }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
@@ -16,15 +16,12 @@ if TYPE_CHECKING:
 
     from gnc_opt.plot.view import View
 
-Figures: TypeAlias = "Callable[[Solution, Path], Any]"
-
 
 def write_report(
     solution: Solution,
     verdict: Verdict | None,
     directory: str | Path,
     *,
-    figures: Figures | None = None,
     view: View | None = None,
     command: str | None = None,
 ) -> list[Path]:
@@ -41,9 +38,6 @@ def write_report(
         None writes no optimality check.
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
-    figures : callable, optional
-        ``figures(solution, directory)`` writes a problem's own figures and returns their path(s), or returns
-        matplotlib figures: one, a list, or a dict by name.
     view : gnc_opt.plot.View, optional
         Vehicles and motion: a figure of the trajectory and a scene (plotly of the extra ``report``).
     command : str, optional
@@ -74,15 +68,13 @@ def write_report(
     folder = report_folder(directory)
     motion = "" if view is None else _motion(solution, view)
     files = save_figures(folder, _figures(solution, verdict, view))
-    own = [] if figures is None else _own_figures(folder, figures(solution, folder))
-    text = page(solution, verdict, files, own, motion=motion, command=command)
+    text = page(solution, verdict, files, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
     return [
         write_page(folder, text),
         summary,
         solution.save(folder / "solution.npz"),
         *files.values(),
-        *own,
     ]
 
 
@@ -114,16 +106,3 @@ def _figures(solution: Solution, verdict: Verdict | None, view: View | None) -> 
         yield "refinement", plot_refinement(solution.history)
     if verdict is not None:
         yield "verdict", plot_verdict(verdict)
-
-
-def _own_figures(folder: Path, result: Any) -> list[Path]:
-    """Save or list what a problem's own ``figures`` function returned."""
-    if result is None:
-        return []
-    if isinstance(result, dict):
-        return list(save_figures(folder, result.items()).values())
-    items = list(result) if isinstance(result, Iterable) and not isinstance(result, (str, Path)) else [result]
-    paths = [Path(item) for item in items if isinstance(item, (str, Path))]
-    drawn = [item for item in items if not isinstance(item, (str, Path))]
-    saved = save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))
-    return [*paths, *saved.values()]

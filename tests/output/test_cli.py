@@ -157,15 +157,6 @@ def test_quiet_says_nothing(cart: Path, tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.usefixtures("without_generic_figures")
-def test_figures_of_the_problem_file_are_drawn(cart: Path, tmp_path: Path) -> None:
-    cart.write_text(
-        CART + "\ndef figures(solution, directory):\n    (directory / 'own.txt').write_text('x')\n"
-    )
-    assert run("solve", cart, "--quiet", "--no-verify", "--report", tmp_path / "report") == 0
-    assert (tmp_path / "report" / "own.txt").exists()
-
-
-@pytest.mark.usefixtures("without_generic_figures")
 def test_the_view_of_the_problem_file_is_shown(
     cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,7 +7,6 @@ import re
 from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -240,15 +239,8 @@ def test_solve_shows_progress_on_standard_error(capsys: pytest.CaptureFixture[st
 
 
 def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
-    from testing.internals import new_figure
-
-    def figures(solution: go.Solution, directory: Path) -> list[Any]:
-        own = directory / "own.txt"
-        own.write_text(solution.problem_name)
-        return [own, new_figure(2.0)]
-
     folder = tmp_path / "deep" / "report"
-    paths = write_report(smeared, VERDICT, folder, figures=figures)
+    paths = write_report(smeared, VERDICT, folder)
     names = [path.name for path in paths]
     assert names == [
         "report.html",
@@ -259,8 +251,6 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
         "costates.svg",
         "hamiltonian.svg",
         "verdict.svg",
-        "own.txt",
-        "figure_1.svg",
     ]
     assert sorted(names) == sorted(path.name for path in folder.iterdir())
     assert all(path.stat().st_size > 0 for path in paths)

@@ -99,7 +99,7 @@ from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 from gnc_opt.planning.verification.verify_trajectory import _solution
 from gnc_opt.plot.refinement import _violation
 from gnc_opt.plot.scene import scene_html
-from gnc_opt.plot.style import name_text, new_figure, number_text, per_unit, unit_text
+from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
 from gnc_opt.plot.view import motion, span
 from gnc_opt.report.document import document
 from gnc_opt.report.formulas import Formulas, name_math, symbol_names
