@@ -38,6 +38,7 @@ RENAMED = {
     "gnc_opt.simulation.Hold": "gnc_opt.simulation.ZeroOrderHold",
     "gnc_opt.simulation.InnovationTest": "gnc_opt.analysis.InnovationTest",
     "gnc_opt.simulation.MinimumImpulse": "gnc_opt.simulation.Deadband",
+    "gnc_opt.simulation.NonNegativeAllocation": "gnc_opt.simulation.Allocation",
     "gnc_opt.simulation.Occurrence": "gnc_opt.simulation.EventOccurrence",
     "gnc_opt.simulation.Outage": "gnc_opt.simulation.SensorOutage",
     "gnc_opt.simulation.RandomHold": "gnc_opt.simulation.PiecewiseConstantNoise",

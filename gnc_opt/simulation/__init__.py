@@ -45,7 +45,7 @@ from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
-from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
+from gnc_opt.simulation.thrusters import ThrusterSet
 
 __all__ = [
     "Allocation",
@@ -67,7 +67,6 @@ __all__ = [
     "Lag",
     "Mixer",
     "Noise",
-    "NonNegativeAllocation",
     "Normal",
     "Outcome",
     "PiecewiseConstantNoise",

@@ -2,7 +2,8 @@ r"""Allocation: which of many actuators does how much; arrays of reaction wheels
 
 With the effects of the actuators in the columns of B, a command w requires outputs u with :math:`B u = w`.
 The pseudo-inverse gives the shortest u; "min-max" the smallest peak :math:`\max_i |u_i + \lambda n_i|`, B n =
-0, at a :math:`\lambda` that makes two components equal in size.
+0, at a :math:`\lambda` that makes two components equal in size; "non-negative" the sum of the outputs
+:math:`u \ge 0` of least sum for each component and sign, found by linear programming.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError, did_you_mean, shown
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
 
-Method: TypeAlias = Literal["pseudo-inverse", "min-max"]
+Method: TypeAlias = Literal["pseudo-inverse", "min-max", "non-negative"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]
 
 _SINGULAR = 1e-10
@@ -75,6 +76,29 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
     return np.where(np.abs(n) < _SINGULAR, 0.0, n)
 
 
+def cheapest_outputs(
+    matrix: ArrayLike, sign: float, failed: Sequence[int] = (), what: str = "the allocation"
+) -> Array:
+    """Return the outputs >= 0 (n, k) of least sum for a unit command of this sign along each component.
+
+    Raises
+    ------
+    DesignError
+        A component cannot be produced; the message names it.
+    """
+    effects = effect_matrix(matrix, failed, what)
+    columns = []
+    for i, unit in enumerate(sign * np.eye(effects.shape[0])):
+        found = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
+        if not found.success:
+            raise DesignError(
+                f"{what} cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} by pushing "
+                "alone: add thrusters, turn them, or command less."
+            )
+        columns.append(found.x)
+    return np.stack(columns, axis=1)
+
+
 def min_max_shift(u: Any, n: Array) -> Any:
     """Return the SX factor lambda for which the largest ``|u + lambda n|`` is smallest."""
     best, peak = ca.SX(0), ca.mmax(ca.fabs(u))
@@ -99,7 +123,9 @@ class Allocation(Block):
         Effects of n actuators on the k components of the command.
     to : str
         Name of the outputs, for the blocks that follow.
-    method : {"pseudo-inverse", "min-max"}
+    method : {"pseudo-inverse", "min-max", "non-negative"}
+        Least length, smallest peak, or outputs >= 0, for thrusters that only push: their sum is least for
+        commands along one component.
     failed : sequence of int
         Actuators known to be lost; they are not used.
     unit : str
@@ -129,9 +155,7 @@ class Allocation(Block):
                 f"'{self.name}' cannot allocate by {shown(self.method)}: "
                 f"{did_you_mean(str(self.method), get_args(Method))}"
             )
-        pseudo_inverse(self.matrix, self.failed, f"'{self.name}'")
-        if self.method == "min-max":
-            null_vector(self.matrix, self.failed, f"'{self.name}'")
+        self._allocated(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
     def memoryless(self) -> bool:
@@ -144,9 +168,17 @@ class Allocation(Block):
         check_rows(self.matrix, size, self.name)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        u = pseudo_inverse(self.matrix, self.failed) @ signal
-        n = null_vector(self.matrix, self.failed) if self.method == "min-max" else None
-        return Step(u if n is None else u + min_max_shift(u, n) * n, state)
+        return Step(self._allocated(signal), state)
+
+    def _allocated(self, signal: Any) -> Any:
+        about: tuple[Any, str] = self.failed, f"'{self.name}'"
+        if self.method == "non-negative":
+            plus, minus = (cheapest_outputs(self.matrix, sign, *about) for sign in (1.0, -1.0))
+            positive = ca.if_else(signal < 0, 0.0, signal)
+            return plus @ positive + minus @ (positive - signal)
+        u = pseudo_inverse(self.matrix, *about) @ signal
+        n = null_vector(self.matrix, *about) if self.method == "min-max" else None
+        return u if n is None else u + min_max_shift(u, n) * n
 
 
 @dataclass(frozen=True)

@@ -1,87 +1,15 @@
-"""Thrusters: they only push, so a command is distributed by non-negative thrusts.
-
-The cheapest thrusts of every unit command are found by linear programming and superposed.
-"""
+"""Thrusters fixed in a body: their effects, the block that allocates to them and the one that adds up what they do."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
-from gnc_opt.simulation.allocation import Mixer, check_rows, effect_matrix
-from gnc_opt.simulation.block import Block, Parameters, Step, Tick
-
-
-@dataclass(frozen=True)
-class NonNegativeAllocation(Block):
-    """Distributes a command over actuators that only push.
-
-    Each command is the sum of its positive and negative components; the outputs of least sum for each are
-    found by linear programming. The sum is least for commands along one component, and feasible for all.
-
-    Parameters
-    ----------
-    matrix : array (k, n)
-    to : str
-    unit : str
-
-    Raises
-    ------
-    DesignError
-        A component cannot be produced; the message names it.
-
-    Examples
-    --------
-    >>> block = NonNegativeAllocation("nozzles", [[1.0, -1.0]], to="thrusts", unit="m/s^2", on="a")
-    """
-
-    matrix: ArrayLike
-    to: str = "thrusts"
-    unit: str = ""
-    _plus: Array = field(init=False, repr=False, compare=False)
-    _minus: Array = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        matrix = effect_matrix(self.matrix, (), f"'{self.name}'")
-        for label, sign in (("_plus", 1.0), ("_minus", -1.0)):
-            columns = [self._cheapest(matrix, i, sign) for i in range(matrix.shape[0])]
-            object.__setattr__(self, label, np.stack(columns, axis=1))
-
-    def _cheapest(self, matrix: Array, i: int, sign: float) -> Array:
-        unit = np.zeros(matrix.shape[0])
-        unit[i] = sign
-        found = scipy.optimize.linprog(
-            np.ones(matrix.shape[1]), A_eq=matrix, b_eq=unit, bounds=(0, None), method="highs"
-        )
-        if not found.success:
-            raise DesignError(
-                f"'{self.name}' cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} by "
-                "pushing alone: add thrusters, turn them, or command less."
-            )
-        return np.asarray(found.x)
-
-    @property
-    def memoryless(self) -> bool:
-        return True
-
-    def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
-        return {self.to: (np.shape(self.matrix)[1], self.unit)}
-
-    def check(self, size: int, h: float, dt: float) -> None:
-        check_rows(self.matrix, size, self.name)
-
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        positive = ca.if_else(signal < 0, 0.0, signal)
-        return Step(self._plus @ positive + self._minus @ (positive - signal), state)
+from gnc_opt.simulation.allocation import Allocation, Mixer
 
 
 @dataclass(frozen=True)
@@ -130,11 +58,11 @@ class ThrusterSet:
 
     def allocation(
         self, name: str, *, force: str | None = None, torque: str | None = None, to: str = "thrusts"
-    ) -> NonNegativeAllocation:
+    ) -> Allocation:
         """Return the block that turns commanded force (N) and torque (N m) into thrusts >= 0 (N)."""
         rows = self._rows(force, torque)
         on = tuple(n for n in (force, torque) if n is not None)
-        return NonNegativeAllocation(name, self.effects[rows], to, unit="N", on=on)
+        return Allocation(name, self.effects[rows], to, "non-negative", unit="N", on=on)
 
     def mixer(
         self, name: str, *, force: str | None = None, torque: str | None = None, thrusts: str = "thrusts"

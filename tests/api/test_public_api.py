@@ -56,7 +56,7 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation UniformInBall Bias Block Campaign Choice ClosedLoop ConstantDisturbance Deadband Delay Disturbance
         FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag Mixer Noise
-        NonNegativeAllocation Normal EventOccurrence SensorOutage Outcome Pwm Pwpf Quantisation
+        Normal EventOccurrence SensorOutage Outcome Pwm Pwpf Quantisation
         Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Saturation
         ScaleFactor SchmittTrigger SinusoidalDisturbance RandomDirection ThrusterSet
         RandomRotation Uniform WheelArray

@@ -13,7 +13,6 @@ from gnc_opt.simulation import (
     ClosedLoop,
     ConstantDisturbance,
     Lag,
-    NonNegativeAllocation,
     PiecewiseConstantNoise,
     Quantity,
     WheelArray,
@@ -62,7 +61,6 @@ def test_units_that_differ_are_refused(flown, message):
     [
         lambda name: Allocation(name, np.eye(2)),
         lambda name: WheelArray(name, np.eye(3)),
-        lambda name: NonNegativeAllocation(name, [[1.0, -1.0]]),
         lambda name: ConstantDisturbance(name, 1.0, on="w"),
         lambda name: PiecewiseConstantNoise(name, 1.0, on="w"),
     ],
@@ -70,13 +68,6 @@ def test_units_that_differ_are_refused(flown, message):
 def test_blocks_that_check_more_check_their_names_too(make):
     with pytest.raises(ArgumentError, match="a block cannot be called"):
         make("plant")
-
-
-def test_allocations_are_equal_where_what_they_are_made_of_is():
-    matrix = ((1.0, -1.0, -2.0),)
-    assert NonNegativeAllocation("b", matrix) == NonNegativeAllocation("b", matrix)
-    assert NonNegativeAllocation("b", matrix) != NonNegativeAllocation("b", ((1.0, -1.0, -3.0),))
-    assert "_plus" not in repr(NonNegativeAllocation("b", matrix))
 
 
 @pytest.mark.parametrize(
