@@ -13,8 +13,7 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import percentile
 from gnc_opt.simulation.quantities import KEPT
-from gnc_opt.spacecraft.attitude import mrp_to_quaternion
-from gnc_opt.spacecraft.quaternion import quaternion_angle
+from gnc_opt.spacecraft.attitude import attitude_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +136,8 @@ class Measures:
         if kind == "error":
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
         if kind == "angle":
-            place, to_quaternion = self.layout("state").slice(subject), mrp_to_quaternion
-            attitudes = (runs.states[place], runs.target[place][:, None])
-            if attitudes[0].shape[0] == ATTITUDE[0]:
-                attitudes = (to_quaternion(attitudes[0]), to_quaternion(attitudes[1]))
-            return np.asarray(quaternion_angle(*attitudes))
+            place = self.layout("state").slice(subject)
+            return np.asarray(attitude_angle(runs.states[place], runs.target[place][:, None]))
         if kind == "time":
             return np.asarray(runs.event_times[self.layout("event").slice(subject)][0])
         if kind in KEPT:

@@ -19,8 +19,7 @@ from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.spacecraft.attitude import mrp_to_quaternion
-from gnc_opt.spacecraft.quaternion import quaternion_angle
+from gnc_opt.spacecraft.attitude import attitude_angle
 from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
@@ -33,18 +32,6 @@ def settling_time(times: Array, distance: Array, band: float) -> float:
         return 0.0
     last = int(outside[-1])
     return float("inf") if last == times.size - 1 else float(times[last + 1] - times[0])
-
-
-def rotation_angle(attitude: Array, reference: Array) -> float:
-    """Return the angle (rad, 0 to pi) between two attitudes: quaternions (4,) or modified Rodrigues parameters (3,)."""
-    if attitude.size not in (3, 4):
-        raise ArgumentError(
-            f"an attitude of {attitude.size} components is neither a quaternion nor modified Rodrigues parameters."
-        )
-    pair = (attitude, reference)
-    if attitude.size == 3:
-        pair = (mrp_to_quaternion(attitude), mrp_to_quaternion(reference))
-    return float(quaternion_angle(*(q / np.linalg.norm(q) for q in pair)))
 
 
 @dataclass(frozen=True)
@@ -238,7 +225,7 @@ class Run(Strict, Printed):
         self._need_errors()
         assert self.reference is not None
         place = self.followed.slice(name)
-        return rotation_angle(self.state(name).values[:, index], self.reference[place, index])
+        return float(attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
         """Return the time (s) until the norm of a state's error stays within the band, or infinity."""

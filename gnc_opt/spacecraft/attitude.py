@@ -31,12 +31,15 @@ H. Schaub, J. L. Junkins, Analytical Mechanics of Space Systems, AIAA, chapter 3
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.spacecraft.quaternion import quaternion_angle
 from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
 
 
@@ -188,3 +191,15 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
             f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero."
         )
     return np.asarray(direction / length * np.tan(angle / 4))
+
+
+def attitude_angle(attitude: Array, reference: Array) -> Any:
+    """Return the angle (rad, 0 to pi) between two attitudes: quaternions (4, ...) or MRP (3, ...); numeric."""
+    if len(attitude) not in (3, 4):
+        raise ArgumentError(
+            f"an attitude of {len(attitude)} components is neither a quaternion nor modified Rodrigues parameters."
+        )
+    pair = (attitude, reference)
+    if len(attitude) == 3:
+        pair = (mrp_to_quaternion(attitude), mrp_to_quaternion(reference))
+    return quaternion_angle(*(q / np.linalg.norm(q, axis=0) for q in pair))

@@ -116,6 +116,6 @@ from gnc_opt.simulation.intersample_input import Wave, stacked
 from gnc_opt.simulation.measures import envelope
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.quantities import SAMPLES, sample_steps
-from gnc_opt.simulation.run import Logged, rotation_angle, settling_time
+from gnc_opt.simulation.run import Logged, settling_time
 from gnc_opt.simulation.signals import Places, chain
 from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run
