@@ -49,7 +49,6 @@ def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
     Parameters
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
-        MRP of B relative to L.
 
     Examples
     --------
@@ -95,7 +94,7 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
 def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     r"""Return four times the MRP from the reference to sigma: the turn (rad) between them, to first order.
 
-    For `Model.difference`, by the short way round:
+    For `Model.difference`, by the short way round, with the same components in R and B and a length <= 4:
     .. math:: \delta\sigma = \frac{(1 - \sigma_r^2)\, \sigma - (1 - \sigma^2)\, \sigma_r + 2\, \sigma \times \sigma_r}
        {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r}
 
@@ -105,11 +104,6 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     ----------
     sigma, sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
         MRP of B and of the reference R relative to the same frame; either of the two sets.
-
-    Returns
-    -------
-    casadi (3, 1), array (3,) or (3, n_times)
-        Components the same in R and B; of length 4 tan(angle / 4) <= 4.
 
     Examples
     --------
@@ -154,7 +148,6 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
     Parameters
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
-        Modified Rodrigues parameters of B relative to L.
 
     Examples
     --------

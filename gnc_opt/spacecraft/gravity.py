@@ -46,7 +46,6 @@ def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
     Parameters
     ----------
     r : casadi (3, 1), array (3,) or (3, n_times)
-        Inertial position, m.
     mu : float or casadi scalar
         m^3/s^2.
 
@@ -65,7 +64,6 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
     Parameters
     ----------
     r : casadi (3, 1), array (3,) or (3, n_times)
-        Position, Z along the planet's axis, m.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
 

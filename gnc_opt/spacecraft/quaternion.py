@@ -17,8 +17,8 @@ turns about the axes of the *moving* frame compose from left to right: ``q_CA = 
 
 .. math:: \dot q_0 = -\tfrac12 q_v \cdot \omega, \qquad \dot q_v = \tfrac12 (q_0\, \omega + q_v \times \omega) .
 
-**Error** of q relative to a reference: :math:`\delta q = q_r^{-1} \otimes q`, with the same components in R
-and B; the sign is chosen so that :math:`\delta q_0 \ge 0`, the short way round.
+**Error** of q relative to a reference in the same frame: :math:`\delta q = q_r^{-1} \otimes q`, with the same
+components in R and B; the sign is chosen so that :math:`\delta q_0 \ge 0`, the short way round.
 
 Every function takes CasADi columns or arrays (n,) and (n, n_times), time last, unless it says "numeric".
 """
@@ -79,7 +79,6 @@ def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
     Parameters
     ----------
     q_BA : casadi (4, 1), array (4,) or (4, n_times)
-        Unit quaternion of B relative to A.
 
     Examples
     --------
@@ -124,7 +123,6 @@ def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
     Parameters
     ----------
     q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
-        Unit quaternions relative to the same frame.
 
     Examples
     --------
@@ -143,7 +141,6 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     Parameters
     ----------
     q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
-        Unit quaternions relative to the same frame.
 
     Examples
     --------
@@ -187,7 +184,6 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     Parameters
     ----------
     q, q_ref : array (4,) or (4, n_times)
-        Unit quaternions relative to the same frame.
 
     Examples
     --------
