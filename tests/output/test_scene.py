@@ -43,9 +43,9 @@ def turning(force):
     """A body that turns about z while its own thrust carries it along."""
     model = go.Model("turning body")
     r, v, sigma = model.state("r", 3, unit="m"), model.state("v", 3, unit="m/s"), model.state("sigma", 3)
-    F = model.control("F", 2, unit="N")
+    F = model.control("F", 3, unit="N")
     c, s = ca.cos(RATE * model.time), ca.sin(RATE * model.time)
-    force_L = ca.vertcat(c * F[0] - s * F[1], s * F[0] + c * F[1], 0)
+    force_L = ca.vertcat(c * F[0] - s * F[1], s * F[0] + c * F[1], F[2])
     model.ode({r: v, v: force_L, sigma: mrp_rate(sigma, ca.vertcat(0, 0, RATE))})
     problem, leg = one_phase("a turn", model, initial=0.0, final=2.0, name="turn")
     leg.initial(r=0.0, v=0.0, sigma=0.0)
@@ -56,7 +56,7 @@ def turning(force):
 
 @pytest.fixture(scope="module")
 def solution():
-    return go.solve(turning([2, -1]), mesh="6x4", tol=None)
+    return go.solve(turning([2, -1, 0]), mesh="6x4", tol=None)
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ POINTS = """(name => {
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 @pytest.mark.slow
 def test_what_a_browser_shows(solution, tmp_path):
-    shown = {"first": solution, "back": go.solve(turning([-2, 1]), mesh="6x4", tol=None)}
+    shown = {"first": solution, "back": go.solve(turning([-2, 1, 0]), mesh="6x4", tol=None)}
     page = tmp_path / "scene.html"
     shown |= {f"run {i}": solution for i in range(9)}
     page.write_text(document("turns", "", {"Motion": scene_html(shown, VIEW)}), encoding="utf-8")
