@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
 from testing.internals import document, scene_html
+from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import View
