@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.arc_warm_start import (
     first_meshes,
 )
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.engine import StructureChoice, refine, refined
+from gnc_opt.planning.refinement.engine import StructureChoice, refine, refine_by_stages
 from gnc_opt.planning.refinement.stages import Stages
 from gnc_opt.planning.refinement.switching.warm_start import KnownFlight, on_the_way
 from gnc_opt.planning.solution.history import RefinementStatus
@@ -284,7 +284,7 @@ def solve(
     stages = Stages(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
-    final = refined(solution, stages, structure)
+    final = refine_by_stages(solution, stages, structure)
     return final if guess is None else said(final, SolveMethod.WARM)
 
 

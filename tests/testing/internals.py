@@ -61,7 +61,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     FIRST_DEGREE,
     Plan,
     Resolution,
-    points_of,
+    uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.detection import detect
 from gnc_opt.planning.refinement.arcs.loop import optimise_switches

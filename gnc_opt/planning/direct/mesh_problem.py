@@ -75,7 +75,7 @@ class Attempt:
         """
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
-        suited = _suited(options, transcription)
+        suited = _with_careful_pivoting(options, transcription)
         reused = repr(suited) in transcription.built
         solver = _solver(transcription, suited)
         start = program_start(transcription, problem, guess)
@@ -157,7 +157,7 @@ class Attempt:
         )
 
 
-def _suited(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _with_careful_pivoting(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:

@@ -34,14 +34,14 @@ NULL_RESIDUAL = 1e-10
 """A null vector's largest residual, in shares of its largest component."""
 
 
-def least_multipliers(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
+def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
     """Return a result without what dependent equality constraints leave open in its multipliers."""
     largest = np.max(np.abs(result.lam_g), initial=0.0)
     if not LARGE_MULTIPLIER < largest < np.inf:
         return result
     rows, fixed = point.lbg == point.ubg, point.lbx == point.ubx
     jacobian = as_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    r = _null_part(jacobian[:, ~fixed], result.lam_g[rows])
+    r = _null_space_part(jacobian[:, ~fixed], result.lam_g[rows])
     left = jacobian.T @ r
     if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(
         np.abs(left[~fixed])
@@ -53,7 +53,7 @@ def least_multipliers(transcription: Transcription, point: NlpPoint, result: Nlp
     return replace(result, lam_g=lam_g, lam_x=lam_x)
 
 
-def _null_part(matrix: scipy.sparse.csc_array, values: Array) -> Array:
+def _null_space_part(matrix: scipy.sparse.csc_array, values: Array) -> Array:
     """Return the part of ``values`` (m,) that no combination of the columns of a matrix (m, n) has."""
     m, n = matrix.shape
     system = scipy.sparse.block_array(

@@ -31,7 +31,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.direct.mesh_problem import Attempt
-from gnc_opt.planning.direct.minimum_norm_multipliers import least_multipliers
+from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
 from gnc_opt.planning.nlp.monitor import ProgressCallback
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
@@ -220,7 +220,7 @@ class _Task:
         if allowance.spent and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
-            result = least_multipliers(attempt.transcription, point, result)
+            result = minimum_norm_multipliers(attempt.transcription, point, result)
         found = attempt.solution(result)
         return replace(found, statistics=found.statistics.after(after.statistics)) if after else found
 
@@ -303,9 +303,9 @@ def _solve_from_lines(
         solver.solve(point, "adaptive", callback=_Patience(show, ADAPTIVE_MAX_ITERATIONS), deadline=deadline),
     ]
     if not spent[-1].status.solved:
-        spent += _from_flight(attempt, show, deadline)
+        spent += _from_simulation(attempt, show, deadline)
     if not spent[-1].status.solved:
-        spent += _from_held_times(attempt, show, deadline)
+        spent += _from_feasible_point(attempt, show, deadline)
     if not spent[-1].status.solved:
         spent.append(_solve_point(solver, point, show, deadline))
     return spent[-1].with_effort(spent)
@@ -346,7 +346,7 @@ class _Patience:
         return self.lost or spent
 
 
-def _from_flight(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
+def _from_simulation(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
     """Yield what comes of a start from a flight, if one can be made and there is time."""
     flown = with_flown_guess(attempt.problem) if time.perf_counter() < deadline else None
     if flown is not None:
@@ -354,7 +354,7 @@ def _from_flight(attempt: Attempt, show: ProgressCallback, deadline: float) -> I
         yield attempt.solver.solve(attempt.point(start), callback=_Patience(show), deadline=deadline)
 
 
-def _from_held_times(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
+def _from_feasible_point(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
     """Yield results: constraints first, at the guessed times; from there the cost, times free."""
     solver, held = attempt.solver, _free_times(attempt.transcription)
     if not held.size or time.perf_counter() > deadline:

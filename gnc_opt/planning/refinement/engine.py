@@ -83,17 +83,17 @@ def refine(
     _check(solution)
     budget = WorkBudget.of(limits)
     stages = Stages(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
-    return refined(solution, stages, structure)
+    return refine_by_stages(solution, stages, structure)
 
 
-def refined(solution: Solution, stages: Stages, structure: StructureChoice) -> Solution:
+def refine_by_stages(solution: Solution, stages: Stages, structure: StructureChoice) -> Solution:
     """Return the answer to which the stages lead from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
     try:
-        solution = _released(solution, stages)
+        solution = _without_fixed_arcs(solution, stages)
     except KeyboardInterrupt:
         return stages.interrupted(solution)
     stages.problem = solution.need_problem("refine")
@@ -110,7 +110,7 @@ def _check(solution: Solution) -> None:
         )
 
 
-def _released(solution: Solution, stages: Stages) -> Solution:
+def _without_fixed_arcs(solution: Solution, stages: Stages) -> Solution:
     """Return the solution of the problem that holds no arcs: those are told segment by segment of one mesh.
 
     What is best with them need not be without: it is solved anew, on the mesh as it was found.

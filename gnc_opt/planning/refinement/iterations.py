@@ -121,7 +121,7 @@ def pass_meter(
     return refinement_meter(name, tol)
 
 
-def crawls(errors: Sequence[float], tol: float) -> bool:
+def converges_too_slowly(errors: Sequence[float], tol: float) -> bool:
     """Whether the error falls too slowly, as in the last passes, to reach the tolerance.
 
     Parameters

@@ -20,11 +20,11 @@ from gnc_opt.planning.verification.control_conditions import least_controls
 
 def with_least_controls(solution: Solution) -> Solution:
     """Return a solution with the controls that minimise H along its states and costates, as a guess."""
-    phases = {name: _moved(s) for name, s in solution.samples().items()}
+    phases = {name: _with_controls_of_least_h(s) for name, s in solution.samples().items()}
     return replace(solution, phases=phases)
 
 
-def _moved(s: PhaseSamples) -> PhaseSolution:
+def _with_controls_of_least_h(s: PhaseSamples) -> PhaseSolution:
     if not s.leg.controls.size:
         return s.leg
     times, controls = least_controls(s)

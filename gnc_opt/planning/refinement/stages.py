@@ -115,12 +115,12 @@ class Stages:
     def run(self, first: Solution) -> Solution:
         """Return the answer, from a solution on a first mesh."""
         self.budget.charge(first)
-        return self._collect(first, self._stages(first))
+        return self._collect(first, self._all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the answer by hp refinement alone, from a solution on a mesh."""
         self._add(Candidate.of_solve(first, self.tol, self.begin, "first"))
-        return self._collect(first, self._by_mesh(first, 1.0))
+        return self._collect(first, self._refine_mesh(first, 1.0))
 
     def with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the answer with the arcs that a solution shows.
@@ -136,7 +136,7 @@ class Stages:
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._collect(first, self._by_arcs(first, found, "first", share=1.0))
+        return self._collect(first, self._solve_arc_program(first, found, "first", share=1.0))
 
     def interrupted(self, first: Solution) -> Solution:
         """Return a solution as the answer of a search that Ctrl-C ended before it began."""
@@ -170,11 +170,11 @@ class Stages:
         status = candidate.history.status
         if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
             return RefinementStatus.INTERRUPTED
-        if self._settles(candidate):
+        if self._is_final(candidate):
             return RefinementStatus.CONVERGED
         return RefinementStatus.BUDGET_LIMIT if self.budget.left <= 0 else None
 
-    def _settles(self, candidate: Candidate) -> bool:
+    def _is_final(self, candidate: Candidate) -> bool:
         if not candidate.solved:
             return False
         if not self.check:
@@ -183,8 +183,8 @@ class Stages:
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
 
-    def _stages(self, first: Solution) -> Iterator[Candidate]:
-        yield from self._first(first)
+    def _all_stages(self, first: Solution) -> Iterator[Candidate]:
+        yield from self._first_stage(first)
         for stage, solve in (("least H", self._from_least_controls), ("barrier", self._by_other_barrier)):
             other = solve(first, stage)
             if other is not None:
@@ -192,10 +192,10 @@ class Stages:
                 known = self._mesh_candidate(first)
                 if other.is_lower(known):
                     first = other.solution
-                    yield from self._first(first, stage)
-        middle = yield from self._middle(first)
+                    yield from self._first_stage(first, stage)
+        middle = yield from self._middle_stage(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._by_arcs(middle, structures_of(middle), "60, arcs")
+            yield from self._solve_arc_program(middle, structures_of(middle), "60, arcs")
         fine = self._solve("200", self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
         yield fine
         if fine.solved:
@@ -204,22 +204,22 @@ class Stages:
                 yield again
                 fine = again if again.is_lower(fine) else fine
             for sharp in (False, True):
-                yield from self._by_arcs(
+                yield from self._solve_arc_program(
                     fine.solution, structures_of(fine.solution, sharp=sharp), "200, arcs"
                 )
-        yield from self._last()
+        yield from self._last_stage()
 
-    def _first(self, first: Solution, stage: str = "first") -> Iterator[Candidate]:
+    def _first_stage(self, first: Solution, stage: str = "first") -> Iterator[Candidate]:
         candidate, found = Candidate.of_solve(first, self.tol, self.begin, stage), structures_of(first)
         arcs = _has_arcs(first, found, at_least=1)
         if arcs:
-            yield from self._by_arcs(first, found, f"{stage}, arcs")
+            yield from self._solve_arc_program(first, found, f"{stage}, arcs")
         if stage == "first":
             yield candidate
         if not arcs or candidate.within(self.tol):
-            yield from self._by_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, hp")
+            yield from self._refine_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, hp")
 
-    def _middle(self, first: Solution) -> Generator[Candidate, None, Solution]:
+    def _middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield what the middle stage finds; the generator returns the solution to go on with."""
         meshes = self._meshes(MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS, first)
         found = self._solve("60", meshes, first)
@@ -233,17 +233,17 @@ class Stages:
                 found = second
         return found.solution if found.solved else first
 
-    def _last(self) -> Iterator[Candidate]:
+    def _last_stage(self) -> Iterator[Candidate]:
         """Refine the best mesh, and try its arcs; then further where only the check is open."""
         meshes = [c for c in self.candidates if c.solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.rank(self.tol))
-        found = yield from self._by_mesh(start.solution, 1.0)
+        found = yield from self._refine_mesh(start.solution, 1.0)
         arcs = structures_of(found.solution)
-        yield from self._by_arcs(found.solution, arcs, "hp, arcs", segments="kept")
+        yield from self._solve_arc_program(found.solution, arcs, "hp, arcs", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.error <= self.tol or not found.is_nearly_optimal:
                 return
-            finer = yield from self._by_mesh(found.solution, 1.0, "hp", share * self.tol)
+            finer = yield from self._refine_mesh(found.solution, 1.0, "hp", share * self.tol)
             if not finer.estimate <= 0.5 * found.estimate:
                 return
             found = finer
@@ -313,7 +313,7 @@ class Stages:
         most = RESTART_MAX_ITERATIONS + start.statistics.iterations
         return self._solve(stage, meshes, None, iterations=most, options=other)
 
-    def _by_mesh(
+    def _refine_mesh(
         self, start: Solution, share: float, stage: str = "hp", tol: float | None = None
     ) -> Generator[Candidate, None, Candidate]:
         """Yield what hp refinement leads to; the generator returns it, too."""
@@ -331,7 +331,7 @@ class Stages:
         yield candidate
         return candidate
 
-    def _by_arcs(
+    def _solve_arc_program(
         self,
         start: Solution,
         found: Mapping[str, PhaseStructure],
@@ -340,7 +340,7 @@ class Stages:
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield what a program with arcs leads to, if it is promising."""
-        if not self._is_new(start, found) and share < 1.0:
+        if not self._is_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
             tolerance=ARC_SOLVE_TOLERANCE, max_iterations=PROGRAM_MAX_ITERATIONS
@@ -358,7 +358,7 @@ class Stages:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _is_new(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    def _is_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Whether arcs are there, few enough, not tried before, and programs have had solutions so far."""
         if not _has_arcs(start, found, at_least=1):
             return False

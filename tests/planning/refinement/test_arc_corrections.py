@@ -21,7 +21,12 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.refinement.arcs.contact_cleanup import without_overlaps
 from gnc_opt.planning.refinement.arcs.loop import structures_of
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
-from gnc_opt.planning.refinement.arcs.split_switches import FREE_SPAN, FREE_SPAN_POINTS, _Cuts, shared
+from gnc_opt.planning.refinement.arcs.split_switches import (
+    FREE_SPAN,
+    FREE_SPAN_POINTS,
+    _Cuts,
+    shared_boundaries,
+)
 from gnc_opt.planning.refinement.arcs.vector_arcs import product_vectors
 from gnc_opt.planning.transcription.arc_constraints import controls_beside
 
@@ -202,8 +207,8 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
         (LOW, UP, FREE, FREE),
     )
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
-    assert shared(near) == (1,)
-    assert shared(near.at((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+    assert shared_boundaries(near) == (1,)
+    assert shared_boundaries(near.at((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
 
 def test_instants_are_free_for_what_changes() -> None:

@@ -512,14 +512,14 @@ def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
     """At 2 s the costate of h falls by 2: an upper limit pushes, a lower one would pull."""
     here = constraints(falling, steady, jumping, state_bounds=interval([4, -9], [4.5, 9]))
     base = PhaseStructure((0.0, 4.0), ((FREE, FREE, FREE, FREE),), (), 1, 1, (0, 0, 2, 0))
-    assert c.wrong_touch(here, base.with_touch(2, 2.0, UP)) is None
-    assert c.wrong_touch(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
-    assert c.wrong_touch(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
+    assert c.touch_of_wrong_sign(here, base.with_touch(2, 2.0, UP)) is None
+    assert c.touch_of_wrong_sign(here, base.with_touch(2, 2.0, LOW)) == (1, 2)
+    assert c.touch_of_wrong_sign(here, base.with_touch(2, 1.0, LOW)) is None  # nothing jumps there
     both = base.with_touch(2, 1.0, LOW).with_touch(2, 2.0, LOW)
-    assert c.wrong_touch(here, both) == (2, 2) and c.wrong_touch(here, base) is None
+    assert c.touch_of_wrong_sign(here, both) == (2, 2) and c.touch_of_wrong_sign(here, base) is None
     path = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 2, 0, 0))
-    assert c.wrong_touch(here, path.with_touch(1, 2.0, UP)) is None
-    assert c.wrong_touch(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
+    assert c.touch_of_wrong_sign(here, path.with_touch(1, 2.0, UP)) is None
+    assert c.touch_of_wrong_sign(here, path.with_touch(1, 2.0, LOW)) == (1, 1)
 
 
 @dataclass(frozen=True)

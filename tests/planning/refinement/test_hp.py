@@ -14,8 +14,8 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.error import COSTATE_ERROR_WEIGHT, costate_residual, largest_error
-from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, crawls
-from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _closed_in
+from gnc_opt.planning.refinement.iterations import CONVERGENCE_WINDOW, converges_too_slowly
+from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _onset_interval
 from gnc_opt.planning.refinement.mesh.remesh import UNRESOLVED_ERROR
 from gnc_opt.planning.solution.samples import PhaseSamples
 
@@ -295,7 +295,7 @@ def test_work_limit() -> None:
 def test_an_error_that_falls_too_slowly_is_told_from_one_that_gets_there(
     errors: list[float], crawling: bool
 ) -> None:
-    assert crawls(errors, 1e-8) is crawling
+    assert converges_too_slowly(errors, 1e-8) is crawling
 
 
 def test_interruption_keeps_the_best_solution() -> None:
@@ -344,7 +344,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
     times, pull = np.arange(4.0), np.array(row)
     zero = float(np.interp(0.0, pull, times))
     for duration in (1e1, 1e3):
-        start, end = _closed_in(times, pull, 1, duration)
+        start, end = _onset_interval(times, pull, 1, duration)
         assert 0.5 * (start + end) == pytest.approx(zero) and times[1] <= start < end <= times[at + 1]
     assert end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER * (np.diff(times[pull != 0][1:3])[0]) ** 2 / 1e3
@@ -355,7 +355,7 @@ def test_multipliers_point_at_a_jump_between_two_limits(row: tuple[float, ...], 
 def test_multipliers_point_at_the_end_of_an_arc(side: int) -> None:
     """From 3 over 1 down to zero in the gap from 1 to 2: at 1.5; and the same way round in reverse."""
     times, pull = np.arange(4.0), np.array([3.0, 1.0, 0.0, 0.0])[::side]
-    start, end = _closed_in(times, pull, 1, 1e3)
+    start, end = _onset_interval(times, pull, 1, 1e3)
     assert 0.5 * (start + end) == pytest.approx(1.5) and end - start == pytest.approx(
         2 * KINK_ESTIMATE_ORDER / 1e3
     )
@@ -365,8 +365,8 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
     """Multipliers of constraints on states end with impulses; single ones point nowhere."""
     times = np.arange(4.0)
     for row in ((1.0, 1.0, 0.0, 0.0), (1.0, 3.0, 0.0, 0.0), (9.0, 8.0, 0.0, 0.0)):
-        assert _closed_in(times, np.array(row), 1, 1e3) == (1.0, 2.0)
-    assert _closed_in(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
+        assert _onset_interval(times, np.array(row), 1, 1e3) == (1.0, 2.0)
+    assert _onset_interval(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
 
 
 def test_a_limit_on_a_path_is_left_at_a_boundary() -> None:

@@ -28,10 +28,10 @@ from gnc_opt.planning.refinement.switching.flight import _interpolated
 from gnc_opt.planning.refinement.switching.newton import settle, settle_flow
 from gnc_opt.planning.refinement.switching.step import (
     SwitchStep,
-    chord_step,
     independent,
     model_minimum,
     newton_step,
+    simplified_newton_step,
 )
 from problems.rendezvous import SWITCHES, build
 
@@ -187,7 +187,7 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
-    monkeypatch.setattr(switching, "_settled", lambda *_: (guess, {"leg": Plan.of(nowhere)}, None))
+    monkeypatch.setattr(switching, "_newton_start", lambda *_: (guess, {"leg": Plan.of(nowhere)}, None))
     found, history = switching.optimise_switches(cart)
     assert history.converged and not history.passes[0].solved
     assert found.objective == pytest.approx(4.0, abs=1e-9)
@@ -302,12 +302,12 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
     stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
     own = newton_step(problem, stated, at) or pytest.fail("no step")
-    again = chord_step(problem, stated, at, own) or pytest.fail("no step")
+    again = simplified_newton_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
     assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
     # Twice: the second one begins with the multipliers of the first one.
     moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
-    twice = chord_step(problem, stated, moved, again) or pytest.fail("no step")
+    twice = simplified_newton_step(problem, stated, moved, again) or pytest.fail("no step")
     newer = newton_step(problem, stated, moved) or pytest.fail("no step")
     assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))
 
@@ -416,7 +416,7 @@ def test_arcs_are_added_as_long_as_they_lead_anywhere(
     left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
     monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
     monkeypatch.setattr(n, "_with_arc", lambda there, *_: there)
-    monkeypatch.setattr(n, "_at_rest", lambda *_: left.pop(0))
+    monkeypatch.setattr(n, "_converged_flight", lambda *_: left.pop(0))
     found = n._optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
     assert (found and found.switches.times.tolist()) == (last and [last]) and not left
 
@@ -630,15 +630,15 @@ def test_it_starts_where_its_problem_says() -> None:
     """The whole trajectory moves there, but in what is not given."""
     t = np.linspace(0.0, 1.0, 5)
     box = interval([0.25, -np.inf], [0.25, np.inf])
-    moved = v._begun(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
+    moved = v._with_moved_start(replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)}))
     assert moved is not None
     assert moved.phase().x(t) == pytest.approx(KNOWN.phase().x(t) + np.array([[0.25], [0.0]]))
     for end in ("initial_time", "final_time"):
         other = interval(getattr(KNOWN.phase(), end) + 0.1, getattr(KNOWN.phase(), end) + 0.1)
         leg = replace(KNOWN.phase(), **{f"{end}_bounds": other})
-        assert v._begun(replace(KNOWN, phases={"leg": leg})) is None
+        assert v._with_moved_start(replace(KNOWN, phases={"leg": leg})) is None
         free = replace(KNOWN.phase(), **{f"{end}_bounds": interval(-9.0, 9.0)})
-        assert v._begun(replace(KNOWN, phases={"leg": free})) is not None
+        assert v._with_moved_start(replace(KNOWN, phases={"leg": free})) is not None
 
 
 @pytest.mark.parametrize(

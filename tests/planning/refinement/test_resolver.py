@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from testing.internals import PassLimits, Plan, optimise_switches, points_of, solve_mesh
+from testing.internals import PassLimits, Plan, optimise_switches, solve_mesh, uniform_points
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -318,7 +318,7 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
     assert known.mesh().degrees == leg.mesh.degrees
     far = found.at((first, *(t + 0.05 * leg.duration for t in inner), last))
-    assert Plan.refined(far, leg.mesh) == Plan.of(far, points_of(leg.mesh))
+    assert Plan.refined(far, leg.mesh) == Plan.of(far, uniform_points(leg.mesh))
 
 
 @pytest.mark.parametrize("cost", ["time", "effort"])

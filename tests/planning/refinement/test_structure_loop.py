@@ -448,13 +448,15 @@ def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
     violation[0, np.argmin(np.abs(found.times - at))] = 2e-4
     problem: Any = None
     monkeypatch.setattr(m, "chatters", lambda *_: False)
-    assert m._chatter(found, structure, violation, problem) == answer
+    assert m._chattering_bangs(found, structure, violation, problem) == answer
     assert (
-        m._chatter(found, structure, m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN / 4e-4 * violation, problem)
+        m._chattering_bangs(
+            found, structure, m.SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN / 4e-4 * violation, problem
+        )
         is None
     )
     monkeypatch.setattr(m, "chatters", lambda *_: True)
-    assert m._chatter(found, structure, violation, problem) is None
+    assert m._chattering_bangs(found, structure, violation, problem) is None
 
 
 # --- resolution -------------------------------------------------------------------------------------------
@@ -508,7 +510,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
 
         monkeypatch.setattr(s, "_solve", solve)
         monkeypatch.setattr(s, "pass_meter", lambda *_: nullcontext(shown.append))
-        monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
+        monkeypatch.setattr(s, "_plan_at_solution", lambda plan, found, name: plan)
         monkeypatch.setattr(s, "improve", lambda found, plans, swapped, tol: (plans, now["action"]))
         found, history = s.optimise_switches(base, **more)
         assert shown == list(history.passes)
@@ -550,7 +552,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
         calls.append((guess, plans, loop.aim, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
-    monkeypatch.setattr(s, "_settled", lambda *_: (other, told, None))
+    monkeypatch.setattr(s, "_newton_start", lambda *_: (other, told, None))
     monkeypatch.setattr(s._Loop, "run", run)
     limits = PassLimits(7)
     found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
@@ -560,7 +562,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
         (False, True, asked, 7, s.ARC_SOLVE_TOLERANCE),
     ]
     assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
-    monkeypatch.setattr(s, "_settled", lambda *_: (base, told, None))
+    monkeypatch.setattr(s, "_newton_start", lambda *_: (base, told, None))
     calls.clear()
     s.optimise_switches(base, structures={"leg": TWO_ROWS})
     assert len(calls) == 1  # the same guess would fail again
@@ -570,7 +572,7 @@ def test_plans_follow_the_switch_times_of_their_solution() -> None:
     plan = Plan(THREE, (Resolution(1), Resolution(2), Resolution(1)))
     leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
     there: Any = SimpleNamespace(phases={"leg": leg})
-    assert s._at_solution(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
+    assert s._plan_at_solution(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
 
 
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:

@@ -14,7 +14,7 @@ from testing.internals import SCHEMES, Attempt, Scheme, transcribe
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.direct.minimum_norm_multipliers import least_multipliers
+from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt as saddle
 from gnc_opt.planning.optimality.kkt import FREE, SaddlePoint
 from gnc_opt.planning.optimality.program_point import (
@@ -306,7 +306,7 @@ def test_what_is_not_determined_is_as_small_as_can_be(drift: float) -> None:
     null = np.linalg.svd(jacobian[:, ~fixed].T)[2][-1]  # |q| = 1 is kept by itself
     np.testing.assert_allclose(jacobian[:, ~fixed].T @ null, 0.0, atol=1e-12)
     lam_x = result.lam_x - drift * np.where(fixed, jacobian.T @ null, 0.0)
-    found = least_multipliers(
+    found = minimum_norm_multipliers(
         transcription, point, replace(result, lam_g=result.lam_g + drift * null, lam_x=lam_x)
     )
     least = result.lam_g - null * (null @ result.lam_g)
@@ -320,10 +320,10 @@ def test_what_is_not_determined_is_as_small_as_can_be(drift: float) -> None:
 def test_large_multipliers_that_are_determined_stay() -> None:
     transcription, point, result, _ = solved(1)
     large = replace(result, lam_g=1e6 * result.lam_g, lam_x=1e6 * result.lam_x)
-    assert least_multipliers(transcription, point, large) is large
+    assert minimum_norm_multipliers(transcription, point, large) is large
 
 
 def test_small_ones_are_left_alone() -> None:
     transcription, point, result, _ = solved(2)
     assert np.max(np.abs(result.lam_g)) < 1e2
-    assert least_multipliers(transcription, point, result) is result
+    assert minimum_norm_multipliers(transcription, point, result) is result

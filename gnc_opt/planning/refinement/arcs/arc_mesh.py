@@ -112,9 +112,9 @@ class Resolution:
             if self.smooth
             else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / DECADES_PER_HALVING)
         )
-        return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
+        return self._with_cut_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
-    def _cut(self, parts: Indices, order: Indices) -> Resolution:
+    def _with_cut_segments(self, parts: Indices, order: Indices) -> Resolution:
         """Return the resolution with every segment cut in equal parts, in this order up to `ARC_MAX_SEGMENTS`."""
         allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
         for k in order:
@@ -182,7 +182,7 @@ class Plan:
     @classmethod
     def refined(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
         """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
-        found, times = cls.of(structure, points_of(mesh)), np.asarray(structure.times)
+        found, times = cls.of(structure, uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > ARC_END_MAX_OFFSET_SHARE:
@@ -194,7 +194,7 @@ class Plan:
         return replace(
             found,
             structure=structure.at(tuple(map(float, moved))),
-            resolutions=tuple(_refined(mesh, *piece, first) for piece, first in pieces),
+            resolutions=tuple(_resolution_of_mesh(mesh, *piece, first) for piece, first in pieces),
         )
 
     def restructured(self, structure: PhaseStructure) -> Plan:
@@ -206,10 +206,10 @@ class Plan:
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
-        kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
+        kept = tuple(self._with_known_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
         plan = replace(plan, resolutions=kept)
         if structure.bends and structure.pieces > self.structure.pieces:
-            finer = tuple(self._as_fine_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
+            finer = tuple(self._with_known_segments(structure, k, r) for k, r in enumerate(plan.resolutions))
             return replace(plan, resolutions=finer)
         return plan
 
@@ -219,10 +219,12 @@ class Plan:
         They are fine enough already, and what the arc changes in them is small.
         """
         plan = self.restructured(structure)
-        kept = tuple(self._of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions))
+        kept = tuple(
+            self._resolution_of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions)
+        )
         return replace(plan, resolutions=kept)
 
-    def _of_same_piece(self, structure: PhaseStructure, piece: int) -> Resolution | None:
+    def _resolution_of_same_piece(self, structure: PhaseStructure, piece: int) -> Resolution | None:
         """The resolution of the piece of this plan that does the same at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
@@ -233,7 +235,7 @@ class Plan:
                 return self.resolutions[k]
         return None
 
-    def _as_fine_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+    def _with_known_segments(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of a piece of another structure with the segments that this plan has in its place."""
         times, (left, right) = np.asarray(self.structure.times), structure.times[piece : piece + 2]
         shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
@@ -243,7 +245,7 @@ class Plan:
         finer = replace(first, degree=degree)
         return finer if wanted <= first.segments else replace(finer, segments=wanted, edges=())
 
-    def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+    def _with_known_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
         now = [
             r
@@ -290,22 +292,22 @@ class Plan:
         paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
         kinds = np.vstack([controls, paths, structure.states])[:, segments]
         free = kinds == ArcKind.INTERIOR
-        kinds = choose(free & self._released(), ArcKind.RELEASED, kinds)
+        kinds = choose(free & self._released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
             arcs=kinds[:n_controls],
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
-            smooth=self._smooth(),
+            smooth=self._control_polynomials(),
             junctions=(
                 *self._junctions(),
                 *self._ends_of_segments(problem, phase),
-                *self._starts(problem, phase),
+                *self._start_conditions(problem, phase),
             ),
         )
 
-    def _released(self) -> Mask:
+    def _released_rows(self) -> Mask:
         """Return where rows may leave their limits, if they are on none of them, (n_rows, K)."""
         structure = self.structure
         beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
@@ -353,13 +355,15 @@ class Plan:
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.holders[row] if not kinds[i].at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _move_apart(problem.phases[phase].model, free):
+                if 0 < len(singular) < len(free) and _move_states_independently(
+                    problem.phases[phase].model, free
+                ):
                     last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
                     ends = range(self.piece_ends[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
         return tuple(found)
 
-    def _starts(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+    def _start_conditions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
         leg, n_controls = problem.phases[phase], len(self.structure.controls)
         free, found = ~leg.numbers.initial.fixed, []
@@ -372,7 +376,7 @@ class Plan:
                     found.append(Junction(row, 0, kind, 1))
         return tuple(found)
 
-    def _smooth(self) -> tuple[Smooth, ...]:
+    def _control_polynomials(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
         found, ends = [], self.piece_ends
         for i, row in enumerate(self.structure.controls):
@@ -387,18 +391,18 @@ class Plan:
         return tuple(found)
 
 
-def _move_apart(model: Model, controls: list[int]) -> bool:
+def _move_states_independently(model: Model, controls: list[int]) -> bool:
     """Whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)
 
 
-def points_of(mesh: Mesh) -> float:
+def uniform_points(mesh: Mesh) -> float:
     """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _refined(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
+def _resolution_of_mesh(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
     """The segments of a mesh from one break to another, with as smooth a control as they have points for."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])

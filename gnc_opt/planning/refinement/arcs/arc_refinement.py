@@ -34,7 +34,9 @@ def finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     by_piece = np.split(per_segment, plan.piece_ends[1:-1])
     wanted = tuple(
         next_resolution(r, errors, gradient, tol)
-        for r, errors, gradient in zip(plan.resolutions, by_piece, open_gradient(samples, plan), strict=True)
+        for r, errors, gradient in zip(
+            plan.resolutions, by_piece, singular_gradient(samples, plan), strict=True
+        )
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
@@ -63,7 +65,7 @@ def next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -
     return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
-def open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
+def singular_gradient(samples: PhaseSamples, plan: Plan) -> Array:
     """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
     kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale

@@ -31,29 +31,29 @@ CONSTRAINT_RATE_MIN_SHARE = 0.05
 """So much of what the range of a control does to a constraint is more than the noise of a mesh."""
 
 
-def without_ringing(
+def without_oscillation_arcs(
     structure: PhaseStructure, constraints: StateConstraints, segments: float
 ) -> PhaseStructure:
     """Return the structure without arcs shorter than some segments of the mesh that no trajectory has."""
-    short = _short(structure, constraints, segments)
+    short = _short_pieces(structure, constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
-            if _left_idle(structure, piece, arc):
-                return without_ringing(_of_arc(structure, piece, arc), constraints, segments)
+            if _is_left_without_bang(structure, piece, arc):
+                return without_oscillation_arcs(_joined_to_arc(structure, piece, arc), constraints, segments)
         if _back_and_forth(structure, piece):
-            return without_ringing(structure.without(piece), constraints, segments)
+            return without_oscillation_arcs(structure.without(piece), constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1):
-            for row in _left(structure, piece, arc):
-                if _leads_beyond(structure, constraints, row, piece, arc):
+            for row in _left_limits(structure, piece, arc):
+                if _leaves_limit_outward(structure, constraints, row, piece, arc):
                     start, end = structure.times[piece], structure.times[piece + 1]
                     wider = structure.with_arc(structure.holders[row][0], start, end, ArcKind.SINGULAR)
                     wider = wider.with_arc(row, start, end, structure.kinds[arc][row])
-                    return without_ringing(wider, constraints, segments)
+                    return without_oscillation_arcs(wider, constraints, segments)
     return structure
 
 
-def _short(structure: PhaseStructure, constraints: StateConstraints, segments: float) -> list[int]:
+def _short_pieces(structure: PhaseStructure, constraints: StateConstraints, segments: float) -> list[int]:
     """Pieces shorter than some of the segments that they are in."""
     breaks = constraints.samples.leg.breaks
     middles = 0.5 * (np.asarray(structure.times[1:]) + np.asarray(structure.times[:-1]))
@@ -61,12 +61,12 @@ def _short(structure: PhaseStructure, constraints: StateConstraints, segments: f
     return [int(k) for k in np.flatnonzero(structure.lengths < segments * np.diff(breaks)[place])]
 
 
-def _within(structure: PhaseStructure, piece: int) -> bool:
+def _is_same_on_both_sides(structure: PhaseStructure, piece: int) -> bool:
     """Whether a structure is the same before and after a piece."""
     return 0 < piece < structure.pieces - 1 and structure.kinds[piece - 1] == structure.kinds[piece + 1]
 
 
-def _left_idle(structure: PhaseStructure, piece: int, arc: int) -> bool:
+def _is_left_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
     rows = structure.changes(max(piece, arc))
     return bool(rows) and all(
@@ -77,7 +77,7 @@ def _left_idle(structure: PhaseStructure, piece: int, arc: int) -> bool:
     )
 
 
-def _of_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
+def _joined_to_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
     """Return the structure in which a piece is as the arc beside it."""
     kinds = list(structure.kinds)
     kinds[piece] = kinds[arc]
@@ -86,10 +86,10 @@ def _of_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
 
 def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
     """Whether one limit of a control takes over from another, and that again."""
-    return _within(structure, piece) and bool(structure.handed_over(piece))
+    return _is_same_on_both_sides(structure, piece) and bool(structure.handed_over(piece))
 
 
-def _left(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
+def _left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
     """Rows of first order that one control holds along an arc, and leaves, or comes from, by a bang beside it."""
     if not 0 <= arc < structure.pieces:
         return []
@@ -102,16 +102,16 @@ def _left(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
     ]
 
 
-def _leads_beyond(
+def _leaves_limit_outward(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
 ) -> bool:
     """Whether a bang would lead a row beyond the limit along the arc beside it."""
     way = 1 if piece > arc else -1
     time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
-    return way * _outward(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE
+    return way * _outward_rate(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE
 
 
-def _outward(
+def _outward_rate(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, time: float, kind: ArcKind
 ) -> float:
     """How fast a bang would lead a row beyond a limit, in shares of what the range of its control does to it."""
@@ -179,12 +179,12 @@ def with_starts_on_limits(structure: PhaseStructure, leg: Phase, samples: PhaseS
         kind = structure.kinds[0][row]
         if kind.at_limit and structure.orders[row] == 1 and not structure.touches[0]:
             slope = samples.functions.path_state_jacobian(samples.times[0], samples.x[:, 0], samples.u[:, 0])
-            if np.any(slope[row - first] * samples.state_scale * _begin_freely(leg, samples)):
+            if np.any(slope[row - first] * samples.state_scale * _free_start_states(leg, samples)):
                 structure = structure.with_touch(row, structure.times[0], kind)
     return structure
 
 
-def _begin_freely(leg: Phase, samples: PhaseSamples) -> Mask:
+def _free_start_states(leg: Phase, samples: PhaseSamples) -> Mask:
     """Return which states are neither given at the start nor handed over by a phase with path constraints (n,)."""
     found: Mask = ~samples.leg.initial_bounds.fixed
     for name in leg.model.states.names:

@@ -56,26 +56,26 @@ class Push:
 
     def added(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
         """Return the structure with the contacts of the nodes."""
-        runs, order = runs_of(self.worth > 0), structure.orders[self.row]
+        runs, order = mask_runs(self.worth > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
-        free = self._free(structure)
+        free = self._free_holders(structure)
         beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
         if (
             order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
         ):  # between its ends an arc need not push
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
-            runs = _joined(runs)
+            runs = _joined_runs(runs)
             if len(structure.holders[self.row]) > 1:
-                runs = self._along_singular(runs, structure, samples)
+                runs = self._joined_along_singular_arcs(runs, structure, samples)
         for a, b in runs:
             at_end = self._end_touched(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
                 continue
             if order == 1:
-                start, end = self._between(a, first), self._between(b, last)
-                switches = [self._switch(structure, t, samples, k) for k, t in enumerate((start, end))]
+                start, end = self._midpoint_before(a, first), self._midpoint_before(b, last)
+                switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
                 if len(structure.holders[self.row]) > 1:
@@ -128,9 +128,9 @@ class Push:
 
     def possible(self, structure: PhaseStructure) -> bool:
         """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
-        return structure.orders[self.row] > 1 or bool(self._free(structure))
+        return structure.orders[self.row] > 1 or bool(self._free_holders(structure))
 
-    def _free(self, structure: PhaseStructure) -> list[int]:
+    def _free_holders(self, structure: PhaseStructure) -> list[int]:
         """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
         pushing = self.times[self.worth > 0]
         pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.pieces - 1)
@@ -140,7 +140,9 @@ class Push:
             if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
         ]
 
-    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int) -> float:
+    def _nearby_switch(
+        self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
+    ) -> float:
         """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
 
         The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
@@ -154,7 +156,7 @@ class Push:
             at = structure.times[k]
             if abs(at - time) >= reach or structure.kinked(k):
                 continue
-            if len(holders) == 1 and self._others(structure, *sorted((at, time))):
+            if len(holders) == 1 and self._shares_holders(structure, *sorted((at, time))):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.changes(k) if i in holders]
@@ -162,7 +164,7 @@ class Push:
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
-    def _others(self, structure: PhaseStructure, start: float, end: float) -> bool:
+    def _shares_holders(self, structure: PhaseStructure, start: float, end: float) -> bool:
         """Whether another constraint with the same holders is on a limit for some of a time."""
         return any(
             kinds[row].at_limit and structure.times[k] < end and structure.times[k + 1] > start
@@ -190,7 +192,7 @@ class Push:
         breaks = samples.leg.breaks
         return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
 
-    def _along_singular(
+    def _joined_along_singular_arcs(
         self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
     ) -> list[tuple[int, int]]:
         """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
@@ -206,7 +208,7 @@ class Push:
                 joined.append((a, b))
         return joined
 
-    def _between(self, node: int, end: float) -> float:
+    def _midpoint_before(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
         times, size = self.times, self.times.size
         if 0 < node < size:
@@ -217,13 +219,13 @@ class Push:
         return float(end if abs(end - outer) <= abs(outer - inner) else outer)
 
 
-def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Push]:
+def contact_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Push]:
     """Where constraints of some rows push."""
     s, rows = constraints.samples, list(rows)
     found: list[Push] = []
     if not rows:
         return found
-    times, values, pushes = _at_nodes(constraints)
+    times, values, pushes = _values_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
             near = np.abs(values[row] - limit) < ACTIVE_CONSTRAINT_SHARE * constraints.scales[row]
@@ -236,9 +238,9 @@ def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             if constraints.order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > OFF_LIMIT_MIN_SHARE * constraints.scales[row]
-                for a, b in runs_of(off & (worth == 0)):
+                for a, b in mask_runs(off & (worth == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _fills_a_segment(times[a:b], s)
-            runs = [(a, b) for a, b in runs_of(near) if np.any(worth[a:b] > 0)]
+            runs = [(a, b) for a, b in mask_runs(near) if np.any(worth[a:b] > 0)]
             found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found
 
@@ -250,7 +252,7 @@ def _fills_a_segment(times: Array, samples: PhaseSamples) -> bool:
     return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
 
 
-def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
+def _values_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Times of points and inner boundaries, rows there and what they push on costates (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, points = leg.breaks[1:-1], leg.point_times
@@ -271,7 +273,7 @@ def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     return times[order], constraints.values(times, x, u)[:, order], pushes
 
 
-def _joined(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _joined_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Join runs with one node between them: a boundary of the mesh, where a limit held at the points may be left."""
     joined = runs[:1]
     for a, b in runs[1:]:
@@ -282,7 +284,7 @@ def _joined(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return joined
 
 
-def runs_of(here: Mask) -> list[tuple[int, int]]:
+def mask_runs(here: Mask) -> list[tuple[int, int]]:
     """First places, and those after the last ones, of the runs in which something holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

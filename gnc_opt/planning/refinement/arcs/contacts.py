@@ -31,14 +31,14 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.contact_cleanup import (
     with_starts_on_limits,
+    without_oscillation_arcs,
     without_overlaps,
-    without_ringing,
 )
 from gnc_opt.planning.refinement.arcs.contact_detection import (
     CONTACT_MERGE_SEGMENTS,
     CONTACT_MIN_NODES,
     Push,
-    pushing_runs,
+    contact_runs,
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
@@ -81,7 +81,7 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
     points, u = leg.point_times, np.hstack(leg.u.values)
     found = []
     rows = [row for row in range(constraints.size) if constraints.order(row)]
-    for run in pushing_runs(constraints, rows):
+    for run in contact_runs(constraints, rows):
         held = np.flatnonzero(run.worth > 0)
         start, end = run.times[held[[0, -1]]]
         inside = (points >= start) & (points <= end)
@@ -125,17 +125,17 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         leans=(*((),) * first, *leans),
     )
     if not any(orders):
-        return without_ringing(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
+        return without_oscillation_arcs(without_overlaps(structure), constraints, CONTACT_MERGE_SEGMENTS)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
-    structure = without_overlaps(without_ringing(structure, constraints, CONTACT_MERGE_SEGMENTS))
+    structure = without_overlaps(without_oscillation_arcs(structure, constraints, CONTACT_MERGE_SEGMENTS))
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
 def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
     """Where constraints push that determine a control, but for the contacts of the structure."""
     first, found = len(structure.controls), []
-    for run in pushing_runs(constraints, np.flatnonzero(structure.orders[first:])):
+    for run in contact_runs(constraints, np.flatnonzero(structure.orders[first:])):
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
@@ -151,7 +151,7 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
 # --- mended ---------------------------------------------------------------------------------------------------
 
 
-def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
+def touch_of_wrong_sign(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
     """Return boundary and row of a touch whose limit would have to pull, or None."""
     s, first = constraints.samples, len(structure.controls)
     for k, touches in enumerate(structure.touches):
@@ -165,14 +165,14 @@ def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tup
     return None
 
 
-def pushed_contact(
+def with_missing_contact(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
-    return _worst_added(constraints, structure, _runs_of_pushes(constraints, structure))
+    return _with_worst_contact(constraints, structure, _runs_of_pushes(constraints, structure))
 
 
-def overrun_bound(
+def with_saturated_holder(
     samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
@@ -212,7 +212,7 @@ def overrun_bound(
     return None, ""
 
 
-def _worst_added(
+def _with_worst_contact(
     constraints: StateConstraints, structure: PhaseStructure, runs: list[Push]
 ) -> tuple[PhaseStructure | None, str]:
     s, labels = (

@@ -91,13 +91,13 @@ def detect(
     paths = _path_labels(samples, mixed)
     for i in limits.rows:
         if affine[i]:
-            _limit(limits, i, rows[i], paths, held[i])
+            _apply_path_limits(limits, i, rows[i], paths, held[i])
     directions = label_vectors(samples, rows)
     changes = _change_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
     for labels in [*paths, *_state_labels(samples, controls, determined)]:
         rows.append(labels)
-        changes.append(_middles(samples, labels))
+        changes.append(_label_change_midpoints(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
@@ -132,17 +132,17 @@ def _linear_labels(
     samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
 ) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
-    gradient = _share(samples, samples.control_gradient, i)
+    gradient = _gain_share(samples, samples.control_gradient, i)
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
-    labels[_within(samples, held)] = ArcKind.SINGULAR
+    labels[_within_spans(samples, held)] = ArcKind.SINGULAR
     if not sharp:
-        _absorb(samples, i, labels, gradient)
+        _absorb_short_bangs(samples, i, labels, gradient)
     return labels
 
 
-def _within(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
+def _within_spans(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
     """Which samples lie within some times."""
     found = np.zeros(samples.times.size, dtype=bool)
     for start, end in spans:
@@ -150,7 +150,7 @@ def _within(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask
     return found
 
 
-def _limit(
+def _apply_path_limits(
     limits: LinearLimits,
     i: int,
     labels: KindArray,
@@ -163,22 +163,22 @@ def _limit(
     """
     samples = limits.samples
     inside = ~limits.near_end(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
-    segments = _singular_segments(samples, i, _share(samples, samples.switching, i))
+    segments = _singular_segments(samples, i, _gain_share(samples, samples.switching, i))
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
-    singular |= _within(samples, determined)
+    singular |= _within_spans(samples, determined)
     own, held = limits.labels(i, samples.switching[i] < 0)
     labels[:] = choose(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
         paths[row] = choose(singular, ArcKind.INTERIOR, kinds)
 
 
-def _share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+def _gain_share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
     """What a control's whole range gains in H, in shares of H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
 
-def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
+def _absorb_short_bangs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
     """Give short bangs beside a singular arc to it that are noise or chatter.
 
     Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for. But
@@ -194,7 +194,7 @@ def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -
             samples, i, first, last
         )
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
-    _spread(samples, labels, ArcKind.SINGULAR, noise)
+    _extend_label(samples, labels, ArcKind.SINGULAR, noise)
 
 
 def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
@@ -208,7 +208,7 @@ def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
     return bool(np.any(left)) and bool(np.any(left & np.any(_moved_at_once(samples, i)[:, ends], axis=1)))
 
 
-def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
+def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
     """Let arcs of a label swallow neighbours shorter than `SINGULAR_ARC_MERGE_SEGMENTS` segments, if all
     of those are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
@@ -250,7 +250,7 @@ def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> Kind
         samples.u, ACTIVE_LIMIT_TOLERANCE * samples.control_scale
     )
     gradient = samples.control_gradient[i]
-    labels = _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    labels = _labels_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
@@ -307,7 +307,7 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
         values, ACTIVE_LIMIT_TOLERANCE * np.max(np.abs(values), axis=1)
     )
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
-    return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
+    return list(_labels_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
 def _state_labels(
@@ -320,7 +320,7 @@ def _state_labels(
     arc reaches an end of the phase at which another value is given.
     """
     first = len(samples.leg.path_labels)
-    leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
+    leg, rows, commanded = samples.leg, [], _moved_by_singular_controls(samples, controls)
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
@@ -338,13 +338,13 @@ def _state_labels(
             off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
             inner = ~np.isin(samples.segments, off)
             pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
-            labels[_within(samples, pushes) & inner] = kind
-            _spread(samples, labels, kind, commanded[i] & inner)
+            labels[_within_spans(samples, pushes) & inner] = kind
+            _extend_label(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 
 
-def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
+def _moved_by_singular_controls(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Where a singular control moves a state at once, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
@@ -364,11 +364,11 @@ def _middle(values: Mask) -> bool:
     return bool(values[values.size // 2])
 
 
-def _at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
+def _labels_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
     return choose(at_lower, ArcKind.LOWER, choose(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
 
 
-def _middles(samples: PhaseSamples, labels: KindArray) -> list[float]:
+def _label_change_midpoints(samples: PhaseSamples, labels: KindArray) -> list[float]:
     """Times between samples of different labels."""
     jumps = np.flatnonzero(labels[1:] != labels[:-1])
     return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]

@@ -50,7 +50,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
             wanted = [
                 junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
-                else _wanted(samples, plan, boundary, i)
+                else _wanted_time(samples, plan, boundary, i)
                 for i in structure.changes(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
@@ -89,7 +89,7 @@ def junction_time(constraints: StateConstraints, structure: PhaseStructure, boun
     return time + float(np.clip(move, -most, most))
 
 
-def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
+def _wanted_time(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
     """Where one control or path constraint wants its kink."""
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
@@ -107,7 +107,7 @@ def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float
         def violation(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
             return direction * signals(samples, index, direction, side, t)[number]
 
-        reach = _reach(samples.times[here], violation)
+        reach = _violation_end(samples.times[here], violation)
         if reach is not None:
             return reach
     return plan.structure.times[boundary]
@@ -132,7 +132,7 @@ def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: 
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 
-def _reach(times: Array, violation: Callable[[Array], Array]) -> float | None:
+def _violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
     """Return up to where a violation that starts at the first time reaches, or None if there is none."""
     over = violation(times) > 0
     if not over[0]:

@@ -18,12 +18,18 @@ from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, points_of
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, uniform_points
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.resolution import resolved
-from gnc_opt.planning.refinement.arcs.split_switches import shared, solve_apart
+from gnc_opt.planning.refinement.arcs.split_switches import shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.update import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve
+from gnc_opt.planning.refinement.arcs.update import (
+    KINKS_MOVED,
+    RAISED,
+    SMOOTHED,
+    improve_plans,
+    without_vanished_piece,
+)
 from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits, with_singular_magnitudes
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
@@ -101,14 +107,14 @@ def optimise_switches(
         try:
             loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
             guess, settled, flown = (
-                _settled(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
+                _newton_start(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
             )
             status = loop.run(guess, settled, flown)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.run(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
-    best = _best(tries, status)
+    best = _best_try(tries, status)
     records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
@@ -122,7 +128,7 @@ def optimise_switches(
 
 def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
     if segments == "few":
-        return Plan.of(structure, points_of(mesh))
+        return Plan.of(structure, uniform_points(mesh))
     return Plan.refined(structure, mesh)
 
 
@@ -130,9 +136,9 @@ def _with_unique_costates(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates that make every switching function vanish where switches share a time."""
-    if not any(shared(plan.structure) for plan in plans.values()) or verify(solution).ok:
+    if not any(shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
-    apart = solve_apart(solution, plans, options, deadline)
+    apart = solve_with_split_switches(solution, plans, options, deadline)
     if apart is None or verify(apart).ok:
         return apart or solution
     return min(solution, apart, key=lambda each: each.objective_error.value)
@@ -151,7 +157,7 @@ class _Try:
     record: RefinementIteration
 
 
-def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
+def _best_try(tries: list[_Try], status: RefinementStatus) -> int | None:
     """Return the pass to keep: where the loop came to rest, or the one whose objective has the least estimated error.
 
     None without any; of passes with the same error but for rounding the last one, which mended what it does not show.
@@ -166,7 +172,7 @@ def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
     )
 
 
-def _settled(
+def _newton_start(
     solution: Solution, plans: dict[str, Plan], aim: float
 ) -> tuple[Solution, dict[str, Plan], Solution | None]:
     """Go to the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that.
@@ -219,28 +225,28 @@ class _Loop:
             found = flown or _solve(self.problem, plans, solution, self.options, within)
             flown = None
             if not found.status.solved:
-                self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+                self._add_try(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
                 vain += 1
-                others = _instead(found, plans, left)
+                others = _alternative_plans(found, plans, left)
                 if others is None or vain == UNSOLVED_MAX_ITERATIONS:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
             solution, vain = found, 0
-            current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-            plans, action = improve(solution, current, left, self.aim)
+            current = {name: _plan_at_solution(plan, solution, name) for name, plan in plans.items()}
+            plans, action = improve_plans(solution, current, left, self.aim)
             record = _record(solution, begin, action or "structure stands")
-            resolved = _resolved([*self.records, record], self.aim)
-            self._note(_Try(solution, current, record))
+            resolved = _only_rounding_left([*self.records, record], self.aim)
+            self._add_try(_Try(solution, current, record))
             if len(self.records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
             if not action or resolved:
                 return RefinementStatus.CONVERGED
-            changes = set() if _adjusting(record) else _changes(current, plans)
+            changes = set() if _only_adjusts(record) else _arc_order_changes(current, plans)
             again, asked = changes & asked, changes | asked
-            if again or _restless(self.records):
+            if again or _makes_no_progress(self.records):
                 return RefinementStatus.STALLED
         return RefinementStatus.ITERATION_LIMIT
 
@@ -265,12 +271,12 @@ class _Loop:
         finishing = bool(errors) and min(*errors, errors[-1] ** 2 / errors[0]) <= self.tol
         return LAST_ITERATION_WORK_RATIO if finishing else 1.0
 
-    def _note(self, tried: _Try) -> None:
+    def _add_try(self, tried: _Try) -> None:
         self.tries.append(tried)
         self.show(tried.record)
 
 
-def _instead(
+def _alternative_plans(
     failed: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]]
 ) -> dict[str, Plan] | None:
     """Return what to try where a structure had no solution, or None.
@@ -281,31 +287,31 @@ def _instead(
     if any(plan.leaves_limits for plan in plans.values()):
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
-        current = _at_solution(plans[name], failed, name)
-        structure, _ = collapsed(s, current, left)
+        current = _plan_at_solution(plans[name], failed, name)
+        structure, _ = without_vanished_piece(s, current, left)
         if structure is not None:
             return {**plans, name: current.restructured(structure)}
     return None
 
 
-def _resolved(records: list[RefinementIteration], tol: float) -> bool:
+def _only_rounding_left(records: list[RefinementIteration], tol: float) -> bool:
     """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
     return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
-def _restless(records: list[RefinementIteration]) -> bool:
+def _makes_no_progress(records: list[RefinementIteration]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
 
     Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
     """
-    changes = [k for k, r in enumerate(records) if not _adjusting(r) or SMOOTHED in str(r.actions)]
+    changes = [k for k, r in enumerate(records) if not _only_adjusts(r) or SMOOTHED in str(r.actions)]
     errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
     return len(errors) > STALLED_MAX_ITERATIONS and min(errors[-STALLED_MAX_ITERATIONS:]) > 0.5 * min(
         errors[:-STALLED_MAX_ITERATIONS]
     )
 
 
-def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
+def _arc_order_changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
     """Return the orders of arcs, whatever their times, before and after a change of a structure."""
     return {
         (name, plan.structure.at(()), after[name].structure.at(()))
@@ -314,7 +320,7 @@ def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Chang
     }
 
 
-def _adjusting(record: RefinementIteration) -> bool:
+def _only_adjusts(record: RefinementIteration) -> bool:
     """Whether a solution asked for nothing but other kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
@@ -330,7 +336,7 @@ def _solve(
     return replace(found, problem=problem)
 
 
-def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
+def _plan_at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
     """Return the plan with the switch times of the solution."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])

@@ -75,7 +75,7 @@ class LinearLimits:
 
     def ended(self, control: int) -> tuple[bool, bool]:
         """Return whether a control has a lower, and an upper, end all along the phase."""
-        above, below = self._reaches(control)
+        above, below = self._control_ranges(control)
         bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
         most = np.min([bounds.upper[control] * everywhere, *above.values()], axis=0)
         least = np.max([bounds.lower[control] * everywhere, *below.values()], axis=0)
@@ -83,7 +83,7 @@ class LinearLimits:
 
     def near_end(self, control: int, margin: float) -> Mask:
         """Where a control is as close as this to the least or most that its constraints allow, (n_samples,)."""
-        above, below = self._reaches(control)
+        above, below = self._control_ranges(control)
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
@@ -91,7 +91,7 @@ class LinearLimits:
     def presses(self, control: int) -> bool:
         """Whether H sends a control to its bounds and constraints, and it is there, all along the phase."""
         s, bounds = self.samples, self.samples.leg.control_bounds
-        above, below = self._reaches(control)
+        above, below = self._control_ranges(control)
         upward = s.switching[control] < 0
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
@@ -102,7 +102,7 @@ class LinearLimits:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
         bounds = self.samples.leg.control_bounds
         own = choose(upward, ArcKind.UPPER, ArcKind.LOWER)
-        above, below = self._reaches(control)
+        above, below = self._control_ranges(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
         for row in self.rows[control]:
@@ -116,7 +116,7 @@ class LinearLimits:
             held[row] = choose(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
-    def _reaches(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
+    def _control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """The largest and least values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.leg.path_bounds
         u, values = s.u[control], s.functions.paths(s.times, s.x, s.u)

@@ -41,7 +41,7 @@ def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
     tol : float
         On the defects between the nodes, in those measures.
     """
-    left = _left_out(s, flown)
+    left = _series_remainders(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
@@ -55,14 +55,14 @@ def _resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
     """As few segments as are fine enough with `ARC_MAX_DEGREE` points at most, and the points of each."""
-    found = _cut(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
+    found = _cut_interval(left, whole, (start, end), most, ARC_MAX_SEGMENTS)
     fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[PIECE_MIN_POINTS:ARC_MAX_DEGREE] <= most)
     degree = PIECE_MIN_POINTS + int(fine[0]) if fine.size else ARC_MAX_DEGREE
     edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
     return Resolution(len(found), degree, edges=edges)
 
 
-def _cut(
+def _cut_interval(
     left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
 ) -> list[tuple[float, Array]]:
     """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
@@ -75,11 +75,11 @@ def _cut(
         not np.max(halves[:, ARC_MAX_DEGREE]) < HALVING_GAIN_RATIO * row[ARC_MAX_DEGREE]
     ):  # what is left is how far the flight is off
         return [(end, row)]
-    first = _cut(left, halves[0], (start, middle), most, room // 2)
-    return first + _cut(left, halves[1], (middle, end), most, room // 2)
+    first = _cut_interval(left, halves[0], (start, middle), most, room // 2)
+    return first + _cut_interval(left, halves[1], (middle, end), most, room // 2)
 
 
-def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+def _series_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = gauss_rule(N_TERMS)

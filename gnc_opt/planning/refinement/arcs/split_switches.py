@@ -37,7 +37,7 @@ FREE_SPANS_MIN = 10.0
 """Pieces shorter than so many instants leave no room for one."""
 
 
-def shared(structure: PhaseStructure) -> tuple[int, ...]:
+def shared_boundaries(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with pieces next to them that have space."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
@@ -50,20 +50,20 @@ def shared(structure: PhaseStructure) -> tuple[int, ...]:
     )
 
 
-def solve_apart(
+def solve_with_split_switches(
     solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
 ) -> Solution | None:
     """Return a solution with the multipliers of the program in which shared times come apart; None if that has none."""
     freed = solution.need_problem("refine")
     meshes = {}
     for name, plan in plans.items():
-        freed, meshes[name] = _freed(plan, freed, name)
+        freed, meshes[name] = _with_free_spans(plan, freed, name)
     sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
     found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
-    return _told(solution, found, plans) if found.status.solved else None
+    return _with_multipliers_of(solution, found, plans) if found.status.solved else None
 
 
-def _told(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
+def _with_multipliers_of(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
     """The trajectory of a solution with the multipliers of another one."""
     held = solution.need_problem("refine")
     for name, plan in plans.items():
@@ -81,7 +81,7 @@ def _told(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Sol
     )
 
 
-def _freed(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
+def _with_free_spans(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """The problem as a plan holds it, but for the instants beside shared boundaries, and its mesh."""
     problem = plan.hold(problem, name)
     cuts, mesh, held = _Cuts.of(plan), plan.mesh(), problem.phases[name].numbers.arcs
@@ -107,7 +107,7 @@ class _Cuts:
     @classmethod
     def of(cls, plan: Plan) -> _Cuts:
         ends = plan.piece_ends
-        return cls(ends[-1], tuple(ends[k] for k in shared(plan.structure)))
+        return cls(ends[-1], tuple(ends[k] for k in shared_boundaries(plan.structure)))
 
     def boundary(self, old: int) -> int:
         """Where a boundary is among the new ones."""

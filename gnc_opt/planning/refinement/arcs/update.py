@@ -13,11 +13,16 @@ from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
-from gnc_opt.planning.refinement.arcs.arc_refinement import SINGULAR_GAIN_MAX, defects, finer, open_gradient
+from gnc_opt.planning.refinement.arcs.arc_refinement import (
+    SINGULAR_GAIN_MAX,
+    defects,
+    finer,
+    singular_gradient,
+)
 from gnc_opt.planning.refinement.arcs.contacts import (
-    overrun_bound,
-    pushed_contact,
-    wrong_touch,
+    touch_of_wrong_sign,
+    with_missing_contact,
+    with_saturated_holder,
 )
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.planning.refinement.arcs.detection import SINGULAR_SHARE_OF_H
@@ -54,24 +59,24 @@ SWITCH_SIGN_ERROR, CURVED_SIGN_ERROR = 1e-5, 1e-6
 on either side of a jump that should be a short interior arc, and no error of the mesh."""
 
 
-def improve(
+def improve_plans(
     solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
     """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = collapsed(s, plans[name], left)
+        structure, action = without_vanished_piece(s, plans[name], left)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
-        structure, action = _mended_contacts(c, plans[name].structure)
+        structure, action = _corrected_contacts(c, plans[name].structure)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
-        structure, action = _saturated(s, plans[name], left)
+        structure, action = _with_saturated_arc(s, plans[name], left)
         if structure is None:
-            structure, action = _overrun(s, plans[name])
+            structure, action = _with_overrun_bound(s, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -79,7 +84,7 @@ def improve(
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
-        structure, action = _complete(s, plans[name], problem)
+        structure, action = _with_missing_arc(s, plans[name], problem)
         if structure is not None:
             left.add((name, plans[name].structure.at(())))
             return {**plans, name: plans[name].completed(structure)}, action
@@ -107,25 +112,27 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def collapsed(
+def without_vanished_piece(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
     structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
     share = lengths[shortest] / lengths.sum()
-    gone = share < GONE or (share < BARRIER_MAX_LENGTH_SHARE and _propped(samples, plan, shortest))
+    gone = share < GONE or (
+        share < BARRIER_MAX_LENGTH_SHARE and _is_held_open_by_barrier(samples, plan, shortest)
+    )
     if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)
     left.add((samples.leg.name, structure.at(())))
     # Only an order that has been left before is not tried again.
     if other is not None and (samples.leg.name, other.at(())) not in left:
-        return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
+        return _with_room(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.emptied(shortest), f"piece {shortest + 1} dropped"
 
 
-def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
+def _is_held_open_by_barrier(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
     """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
 
     Beside a singular arc signs are as good as the polynomial of its control.
@@ -140,7 +147,7 @@ def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
     return bool(np.max(violation[:, pieces == piece], initial=0.0) > SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN)
 
 
-def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
+def _with_room(structure: PhaseStructure, piece: int) -> PhaseStructure:
     """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
     room = SWAPPED_ARC_SHARE_OF_PHASE * (times[-1] - times[0])
@@ -154,7 +161,9 @@ def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[PhaseStructure | None, str]:
+def _with_missing_arc(
+    samples: PhaseSamples, plan: Plan, problem: Problem
+) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     pieces = plan.segment_pieces[samples.segments]
     kinds = plan.structure.matrix()[:, pieces]
@@ -162,16 +171,16 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
     curved = _curved_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
         _forgive_own_switches(violation[i], kinds[i], CURVED_SIGN_ERROR if curved[i] else SWITCH_SIGN_ERROR)
-    if violation.size and (found := _chatter(samples, plan.structure, violation, problem)):
+    if violation.size and (found := _chattering_bangs(samples, plan.structure, violation, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
         return plan.structure.with_arc(
             i, start, end, ArcKind.SINGULAR
         ), f"{label} singular from {start:.4g} s"
-    return _with_worst(samples, plan.structure, violation, asked)
+    return _with_worst_arc(samples, plan.structure, violation, asked)
 
 
-def _chatter(
+def _chattering_bangs(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, problem: Problem
 ) -> tuple[int, float, float] | None:
     """Return control, start and end of bangs that stand in for a singular arc, if the largest violation is among them.
@@ -189,8 +198,8 @@ def _chatter(
         return None
     gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
-    small = _among(switches, samples.times, gain > SINGULAR_SHARE_OF_H, j)
-    alike = _among(switches, samples.times, gain > CHATTER_MAX_VIOLATION_RATIO * violation[i, j], j)
+    small = _switches_within(switches, samples.times, gain > SINGULAR_SHARE_OF_H, j)
+    alike = _switches_within(switches, samples.times, gain > CHATTER_MAX_VIOLATION_RATIO * violation[i, j], j)
     if (
         len(small) < CHATTER_MIN_SWITCHES
         or len(alike) < CHATTER_MIN_SWITCHES - 1
@@ -200,15 +209,15 @@ def _chatter(
     return i, alike[0], alike[-1]
 
 
-def _among(switches: Sequence[float], times: Array, large: Mask, j: int) -> list[float]:
+def _switches_within(switches: Sequence[float], times: Array, large: Mask, j: int) -> list[float]:
     """Return the switches around the j-th of all times before and after which nothing is large."""
-    here = _around(~large, j)
+    here = _run_around(~large, j)
     start = times[here.start - 1] if here.start else -np.inf
     end = times[here.stop] if here.stop < times.size else np.inf
     return [t for t in switches if start < t < end]
 
 
-def _with_worst(
+def _with_worst_arc(
     samples: PhaseSamples, structure: PhaseStructure, violation: Array, asked: KindArray
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that the largest violation asks for and what was done, or None."""
@@ -261,7 +270,7 @@ def _structure_violations(
     return violation, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
 
 
-def _saturated(
+def _with_saturated_arc(
     samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
@@ -276,29 +285,29 @@ def _saturated(
     singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATION_SHARE * samples.control_scale)
-    left_open = zip(plan.resolutions, open_gradient(samples, plan), strict=True)
+    left_open = zip(plan.resolutions, singular_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)
     reached = singular & stuck & affine_channels(samples)[:, None] & jumps
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        here = _run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
         violation[i, here] = np.abs(gain[i, here])
     asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
-    structure, action = _with_worst(samples, plan.structure, violation, asked)
+    structure, action = _with_worst_arc(samples, plan.structure, violation, asked)
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
 
 
-def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+def _with_overrun_bound(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
     if np.max(defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
-    return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
+    return with_saturated_holder(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
-def _around(holds: Mask, j: int) -> slice:
+def _run_around(holds: Mask, j: int) -> slice:
     """The run of samples around the j-th in which something holds."""
     fails = np.flatnonzero(~holds)
     before, after = fails[fails < j], fails[fails > j]
@@ -313,15 +322,15 @@ def _forgive_own_switches(violation: Array, kinds: KindArray, least: float = SWI
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _run_of(violation > 0, range(int(j), -1, -1)),
-            _run_of(violation > 0, range(int(j) + 1, violation.size)),
+            _leading_run(violation > 0, range(int(j), -1, -1)),
+            _leading_run(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < least:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _run_of(holds: Mask, places: range) -> list[int]:
+def _leading_run(holds: Mask, places: range) -> list[int]:
     """The places, one after the other, up to the first at which it does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
@@ -331,12 +340,12 @@ def _wrong_interval(samples: PhaseSamples, violation: Array) -> tuple[float, flo
     times, j = samples.times, int(np.argmax(violation))
     fine = np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
-    start = _zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
+    start = _linear_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _linear_zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
 
 
-def _zero(times: Array, values: Array, left: int, right: int) -> float:
+def _linear_zero(times: Array, values: Array, left: int, right: int) -> float:
     """Zero of a straight line between two samples whose values do not have the same sign."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
 
@@ -344,15 +353,15 @@ def _zero(times: Array, values: Array, left: int, right: int) -> float:
 # --- contacts with state constraints --------------------------------------------------------------------------
 
 
-def _mended_contacts(
+def _corrected_contacts(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
 
     A touch may pull because another is missing beside it.
     """
-    added, action = pushed_contact(constraints, structure)
-    wrong = wrong_touch(constraints, structure)
+    added, action = with_missing_contact(constraints, structure)
+    wrong = touch_of_wrong_sign(constraints, structure)
     if added is not None or wrong is None:
         return added, action
     return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"

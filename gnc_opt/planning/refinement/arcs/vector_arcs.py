@@ -91,11 +91,11 @@ def product_vectors(s: PhaseSamples) -> Iterator[ProductVector]:
         if not within or box.lower[magnitude] > 0 or not np.isfinite(box.upper[magnitude]):
             continue
         found = ProductVector(vector, int(magnitude), direction, length, float(box.upper[magnitude]))
-        if _only_product(s, found):
+        if _depends_on_product_only(s, found):
             yield found
 
 
-def _only_product(s: PhaseSamples, v: ProductVector) -> bool:
+def _depends_on_product_only(s: PhaseSamples, v: ProductVector) -> bool:
     """Whether s f_s = n . f_n for H and all path constraints but the length: a function of the product alone."""
     u = s.u.copy()
     u[v.magnitude] = 0.5 * v.most  # inconclusive at zero and for zero length

@@ -111,12 +111,12 @@ def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _closed_in(here, row, int(j), leg.duration)
+            start, end = _onset_interval(here, row, int(j), leg.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+def _onset_interval(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
     """Return between which times the pull of a constraint sets in, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
@@ -133,7 +133,7 @@ def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[floa
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
-def activity(error: PhaseError) -> Array:
+def limit_activity(error: PhaseError) -> Array:
     """Return the pull of active bounds and paths at the points, (rows, N), in shares of H."""
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = states_at_points(leg), np.hstack(leg.u.values)
@@ -155,18 +155,18 @@ def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, w
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CROSSING_MIN_SHARE)), pull, 0.0)
 
 
-def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
+def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SEGMENT_MIN_SHARE * leg.duration)
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in _edges(kink, LOCATED_KINK_TOLERANCE * leg.duration)):
+    for edge in (edge for kink in kinks for edge in _kink_edges(kink, LOCATED_KINK_TOLERANCE * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]
 
 
-def _edges(kink: Kink, sharp: float) -> tuple[float, ...]:
+def _kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:
     """Both ends of a kink's interval, or its middle where they are as good as one."""
     return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

@@ -19,7 +19,7 @@ from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import last_barrier
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
-from gnc_opt.planning.refinement.iterations import PassLimits, crawls, pass_meter, pass_record
+from gnc_opt.planning.refinement.iterations import PassLimits, converges_too_slowly, pass_meter, pass_record
 from gnc_opt.planning.refinement.mesh.remesh import (
     UNRESOLVED_ERROR,
     Past,
@@ -191,15 +191,15 @@ class _Refinement:
             (STAGE_ERROR_SHARE if error < UNRESOLVED_ERROR else COARSE_MESH_TOLERANCE_SHARE) * error,
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
-        plan = self._finer(stage)
+        plan = self._refined_meshes(stage)
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-            plan = self._finer(stage)
+            plan = self._refined_meshes(stage)
         return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
 
-    def _finer(self, stage: float) -> NextMeshes:
+    def _refined_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
             meshes[name], actions = Remesh(error, stage, self._past.get(name, {})).mesh()
@@ -235,7 +235,7 @@ class _Refinement:
         if meshes == self._state.record.meshes:
             return True
         errors = [r.error for r in self._records]
-        return all(crawls(values, self._tol) for values in (errors, self._totals))
+        return all(converges_too_slowly(values, self._tol) for values in (errors, self._totals))
 
     def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes, warm, then cold; remember the pass."""
@@ -250,7 +250,7 @@ class _Refinement:
             limits=replace(within, warm_iterations=MESH_WARM_START_MAX_ITERATIONS),
         )
         self._state = self._evaluated(solution, begin, actions)
-        if self._better(self._state, self._best):
+        if self._is_better(self._state, self._best):
             self._best, self._chosen = self._state, len(self._records) - 1
         return solution.status
 
@@ -276,7 +276,7 @@ class _Refinement:
         self._totals.append(state.total)
         return state
 
-    def _better(self, new: _State, old: _State) -> bool:
+    def _is_better(self, new: _State, old: _State) -> bool:
         """Whether a solution is within the tolerance, or its objective has the smaller error."""
         if self._converged(new.record) != self._converged(old.record):
             return self._converged(new.record)

@@ -17,7 +17,13 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error import PhaseError
-from gnc_opt.planning.refinement.mesh.kinks import SEGMENT_MIN_SHARE, Kink, activity, bracketed, find_kinks
+from gnc_opt.planning.refinement.mesh.kinks import (
+    SEGMENT_MIN_SHARE,
+    Kink,
+    find_kinks,
+    kink_boundaries,
+    limit_activity,
+)
 from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -93,33 +99,33 @@ class Remesh:
         rates = decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
             own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
-            pieces += [own] if self._worst[k] <= self.tol else self._refined(k, own, float(rates[k]))
+            pieces += [own] if self._worst[k] <= self.tol else self._refined_segment(k, own, float(rates[k]))
         return _mesh(pieces), Actions(self.raised, self.split)
 
-    def _refined(self, k: int, own: Piece, rate: float) -> list[Piece]:
+    def _refined_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
         """Return what becomes of an inaccurate segment."""
         narrow = (own.end - own.start) < SEGMENT_MIN_SHARE * self._leg.duration
         if narrow:
             return [own]
         if self._active is None:
-            self._active = activity(self.error)
+            self._active = limit_activity(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
-            cuts = bracketed(self._leg, k, kinks)
+            cuts = kink_boundaries(self._leg, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
-                return self._around(cuts, kinks, own.degree)
+                return self._pieces_around_kinks(cuts, kinks, own.degree)
         excess = float(self._decades[k])
         wanted = own.degree + max(1, math.ceil(excess / rate))
         if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < UNRESOLVED_ERROR:
             wanted = min(wanted, 2 * own.degree)
-        if wanted <= self.max_degree and not self._wasted(k, own.degree):
+        if wanted <= self.max_degree and not self._is_degree_wasted(k, own.degree):
             self.raised += 1
             return [Piece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
-        return self._cut(k, own, rate, excess)
+        return self._split_segment(k, own, rate, excess)
 
-    def _around(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
+    def _pieces_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
         """Pieces around kinks: smooth ones as they were, those with a kink of low degree."""
         pieces = []
         for a, b in itertools.pairwise(cuts):
@@ -128,9 +134,9 @@ class Remesh:
             pieces.append(Piece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
-    def _wasted(self, k: int, degree: int) -> bool:
+    def _is_degree_wasted(self, k: int, degree: int) -> bool:
         """Whether raising this segment's degree the last time brought next to nothing."""
-        key = _key(self._fraction(self._leg.breaks[k]), self._fraction(self._leg.breaks[k + 1]))
+        key = _segment_key(self._fraction(self._leg.breaks[k]), self._fraction(self._leg.breaks[k + 1]))
         if key not in self.past or self.past[key][0] >= degree:
             return False
         old_degree, old_error = self.past[key]
@@ -138,13 +144,13 @@ class Remesh:
             return False
         return bool(self._worst[k] > old_error * 10.0 ** (-MIN_DECADES_PER_POINT * (degree - old_degree)))
 
-    def _cut(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
+    def _split_segment(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
         """Split where the error arises, with the degree that the halves are expected to need."""
         if self._density is None:
             self._density = error_density(self.error)
         low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
-        layers = self._layers(k)
+        layers = self._layer_shares(k)
         if layers:
             edges = [own.start + share * width for share in layers]
         elif high - low < 0.3 * width:
@@ -160,7 +166,7 @@ class Remesh:
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
-    def _layers(self, k: int) -> list[float]:
+    def _layer_shares(self, k: int) -> list[float]:
         """Return where to cut a coarse segment at a phase end, in shares: a geometric sequence."""
         error = float(min(self._worst[k], MAX_TIME_CONSTANTS))
         ends = (k == 0, k == self._leg.mesh.segments - 1)
@@ -179,12 +185,12 @@ def known_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, fl
     leg = error.samples.leg
     fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
     return {
-        _key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.worst[k]))
+        _segment_key(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.worst[k]))
         for k, degree in enumerate(leg.mesh.degrees)
     }
 
 
-def _key(start: float, end: float) -> tuple[float, float]:
+def _segment_key(start: float, end: float) -> tuple[float, float]:
     return round(start, 12), round(end, 12)
 
 

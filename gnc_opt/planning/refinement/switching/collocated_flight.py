@@ -16,7 +16,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, bang_ba
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.switching.flight import SwitchFlight
-from gnc_opt.planning.refinement.switching.step import final_worth
+from gnc_opt.planning.refinement.switching.step import final_gradient
 from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
@@ -63,7 +63,7 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.times))))  # as fine as the flight
     flow = bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    worth = final_worth(problem, s, flow, flight.step.multipliers)
+    worth = final_gradient(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.adjoints(worth)[:n, ::parts]
     at = np.concatenate(
         [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]

@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.switching.step import SwitchStep, chord_step
+from gnc_opt.planning.refinement.switching.step import SwitchStep, simplified_newton_step
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -50,7 +50,7 @@ class SwitchFlight:
         known : SwitchStep
             Its matrices and its grid.
         """
-        step = chord_step(problem, s, switches, known, known.steps, STEP_PARTS)
+        step = simplified_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     @property

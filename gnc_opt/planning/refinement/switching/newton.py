@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
 from gnc_opt.planning.refinement.switching.flight import SwitchFlight
-from gnc_opt.planning.refinement.switching.step import SwitchStep, chord_step, newton_step
+from gnc_opt.planning.refinement.switching.step import SwitchStep, newton_step, simplified_newton_step
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
@@ -85,14 +85,14 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
         None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
-    if not _fits(problem, s, structure):
+    if not _is_applicable(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS
     flight = _optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
     while flight is not None and flight.error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _near(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
-    if flight is None or _allowed(flight.switches, flight.step)[0] < 1:
+        flight = _flight_near(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
+    if flight is None or _allowed_share(flight.switches, flight.step)[0] < 1:
         return None
     return _structure(structure, s, _moved(flight.switches, flight.step.change)), flight
 
@@ -123,15 +123,15 @@ def settle_flow(
         Limits between the ends are not looked at. None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
-    if not _fits(problem, s, structure):
+    if not _is_applicable(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = None if known is None else _near(problem, s, switches, known, accuracy, steps)
+    flight = None if known is None else _flight_near(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
         flight = _optimum(problem, s, switches, accuracy, steps)
     while flight is not None and flight.error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _near(problem, s, flight.switches, flight.step, accuracy, steps)
+        flight = _flight_near(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
         return None
     return _structure(structure, s, flight.switches), flight
@@ -149,14 +149,14 @@ def _optimum(
         step = newton_step(problem, s, switches, steps)
         if step is None:
             break
-        share, emptied = _allowed(switches, step)
+        share, emptied = _allowed_share(switches, step)
         if emptied and share < STEP_MIN_SHARE:
-            switches = _without(switches, emptied)
+            switches = _without_arc(switches, emptied)
         elif share < 1 or step.share(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _moved(switches, share * step.change)
         else:
-            flight = _at_rest(problem, s, switches, step, accuracy)
-            if flight is None or (rested is not None and _alike(flight.switches, rested.switches)):
+            flight = _converged_flight(problem, s, switches, step, accuracy)
+            if flight is None or (rested is not None and _same_switches(flight.switches, rested.switches)):
                 break
             if flight.missing_arc is None:
                 return flight
@@ -164,14 +164,16 @@ def _optimum(
     return rested
 
 
-def _near(
+def _flight_near(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchFlight | None:
     """Return the flight of switches near the given ones that the matrices of another step lead to."""
-    return _at_rest(problem, s, switches, chord_step(problem, s, switches, known, steps), accuracy)
+    return _converged_flight(
+        problem, s, switches, simplified_newton_step(problem, s, switches, known, steps), accuracy
+    )
 
 
-def _at_rest(
+def _converged_flight(
     problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
 ) -> SwitchFlight | None:
     """Return the flight of switches near the given ones that a step and those after it lead to.
@@ -180,30 +182,33 @@ def _at_rest(
     """
     before = math.inf  # length of the step before, if that had these matrices
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
-        if step is None or _allowed(switches, step)[0] < 1:
+        if step is None or _allowed_share(switches, step)[0] < 1:
             return None
-        length, away = step.share(switches), _away(step, switches, accuracy)
+        length, away = step.share(switches), _distance_from_rest(step, switches, accuracy)
         if away < LAST_STEP_SHARE_OF_ACCURACY:
             return SwitchFlight.of(problem, s, switches, step)
         switches = _moved(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < LAST_STEP_SHARE_OF_ACCURACY:
             flight = SwitchFlight.of(problem, s, switches, step)
-            if flight is None or _away(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY:
+            if (
+                flight is None
+                or _distance_from_rest(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
+            ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > LAST_STEP_SHARE_OF_ACCURACY:
             step, before = newton_step(problem, s, switches, step.steps), math.inf
         else:
-            step, before = chord_step(problem, s, switches, step, step.steps), length
+            step, before = simplified_newton_step(problem, s, switches, step, step.steps), length
     return None
 
 
-def _away(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+def _distance_from_rest(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """How far from rest switches are, in shares of what an accuracy of the cost permits."""
     return max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
 
 
-def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
+def _is_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Whether everything is decided by switch times and end times, and all conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
@@ -267,7 +272,7 @@ def _arcs(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+def _allowed_share(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
@@ -285,7 +290,7 @@ def _moved(switches: Switches, change: Array) -> Switches:
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _alike(switches: Switches, others: Switches) -> bool:
+def _same_switches(switches: Switches, others: Switches) -> bool:
     """Whether the same controls switch at the same times, nearly."""
     if not np.array_equal(switches.channels, others.channels):
         return False
@@ -293,7 +298,7 @@ def _alike(switches: Switches, others: Switches) -> bool:
     return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
-def _without(switches: Switches, arc: tuple[int, int]) -> Switches:
+def _without_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     """Drop the switches at the ends of an arc that has vanished."""
     begin, end = arc
     first = switches.first.copy()

@@ -92,7 +92,7 @@ def newton_step(
     return SwitchStep(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
 
 
-def chord_step(
+def simplified_newton_step(
     problem: Problem,
     s: PhaseSamples,
     switches: Switches,
@@ -135,7 +135,7 @@ def chord_step(
     )
 
 
-def final_worth(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+def final_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
     """Return the derivative of the cost by the final values of a flow, with the multipliers of a step."""
     return _Ends.of(problem, s, flow).worth(multipliers)[0]
 

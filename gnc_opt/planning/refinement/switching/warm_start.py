@@ -60,7 +60,7 @@ class KnownFlight:
         (leg,) = start.phases.values()
         left = self.structure.after(leg.initial_time)
         step = self.step if left.pieces == self.structure.pieces else None
-        begun = _begun(from_problem(replace(start, problem=problem.frozen())))
+        begun = _with_moved_start(from_problem(replace(start, problem=problem.frozen())))
         found = None if begun is None else settle_flow(begun, left, FLOW_COST_ACCURACY, step)
         if begun is None or found is None:
             return None
@@ -84,7 +84,7 @@ def on_the_way(known: Solution, problem: Problem) -> Solution:
     return rest_of(known, float(begins.lower[0]))
 
 
-def _begun(known: Solution) -> Solution | None:
+def _with_moved_start(known: Solution) -> Solution | None:
     """The trajectory moved to where its problem says that it starts; None if it has other times there."""
     (leg,) = known.phases.values()
     for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
