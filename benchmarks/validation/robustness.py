@@ -27,6 +27,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -73,10 +74,9 @@ def constants() -> list[Constant]:
     found: list[Constant] = []
     for name in _modules():
         module = importlib.import_module(name)
-        assert module.__file__ is not None
-        for target in _assigned(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
+        for target, expression in _assigned(module):
             value = getattr(module, target)
-            if target.isupper() and isinstance(value, int | float) and not isinstance(value, bool):
+            if isinstance(expression, ast.Constant) and type(value) in (int, float):
                 found.append(Constant(name, target, value))
     return found
 
@@ -89,23 +89,37 @@ def _modules() -> Iterator[str]:
             yield child.name
 
 
-def _assigned(tree: ast.Module) -> Iterator[str]:
-    """Names that the statements of a module assign."""
-    for statement in tree.body:
-        if isinstance(statement, ast.Assign):
-            for target in statement.targets:
-                names = target.elts if isinstance(target, ast.Tuple) else [target]
-                yield from (name.id for name in names if isinstance(name, ast.Name))
+def _assigned(module: ModuleType) -> Iterator[tuple[str, ast.expr]]:
+    """Yield the names in capitals that the statements of a module assign, and what they are."""
+    assert module.__file__ is not None
+    for statement in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
+        if not isinstance(statement, ast.Assign) or len(statement.targets) > 1:
+            continue
+        target, value = statement.targets[0], statement.value
+        pairs = [(target, value)]
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            pairs = list(zip(target.elts, value.elts, strict=True))
+        yield from (
+            (name.id, given) for name, given in pairs if isinstance(name, ast.Name) and name.id.isupper()
+        )
 
 
 def set_constants(values: Mapping[str, tuple[float, float]]) -> None:
-    """Replace constants in all modules that hold them: by name, the value that they have and the one that they get."""
+    """Replace constants in all modules that hold them: by name, the value that they have and the one that they get.
+
+    Constants that are computed from others follow.
+    """
     for name, module in list(sys.modules.items()):
         if name.startswith(gnc_opt.__name__) and module is not None:
             for constant in values.keys() & vars(module).keys():
                 old, new = values[constant]
                 if vars(module)[constant] == old:
                     setattr(module, constant, new)
+    for name in _modules():
+        module = importlib.import_module(name)
+        for constant, expression in _assigned(module):
+            if type(getattr(module, constant)) in (int, float) and not isinstance(expression, ast.Constant):
+                setattr(module, constant, eval(ast.unparse(expression), vars(module)))
 
 
 # --- one problem with scaled constants ----------------------------------------------------------------------

@@ -316,11 +316,11 @@ def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
 def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> None:
     """2 u + x <= 4; x u between -1 and 1.8, whatever the sign of x; -3 w between -3 and 6."""
     limits = LinearLimits.of(flight(values=u), np.array([True, True]))
-    above, below = limits._reaches(0)
+    above, below = limits._control_ranges(0)
     assert above[0] == pytest.approx((4 - X) / 2) and np.all(below[0] == -INF)
     assert above[5] == pytest.approx([0.5, 1.0, INF, 1.8, 0.9])
     assert below[5] == pytest.approx([-0.9, -1.8, -INF, -1.0, -0.5])
-    above, below = limits._reaches(1)
+    above, below = limits._control_ranges(1)
     assert above[3] == pytest.approx([1.0] * 5) and below[3] == pytest.approx([-2.0] * 5)
 
 

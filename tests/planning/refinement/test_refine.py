@@ -246,7 +246,7 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
         ends.append(stages.budget.deadline)
         return solution
 
-    monkeypatch.setattr(module, "refined", refined)
+    monkeypatch.setattr(module, "refine_by_stages", refined)
     begin = time.perf_counter()
     go.solve(swing(), mesh="4x4", tol=1e-8, options=go.SolverOptions(max_wall_time=100.0))
     assert begin < ends[0] - 100.0 < begin + 1.0
@@ -292,7 +292,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
         return solution, replace(history, status=RefinementStatus.STALLED)
 
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
-    monkeypatch.setattr(module.Stages, "_settles", lambda *_: False)
+    monkeypatch.setattr(module.Stages, "_is_final", lambda *_: False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
 

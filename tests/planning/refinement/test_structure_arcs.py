@@ -191,7 +191,7 @@ def test_progress_shows_the_passes_of_the_structure_loop(capsys: pytest.CaptureF
     solution = go.refine(go.solve(saturated_regulator(), tol=None), progress=True)
     assert solution.structure and solution.history is not None
     shown = capsys.readouterr().err
-    assert f"pass {len(solution.history.passes) - 1}" in shown
+    assert f"iteration {len(solution.history.passes) - 1}" in shown
 
 
 def test_held_arcs_are_checked() -> None:

@@ -511,7 +511,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(s, "_solve", solve)
         monkeypatch.setattr(s, "pass_meter", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_plan_at_solution", lambda plan, found, name: plan)
-        monkeypatch.setattr(s, "improve", lambda found, plans, swapped, tol: (plans, now["action"]))
+        monkeypatch.setattr(s, "improve_plans", lambda found, plans, swapped, tol: (plans, now["action"]))
         found, history = s.optimise_switches(base, **more)
         assert shown == list(history.passes)
         return found, history, asked
