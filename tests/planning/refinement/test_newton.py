@@ -480,7 +480,8 @@ def test_when_a_flow_is_accurate(
         return left.pop(0)
 
     for name, answer in (
-        ("_is_applicable", lambda *_: True), ("_switches", lambda *_: None), ("_optimum", optimum), ("_flight_near", near),
+        ("_is_applicable", lambda *_: True), ("_switches", lambda *_: None),
+        ("_optimum", optimum), ("_flight_near", near),
         ("_structure", lambda *_: "structure"),
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
