@@ -126,8 +126,8 @@ class NormNodes:
         nodes = _smooth_nodes(expression, vector)
         if not nodes:
             return cls(vector, {})
-        values = _tried(ca.vertcat(*nodes), vector)
-        degrees = {n.element_hash(): d for n, d in zip(nodes, _degrees(values), strict=True) if d}
+        values = _values_along_directions(ca.vertcat(*nodes), vector)
+        degrees = {n.element_hash(): d for n, d in zip(nodes, _homogeneity_degrees(values), strict=True) if d}
         return cls(vector, degrees)
 
     def __contains__(self, node: Any) -> bool:
@@ -183,7 +183,7 @@ def _operands_first(expression: Any) -> list[Any]:
     return list(done.values())
 
 
-def _tried(nodes: Any, vector: Any) -> Array:
+def _values_along_directions(nodes: Any, vector: Any) -> Array:
     """Values (n_nodes, n_directions, n_lengths, n_draws) for some directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]
@@ -200,7 +200,7 @@ def _tried(nodes: Any, vector: Any) -> Array:
     return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _PROBE_DRAWS)
 
 
-def _degrees(values: Array) -> list[int]:
+def _homogeneity_degrees(values: Array) -> list[int]:
     """The degree of homogeneity, 1 or 2, of each row that no turn changes; 0 for others."""
     with np.errstate(all="ignore"):
         known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))

@@ -163,7 +163,7 @@ class Table(Strict):
         return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
 
     @cached_property
-    def _axes(self) -> tuple[list[Pieces], Array]:
+    def _axis_pieces(self) -> tuple[list[Pieces], Array]:
         """The pieces of each axis, and the coefficients (c_1, c_2, ...)."""
         axes, coefficients = [], self.values
         for k, grid in enumerate(self.grids):
@@ -177,12 +177,12 @@ class Table(Strict):
 
     def _interpolate(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that find its intervals, both SX."""
-        axes, coefficients = self._axes
+        axes, coefficients = self._axis_pieces
         found = [_Found.of(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
-            window, places = _select(window, places, k, pieces, here.inside)
+            window, places = _window_of_axis(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
             weights = here.weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
@@ -228,7 +228,9 @@ class _Found:
         return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
 
 
-def _select(window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any) -> tuple[Any, Indices]:
+def _window_of_axis(
+    window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any
+) -> tuple[Any, Indices]:
     """Return the window of one axis and the places of its coefficients, from those that are left of both."""
     candidates = np.moveaxis(np.take(places, pieces.windows, axis=axis), axis, 0)
     n, *shape = candidates.shape

@@ -182,7 +182,10 @@ class Symbol(ca.SX):  # type: ignore[misc]
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
         """Evaluate ``np.linalg.norm(v)`` and similar calls as CasADi does for plain SX."""
-        return function(*map(_plain, args), **{name: _plain(value) for name, value in kwargs.items()})
+        return function(
+            *map(_with_plain_symbols, args),
+            **{name: _with_plain_symbols(value) for name, value in kwargs.items()},
+        )
 
     __hash__ = object.__hash__
 
@@ -190,10 +193,10 @@ class Symbol(ca.SX):  # type: ignore[misc]
         return f"<{self.variable.name}[{self.variable.size}]>"
 
 
-def _plain(value: Any) -> Any:
+def _with_plain_symbols(value: Any) -> Any:
     """Return a value with a plain SX for every symbol in it."""
     if isinstance(value, (list, tuple)):
-        return type(value)(map(_plain, value))
+        return type(value)(map(_with_plain_symbols, value))
     return ca.SX(value) if isinstance(value, Symbol) else value
 
 
@@ -225,11 +228,11 @@ class VectorSymbols(tuple[Any, Any]):
             f"{name}, magnitude = model.vector_control('{name}', ...)."
         )
 
-    def _refuse(self, *_: Any) -> Any:
+    def _refuse_symbols(self, *_: Any) -> Any:
         raise ModelError(f"an operand is {self.remedy}")
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _refuse
-    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _refuse
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _refuse_symbols
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _refuse_symbols
 
 
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:

@@ -193,7 +193,7 @@ class NlpSolver:
 
     def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for such a start, if it has not been needed before."""
-        self._instance(way or point.way)
+        self._solver_for_start(way or point.way)
 
     def deadline(self) -> float:
         """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
@@ -201,7 +201,7 @@ class NlpSolver:
         return math.inf if limit is None else time.perf_counter() + limit
 
     def _run(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
-        solver = self._instance(start)
+        solver = self._solver_for_start(start)
         overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
         begin = time.perf_counter()
@@ -215,7 +215,7 @@ class NlpSolver:
             raise run.error
         return self._result(raw, solver.stats(), run, arguments, wall_time)
 
-    def _instance(self, start: Start) -> Any:
+    def _solver_for_start(self, start: Start) -> Any:
         """The `nlpsol` Function for one kind of start, created at first use."""
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
@@ -240,15 +240,15 @@ class NlpSolver:
     ) -> NlpResult:
         status = _stopped_status(status_from_stats(stats), run)
         started = run.count > 0 or status not in _NEVER_STARTED
-        x, lam_x, lam_g = (_flat(raw[name]) for name in ("x", "lam_x", "lam_g"))
-        f, g = float(raw["f"]), _flat(raw["g"])
+        x, lam_x, lam_g = (_flat_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
+        f, g = float(raw["f"]), _flat_vector(raw["g"])
         if not started:  # the plugin's outputs are then whatever was in memory
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
         fixed = run.box_x.fixed
         if fixed.any() or not status.solved:
             f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
-            f, g = float(f_dm), _flat(g_dm)
-            lam_x[fixed] = -_flat(gradient)[fixed]
+            f, g = float(f_dm), _flat_vector(g_dm)
+            lam_x[fixed] = -_flat_vector(gradient)[fixed]
         doubtful = status in _MAY_HIDE_UNBOUNDED and _diverged(x, f, RUNAWAY)
         if started and (doubtful or (status is Status.ACCEPTABLE and _diverged(x, f, SUSPICIOUS))):
             status = Status.UNBOUNDED
@@ -291,5 +291,5 @@ def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 
-def _flat(matrix: Any) -> Array:
+def _flat_vector(matrix: Any) -> Array:
     return np.asarray(matrix.full(), dtype=np.float64).ravel()

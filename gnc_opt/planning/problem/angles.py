@@ -83,19 +83,21 @@ class AngleProbe:
     def period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
         """Return the first candidate that is a period of the functions in a control, 0 if none is."""
         for period in candidates:
-            turned, elsewhere = (self.values(self._shifted(i, by)) for by in (period, ELSEWHERE * period))
+            turned, elsewhere = (
+                self.values(self._shifted_values(i, by)) for by in (period, ELSEWHERE * period)
+            )
             if turned_back(self.here, turned, elsewhere):
                 return period
         return 0.0
 
     def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
         """Whether half a turn of the azimuth cancels a reflection of the elevation at an end of its range."""
-        away = self._shifted(azimuth, half_turn)
+        away = self._shifted_values(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
         return turned_back(self.here, self.values(reflected), self.values(away))
 
-    def _shifted(self, i: int, by: float) -> Array:
+    def _shifted_values(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by
         return u

@@ -109,14 +109,14 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
-    function = leg.once("paths and parameters", lambda: _paths(problem, leg))
+    function = leg.once("paths and parameters", lambda: _check_paths(problem, leg))
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     for end, time, values in zip(
         ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
         reached = ranges_of(function, arguments)
-        for k in _beyond(reached, box):
+        for k in _rows_beyond_limits(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
                 f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
@@ -130,7 +130,7 @@ def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     time = Interval(leg.times()[0].lower, leg.times()[1].upper)
-    function = leg.once("paths and parameters", lambda: _paths(problem, leg))
+    function = leg.once("paths and parameters", lambda: _check_paths(problem, leg))
     reached = ranges_of(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
@@ -145,14 +145,14 @@ def _warn_of_repeated_limits(problem: Statement, leg: Phase) -> None:
             )
 
 
-def _beyond(reached: Interval, box: Interval) -> list[int]:
+def _rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
     """Rows whose range lies outside their limits."""
     slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _paths(problem: Statement, leg: Phase) -> Any:
+def _check_paths(problem: Statement, leg: Phase) -> Any:
     arguments = (*leg.model.arguments(), problem.parameter_symbols())
     return ca.Function("paths", arguments, [ca.densify(problem.bind(leg, leg.path_expression()))])
 
@@ -179,9 +179,9 @@ def _check_constraints(problem: Statement) -> None:
         values, p = leg.numbers, leg.model.parameter_values
         ends = (intersect(end, values.states) for end in (values.initial, values.final))
         arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
-    function = problem.once("constraints", lambda: _constraints(problem))
+    function = problem.once("constraints", lambda: _constraint_ranges(problem))
     reached = ranges_of(function, [*arguments, problem.parameter_interval()])
-    for k in _beyond(reached, box):
+    for k in _rows_beyond_limits(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
             f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
@@ -189,7 +189,7 @@ def _check_constraints(problem: Statement) -> None:
         )
 
 
-def _constraints(problem: Statement) -> Any:
+def _constraint_ranges(problem: Statement) -> Any:
     legs, arguments = problem.phases.values(), []
     for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
         arguments += [*end_points(leg), parameters]
@@ -209,11 +209,11 @@ def _show(interval: Interval | None, i: int) -> str:
 # --- what is used where -------------------------------------------------------------------------------
 
 
-def _used(expressions: list[Any]) -> set[int]:
+def _is_used(expressions: list[Any]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
 
-def _idle(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
+def _unused_components(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
     """Names of the components of a variable that are used nowhere."""
     scalars = ca.vertsplit(symbol)
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
@@ -221,13 +221,13 @@ def _idle(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
 
 def check_unused_controls(problem: Statement) -> None:
     """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
-    ends = _used([ca.vertcat(problem.cost, problem.constraint_expression())])
+    ends = _is_used([ca.vertcat(problem.cost, problem.constraint_expression())])
     for leg in problem.phases.values():
         counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
         acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _used([problem.bind(leg, acted_on)])
+        used = _is_used([problem.bind(leg, acted_on)])
         for variable in leg.model.controls.variables:
-            idle = _idle(variable, leg.model.symbol(variable.name), used)
+            idle = _unused_components(variable, leg.model.symbol(variable.name), used)
             if idle:
                 raise ProblemError(
                     f"control '{idle[0]}' of {leg.where} appears in no dynamics, path constraint or integral of the "
@@ -238,14 +238,14 @@ def check_unused_controls(problem: Statement) -> None:
 def _check_unused_parameters(problem: Statement) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
-    used = _used(
+    used = _is_used(
         [ends, *(problem.bind(leg, ends) for leg in legs), *(problem.bind(leg, along(leg)) for leg in legs)]
     )
     models = {id(leg.model): leg.model for leg in legs}.values()
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:
         symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]
-        if len(_idle(variable, symbol, used)) == variable.size:
+        if len(_unused_components(variable, symbol, used)) == variable.size:
             raise ProblemError(
                 f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
                 "model has a "
@@ -254,7 +254,10 @@ def _check_unused_parameters(problem: Statement) -> None:
     for model in models:
         for variable in model.parameters.variables:
             bound = variable.name in problem.parameters
-            if not bound and len(_idle(variable, model.symbol(variable.name), used)) == variable.size:
+            if (
+                not bound
+                and len(_unused_components(variable, model.symbol(variable.name), used)) == variable.size
+            ):
                 warn_user(
                     f"parameter '{variable.name}' of model '{model.name}' is used nowhere: remove it or use "
                     "it."
@@ -267,7 +270,7 @@ def bounds_to_give(problem: Statement) -> str:
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):
         return ""
-    missing = [f"'{name}'" for leg in problem.phases.values() for name in _boundless(leg)]
+    missing = [f"'{name}'" for leg in problem.phases.values() for name in _unbounded_controls(leg)]
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
@@ -277,7 +280,7 @@ def bounds_to_give(problem: Statement) -> str:
     )
 
 
-def _boundless(leg: Phase) -> list[str]:
+def _unbounded_controls(leg: Phase) -> list[str]:
     """Return the controls of a phase that are affine in its dynamics, and that have neither limits nor a cost."""
     box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
     if leg.vectors:  # these are limited by their length

@@ -107,7 +107,7 @@ def _first_kinks(
     free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
     told: set[str] = set()
-    for what, labels, stacked in _kinds(leg):
+    for what, labels, stacked in _expressions_along(leg):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
             for node in nodes_of(expression):
                 operation = node.op()
@@ -307,8 +307,8 @@ class _Guessed:
         # The end points are included: messages there name the user's functions.
         start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = phase_magnitudes(leg)
-        states = _inside(start.states[:, 1:-1], leg.numbers.states, scales)
-        controls = _inside(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        states = _moved_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
+        controls = _moved_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
@@ -327,8 +327,12 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     if leg.integrands:
         integrands = try_along(problem, leg, *guessed.along, problem.guessed_parameters())["integral"]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
-    first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales)
-    last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
+    first = _moved_inside_bounds(
+        start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales
+    )
+    last = _moved_inside_bounds(
+        start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales
+    )
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
@@ -341,7 +345,7 @@ def _check_ends(problem: Statement, ends: list[Any]) -> None:
             raise _not_finite(f"{bad[0]} at the end points of the guess", {})
 
 
-def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
+def _moved_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
     """Move values (n, N) into the bounds (n,), slightly inside them if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
     push = _BOUND_OFFSET * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
@@ -356,14 +360,14 @@ def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[st
     def build() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
             (what, rows, _with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]))
-            for what, rows, expression in _kinds(leg)
+            for what, rows, expression in _expressions_along(leg)
             if rows
         ]
 
     return problem.once(("check", leg.name), build)
 
 
-def _kinds(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
+def _expressions_along(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
     """Kind, names and expressions of what varies along a phase."""
     return (
         ("the rate of state", leg.model.states.labels, leg.model.derivative()),

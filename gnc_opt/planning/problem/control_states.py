@@ -59,9 +59,9 @@ class StatedPhase(Protocol):
 def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     """Make controls states of a phase, with rates in given ranges; see `Phase.rates`."""
     for name, limits in ranges.items():
-        symbol = _control(leg, name, "rates")
+        symbol = _checked_control(leg, name, "rates")
         v = symbol.variable
-        rate = _new(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
+        rate = _new_variable(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
         leg.add_states({symbol: rate}, [rate])
         leg.bounds(**{rate.variable.name: limits})
 
@@ -69,16 +69,18 @@ def limit_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
 def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
     """Make controls polynomials of time over a phase; see `Phase.polynomials`."""
     for name, given in degrees.items():
-        symbol = _control(leg, name, "polynomials")
+        symbol = _checked_control(leg, name, "polynomials")
         degree = read_integer(given, f"the degree of control '{name}' in {leg.where}", 0, ProblemError)
         v = symbol.variable
         leg.own_states |= {name, f"{name}_coefficients"}
         if degree == 0:
             leg.add_states({symbol: ca.SX.zeros(v.size)})
             continue
-        coefficients = _new(leg, f"{name}_coefficients", v.size * degree, v.unit)
+        coefficients = _new_variable(leg, f"{name}_coefficients", v.size * degree, v.unit)
         place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
-        slopes = [_value(legendre.leg2poly(legendre.legder(row)), place) for row in np.eye(degree + 1)[1:]]
+        slopes = [
+            _end_value(legendre.leg2poly(legendre.legder(row)), place) for row in np.eye(degree + 1)[1:]
+        ]
         rate = 2.0 * leg.model.symbol(FRACTION_RATE) * (table @ ca.vertcat(*slopes))
         leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
@@ -86,7 +88,7 @@ def make_polynomials(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
 def fraction_of(leg: StatedPhase) -> Any:
     """Return the symbol of the fraction of a phase, a state that is added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
-        fraction, rate = _new(leg, FRACTION, 1, ""), _new(leg, FRACTION_RATE, 1, "1/s")
+        fraction, rate = _new_variable(leg, FRACTION, 1, ""), _new_variable(leg, FRACTION_RATE, 1, "1/s")
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
         leg.own_states |= {FRACTION, FRACTION_RATE}
         leg.initial(fraction=0.0)
@@ -94,11 +96,11 @@ def fraction_of(leg: StatedPhase) -> Any:
     return leg.model.symbol(FRACTION)
 
 
-def _value(polynomial: Any, at: Any) -> Any:
+def _end_value(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _control(leg: StatedPhase, name: str, what: str) -> Symbol:
+def _checked_control(leg: StatedPhase, name: str, what: str) -> Symbol:
     """Return the symbol of a control that may become a state."""
     layout, composed = leg.model.controls, leg.model.composed_controls
     if name in leg.model.states:
@@ -124,7 +126,7 @@ def _control(leg: StatedPhase, name: str, what: str) -> Symbol:
     return leg.model.symbol(name)
 
 
-def _new(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
+def _new_variable(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
     """Return a new variable of a phase."""
     model = leg.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
@@ -149,7 +151,7 @@ def constant_ranges(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, An
             constant[name] = tuple(None if _is_function(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
                 if _is_function(limit):
-                    _limit(leg, name, end, limit)
+                    _add_range_end(leg, name, end, limit)
     return constant
 
 
@@ -157,7 +159,7 @@ def _is_function(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 
-def _limit(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
+def _add_range_end(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
     """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
     model, what = leg.model, f"the {end} bound of '{name}' in {leg.where}"
     composed = model.composed_controls.get(name)

@@ -40,15 +40,15 @@ def divided(
     problem: Divisible, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
     """Divide a phase of a problem and return its parts; see `Problem.divide`."""
-    _refuse_late(problem, leg)
+    _refuse_after_statements(problem, leg)
     begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
     if begin is None or end is None:
         raise ProblemError(f"{leg.where} has no times: call time(initial=..., final=...) before divide().")
     parts = [
         leg,
-        *leg.followers([f"{leg.name}_{k + 2}" for k in range(np.size(_given(leg, times, fractions)))]),
+        *leg.followers([f"{leg.name}_{k + 2}" for k in range(np.size(_given_number(leg, times, fractions)))]),
     ]
-    marks = [begin, *_cuts(leg, times, fractions, begin, end), end]
+    marks = [begin, *_divided_ranges(leg, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(part.numbers, initial_time=first, final_time=last, duration=positive())
         problem.phases[part.name] = part
@@ -71,18 +71,20 @@ def positive() -> Interval:
     return Interval(np.zeros(1), np.full(1, np.inf))
 
 
-def _given(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
+def _given_number(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
     if (times is None) == (fractions is None):
         raise ProblemError(f"divide() of {leg.where} needs either times or fractions: give one of them.")
     return times if fractions is None else fractions
 
 
-def _cuts(
+def _divided_ranges(
     leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     """Yield the ranges of the times at which the phase is divided."""
     what = "times" if fractions is None else "fractions"
-    values = np.ravel(read_numbers(_given(leg, times, fractions), f"the {what} of divide()", ProblemError))
+    values = np.ravel(
+        read_numbers(_given_number(leg, times, fractions), f"the {what} of divide()", ProblemError)
+    )
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([least, *values, most]) > 0)):
         raise ProblemError(
@@ -98,7 +100,7 @@ def _cuts(
             yield Interval(*limits)
 
 
-def _refuse_late(problem: Divisible, leg: Phase) -> None:
+def _refuse_after_statements(problem: Divisible, leg: Phase) -> None:
     """Raise `ProblemError` if something was stated that would have to be divided, too."""
     problem.refuse_if_frozen()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))

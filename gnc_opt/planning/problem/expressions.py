@@ -70,7 +70,7 @@ def outside_tables(
     uses = table_uses(problem, leg)
     if not uses:
         return []
-    arguments = evaluate(_arguments(problem, leg, uses), times, states, controls, p, q)
+    arguments = evaluate(_table_arguments(problem, leg, uses), times, states, controls, p, q)
     found, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
@@ -85,7 +85,7 @@ def outside_tables(
     return found
 
 
-def _arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
+def _table_arguments(problem: Statement, leg: Phase, uses: tuple[TableUse, ...]) -> Any:
     """The function (t, x, u, p, q) -> all arguments of all tables."""
 
     def build() -> Any:

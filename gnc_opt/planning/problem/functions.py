@@ -196,9 +196,9 @@ class PhaseFunctions:
         costate = np.zeros(function.size1_in(3)) if lam is None else lam
         multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
         others = costate, multiplier, self.weights, self.p, self.q
-        return evaluate(function, t, x, u, *others, programme=lambda: self._programme(name))
+        return evaluate(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
 
-    def _programme(self, name: str) -> Operations | None:
+    def _compiled_program(self, name: str) -> Operations | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
             self.functions[key] = Operations.of(self.functions[name])

@@ -165,7 +165,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     if size == 1 and _is_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
-        fixed = Interval(_end(value, -np.inf, size, what), _end(value, np.inf, size, what))
+        fixed = Interval(_range_end(value, -np.inf, size, what), _range_end(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
         return checked(fixed, what)
@@ -180,12 +180,12 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
 
 def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
     """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
-    low = _end(lower, -np.inf, size, f"the lower limit of {what}")
-    high = _end(upper, np.inf, size, f"the upper limit of {what}")
+    low = _range_end(lower, -np.inf, size, f"the lower limit of {what}")
+    high = _range_end(upper, np.inf, size, f"the upper limit of {what}")
     return checked(Interval(low, high), what)
 
 
-def _end(value: Any, none: float, size: int, what: str) -> Array:
+def _range_end(value: Any, none: float, size: int, what: str) -> Array:
     """Return one end of a range as a vector, with ``none`` where it, or an entry of it, is ``None``."""
     if value is None:
         value = none

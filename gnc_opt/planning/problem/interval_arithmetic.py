@@ -81,7 +81,7 @@ def _magnitude(a: Range) -> Range:
     return 0.0 if a[0] <= 0 <= a[1] else low, high
 
 
-def _root(a: Range) -> Range:
+def _square_root(a: Range) -> Range:
     return math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))
 
 
@@ -111,7 +111,7 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_DIV: lambda a, b: _times(a, _inverse(b)),
     ca.OP_INV: _inverse,
     ca.OP_SQ: _square,
-    ca.OP_SQRT: _root,
+    ca.OP_SQRT: _square_root,
     ca.OP_FABS: _magnitude,
     ca.OP_EXP: _exponential,
     ca.OP_POW: _power,
@@ -228,7 +228,7 @@ def drawn(column: Any) -> Array:
     )
 
 
-def _divisors(problem: Statement, leg: Phase) -> Mask:
+def _divisor_states(problem: Statement, leg: Phase) -> Mask:
     """Which states something is divided by along a phase, so that they keep their signs."""
 
     def find() -> Mask:
@@ -247,7 +247,7 @@ def _divisors(problem: Statement, leg: Phase) -> Mask:
 
 def _state_ranges(problem: Statement, leg: Phase) -> Interval:
     """The bounds of states; those that are divisors keep the sign that both ends have, as masses do."""
-    box, numbers, divisors = leg.numbers.states, leg.numbers, _divisors(problem, leg)
+    box, numbers, divisors = leg.numbers.states, leg.numbers, _divisor_states(problem, leg)
     known = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
     ends = np.where(np.isfinite(known), known, 0.0)
     above = divisors & np.all(ends >= 0, axis=0) & np.any(ends > 0, axis=0)

@@ -30,7 +30,7 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
     reach, box = np.zeros(wanted.size), leg.path_interval()
     if not leg.paths or not np.any(wanted):
         return reach
-    function = leg.once("paths", lambda: _rows(leg))
+    function = leg.once("paths", lambda: _path_function(leg))
     n = times.size
     for i in np.flatnonzero(wanted):
         trials = np.concatenate([[0.0], SIZES, -SIZES])
@@ -52,7 +52,7 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
     return reach
 
 
-def _rows(leg: Phase) -> Any:
+def _path_function(leg: Phase) -> Any:
     """A function of (t, x, u, p) to all path constraints, NaN where they are of free parameters, too."""
     arguments = leg.model.arguments()
     expression = leg.path_expression()
@@ -86,17 +86,19 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     numbers = leg.numbers
     controls = magnitude_within(numbers.controls, _control_reach(leg, start))
     if overridden:
-        _override(controls, leg.model.controls, numbers.scales)
+        _with_given_scales(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _drift(leg, start, controls)
-    beside = _drift(leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls)
+    drift = _state_motion(leg, start, controls)
+    beside = _state_motion(
+        leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
+    )
     drift = np.where(drift > ROUNDING * beside, drift, beside)
     reach = np.where(
         reach > ROUNDING * beside, np.clip(drift, reach, UNBOUNDED_STATE_MAX_RATIO * reach), drift
     )
     states = magnitude_within(numbers.states, reach)
     if overridden:
-        _override(states, leg.model.states, numbers.scales)
+        _with_given_scales(states, leg.model.states, numbers.scales)
     return states, controls
 
 
@@ -108,7 +110,7 @@ def _control_reach(leg: Phase, start: PhaseStart) -> Array:
     return np.where(guessed > 0, guessed, path_reach(leg, times, start, ~bounded & (guessed == 0)))
 
 
-def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
+def _state_motion(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
     """Return how far the dynamics move each state: controls at their bounds, as guessed, or else of their magnitude."""
     bounds = leg.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
@@ -119,12 +121,12 @@ def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
-    together, alone = np.max(rates, axis=0), _moved_alone(leg, start, times, magnitudes)
+    together, alone = np.max(rates, axis=0), _motion_by_control(leg, start, times, magnitudes)
     rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
-def _moved_alone(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
+def _motion_by_control(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
     """Return by how much one control alone, of its magnitude, changes the rate of each state at most, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
@@ -149,7 +151,7 @@ def magnitude_within(interval: Interval, reach: Array) -> Array:
     return np.where(scales > 0, scales, 1.0)
 
 
-def _override(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+def _with_given_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
     for variable in layout.variables:
         if variable.name in user:
             scales[layout.slice(variable.name)] = user[variable.name]

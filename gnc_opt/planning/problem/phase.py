@@ -172,7 +172,7 @@ class Phase(Strict):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; its lower end defaults to 0.
         """
-        self._set(
+        self._set_numbers(
             initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
             final_time=read_interval(final, 1, f"the final time of {self.where}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.where),
@@ -181,11 +181,11 @@ class Phase(Strict):
 
     def initial(self, **values: Any) -> None:
         """State initial values by name, of states and of controls with `rates` or `polynomials`; others are free."""
-        self._set(initial=self._at_end(self.numbers.initial, values, "initial value"))
+        self._set_numbers(initial=self._values_at_end(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """State final values by name, of states and of controls with `rates` or `polynomials`; others are free."""
-        self._set(final=self._at_end(self.numbers.final, values, "final value"))
+        self._set_numbers(final=self._values_at_end(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -195,7 +195,7 @@ class Phase(Strict):
         """
         ranges = constant_ranges(self, ranges)
         states, controls = self._split(one_sided(self.model, ranges, self.where), "bounds")
-        self._set(
+        self._set_numbers(
             states=merged(self.numbers.states, self.model.states, states, "bounds", self.where),
             controls=merged(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
         )
@@ -290,7 +290,7 @@ class Phase(Strict):
             name: (known.get(name) or self._owner_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._set(guess=guess.joined(time, values, sizes, self.where))
+        self._set_numbers(guess=guess.joined(time, values, sizes, self.where))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -301,7 +301,7 @@ class Phase(Strict):
         for name, magnitude in magnitudes.items():
             size = self._owner_layout(name, "scale")[name].size
             scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
-        self._set(scales=scales)
+        self._set_numbers(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
         """State ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
@@ -345,7 +345,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         model = old.with_states(rates, controls)
         bounds = {**by_name(box.states, old.states), **by_name(box.controls, old.controls)}
-        self._set(
+        self._set_numbers(
             states=from_names(bounds, model.states),
             controls=from_names(bounds, model.controls),
             initial=from_names(by_name(box.initial, old.states), model.states),
@@ -361,13 +361,13 @@ class Phase(Strict):
     def followers(self, names: Sequence[str]) -> list[Phase]:
         """Return phases like this one, the last one with its final values, which it loses; see `Problem.divide`."""
         final, none = self.numbers.final, free(self.model.states.size)
-        self._set(final=none)
+        self._set_numbers(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
-            twin._set(initial=none)
+            twin._set_numbers(initial=none)
             twin._name_ends()
-        found[-1]._set(final=final)
+        found[-1]._set_numbers(final=final)
         return found
 
     def hold(
@@ -397,7 +397,7 @@ class Phase(Strict):
             Controls that are one polynomial over several segments; mesh boundaries where a state meets its bound.
         """
         if arcs is None:
-            self._set(arcs=None)
+            self._set_numbers(arcs=None)
             return
         model, box = self.model, self.numbers
         rows = {
@@ -410,7 +410,7 @@ class Phase(Strict):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._set(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._set_numbers(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -524,11 +524,11 @@ class Phase(Strict):
         twin._owner = owner or self._owner
         return twin
 
-    def _set(self, **numbers: Any) -> None:
+    def _set_numbers(self, **numbers: Any) -> None:
         self._owner.refuse_if_frozen()
         self.numbers = replace(self.numbers, **numbers)
 
-    def _at_end(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
+    def _values_at_end(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(

@@ -46,11 +46,18 @@ def problem_fingerprint(problem: Statement) -> str:
         model = leg.model
         layouts = [_names(layout) for layout in (model.states, model.controls, model.parameters)]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
-        digest.update(_along(problem, leg))
-        for vector in (_given(problem, leg), *_vectors(leg.numbers), *_vectors(leg.path_interval())):
+        digest.update(_phase_expressions(problem, leg))
+        for vector in (
+            _parameter_values(problem, leg),
+            *_interval_vectors(leg.numbers),
+            *_interval_vectors(leg.path_interval()),
+        ):
             digest.update(vector.tobytes())
-    digest.update(_at_ends(problem))
-    for vector in (*_vectors(problem.constraint_interval()), *_vectors(problem.parameter_interval())):
+    digest.update(_end_expressions(problem))
+    for vector in (
+        *_interval_vectors(problem.constraint_interval()),
+        *_interval_vectors(problem.parameter_interval()),
+    ):
         digest.update(vector.tobytes())
     return digest.hexdigest()[:16]
 
@@ -59,7 +66,7 @@ def _names(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
-def _given(problem: Statement, leg: Phase) -> Array:
+def _parameter_values(problem: Statement, leg: Phase) -> Array:
     """Values of the model's parameters; of those that are optimised, the values say nothing."""
     values = leg.model.parameter_values
     for name in problem.parameters.names:
@@ -68,7 +75,7 @@ def _given(problem: Statement, leg: Phase) -> Array:
     return values
 
 
-def _vectors(box: Any) -> Iterable[Array]:
+def _interval_vectors(box: Any) -> Iterable[Array]:
     """Yield every float vector of a dataclass of intervals, depth first."""
     for value in vars(box).values():
         if isinstance(value, Interval):
@@ -77,21 +84,23 @@ def _vectors(box: Any) -> Iterable[Array]:
             yield value
 
 
-def _along(problem: Statement, leg: Phase) -> bytes:
+def _phase_expressions(problem: Statement, leg: Phase) -> bytes:
     expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
-    return _exact([*leg.model.arguments(), problem.parameter_symbols()], expressions)
+    return _exact_text([*leg.model.arguments(), problem.parameter_symbols()], expressions)
 
 
-def _at_ends(problem: Statement) -> bytes:
+def _end_expressions(problem: Statement) -> bytes:
     arguments: list[Any] = []
     for leg, parameters in zip(
         problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
     ):
         arguments += [*end_points(leg), parameters]
-    return _exact([*arguments, problem.parameter_symbols()], [problem.cost, problem.constraint_expression()])
+    return _exact_text(
+        [*arguments, problem.parameter_symbols()], [problem.cost, problem.constraint_expression()]
+    )
 
 
-def _exact(arguments: list[Any], expressions: list[Any]) -> bytes:
+def _exact_text(arguments: list[Any], expressions: list[Any]) -> bytes:
     """Return expressions with the places of their symbols and every digit of their constants."""
     return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
 

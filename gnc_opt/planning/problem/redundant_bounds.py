@@ -36,7 +36,7 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
     if not np.any(bounded[rows]):
-        return _none(leg), _none(leg)
+        return _no_state(leg), _no_state(leg)
     values, times = leg.model.parameter_values, leg.times()
     ranges = [
         Interval(times[0].lower, times[1].upper),
@@ -49,13 +49,13 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        rising, falling, rate = _none(leg), _none(leg), ranges_of(rates, ranges)
+        rising, falling, rate = _no_state(leg), _no_state(leg), ranges_of(rates, ranges)
         rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
 
 
-def _none(leg: Phase) -> Mask:
+def _no_state(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
@@ -93,17 +93,17 @@ def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and which upper bounds of states (n_states,) are the length that a vector of them keeps."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
-    for places in _vectors(leg):
+    for places in _vector_places(leg):
         length = _first_length(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _kept(problem, leg, places, length):
+        if length > 0 and np.any(lower | upper) and _keeps_length(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
 
 
-def _vectors(leg: Phase) -> list[Indices]:
+def _vector_places(leg: Phase) -> list[Indices]:
     """Return the places of the vectors among the states; of scalars those with the same bounds to both sides."""
     states, bounds = leg.model.states, leg.numbers.states
     found, alike = [], dict[float, list[int]]()
@@ -121,22 +121,22 @@ def _first_length(leg: Phase, places: Indices) -> float:
     for value in (leg.numbers.initial, leg.numbers.final):
         if np.all(value.fixed[places]):
             return float(np.linalg.norm(value.lower[places]))
-    names = {name for name in leg.model.states.names if np.isin(places, _places(leg, name)).any()}
+    names = {name for name in leg.model.states.names if np.isin(places, _state_places(leg, name)).any()}
     if len(names) != 1:
         return np.nan
     (name,) = names
     before, jump = leg.handed_over(name) or (None, np.zeros(0))
-    return np.nan if before is None or np.any(jump) else _first_length(before, _places(before, name))
+    return np.nan if before is None or np.any(jump) else _first_length(before, _state_places(before, name))
 
 
-def _places(leg: Phase, name: str) -> Indices:
+def _state_places(leg: Phase, name: str) -> Indices:
     return np.arange(leg.model.states.size)[leg.model.states.slice(name)]
 
 
-def _kept(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
+def _keeps_length(problem: Statement, leg: Phase, places: Indices, length: float) -> bool:
     """Whether a vector of a length has no rate along itself, whatever everything else is."""
     terms = problem.once(
-        ("rate along itself", leg.name, places.tobytes()), lambda: _terms(problem, leg, places)
+        ("rate along itself", leg.name, places.tobytes()), lambda: _rate_along_itself(problem, leg, places)
     )
     random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
@@ -152,7 +152,7 @@ def _kept(problem: Statement, leg: Phase, places: Indices, length: float) -> boo
     return True
 
 
-def _terms(problem: Statement, leg: Phase, places: Indices) -> Any:
+def _rate_along_itself(problem: Statement, leg: Phase, places: Indices) -> Any:
     """Return the products of a vector's components and their rates, as a function."""
     t, x, u, p = leg.model.arguments()
     rows = places.tolist()

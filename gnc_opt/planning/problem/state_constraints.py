@@ -45,17 +45,17 @@ class ConstraintOrder:
 
 def constraint_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
-    return problem.once(("constraint order", leg.name, row), lambda: _find(problem, leg, row))
+    return problem.once(("constraint order", leg.name, row), lambda: _find_order(problem, leg, row))
 
 
-def _find(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
+def _find_order(problem: Statement, leg: Phase, row: int) -> ConstraintOrder:
     t, x, u, _ = leg.model.arguments()
     rates = problem.bind(leg, leg.model.derivative())
     value = problem.bind(leg, ca.vertcat(leg.path_expression(), x)[row])
-    return _order((*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates)
+    return _order_of((*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates)
 
 
-def _order(label: str, value: Any, t: Any, x: Any, u: Any, rates: Any) -> ConstraintOrder:
+def _order_of(label: str, value: Any, t: Any, x: Any, u: Any, rates: Any) -> ConstraintOrder:
     derivatives = [value]
     while True:
         controls = tuple(sorted(set(ca.jacobian(derivatives[-1], u).sparsity().get_col())))

@@ -77,7 +77,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
     for s in samples:
         x = integrate_to(s.leg, s.functions, s.times)
-        missed = max(missed, _miss(s, x), key=_share)
+        missed = max(missed, _largest_miss(s, x), key=_accuracy_share)
         values = s.functions.paths(s.times, x, s.u)
         units = s.leg.states.units
         for rows, box, scale, labels in (
@@ -85,23 +85,23 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
                 x,
                 s.leg.state_bounds,
                 s.state_scale,
-                [f"{n} ({u})" if u else n for n, u in _named(s.leg, units)],
+                [f"{n} ({u})" if u else n for n, u in _named_quantity(s.leg, units)],
             ),
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
-            worst = max(worst, _violation(s, rows, box, scale, labels), key=_share)
+            worst = max(worst, _largest_violation(s, rows, box, scale, labels), key=_accuracy_share)
     return Accuracy(objective, objective_error, worst[1], worst[2], missed[1], missed[2])
 
 
-def _named(leg: PhaseSolution, units: Iterable[str]) -> list[tuple[str, str]]:
+def _named_quantity(leg: PhaseSolution, units: Iterable[str]) -> list[tuple[str, str]]:
     return list(zip(leg.states.labels, units, strict=True))
 
 
-def _share(found: tuple[float, float, str]) -> float:
+def _accuracy_share(found: tuple[float, float, str]) -> float:
     return found[0]
 
 
-def _miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
+def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     """Return share, size and place of the largest miss at the end of a phase."""
     error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
     if not np.all(np.isfinite(error)):
@@ -112,7 +112,7 @@ def _miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     return float(error[i] / s.end_scale[i]), float(error[i]), label
 
 
-def _violation(
+def _largest_violation(
     s: PhaseSamples, values: Array, box: Interval, scale: Array, labels: list[str]
 ) -> tuple[float, float, str]:
     """Return share, size and place of the largest violation of limits on values (n, n_samples)."""
@@ -123,13 +123,13 @@ def _violation(
     excess = np.where(np.isfinite(values), excess, -np.inf)
     limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
-    peak = _peak(s, excess[i], int(j))
+    peak = _parabola_peak(s, excess[i], int(j))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
         return 0.0, 0.0, ""
     return peak / float(scale[i]), peak, s.place(int(j), labels[i])
 
 
-def _peak(s: PhaseSamples, excess: Array, j: int) -> float:
+def _parabola_peak(s: PhaseSamples, excess: Array, j: int) -> float:
     """Return the peak of the polynomial through a sample and its neighbours in the same segment, up to two a side."""
     around = np.arange(max(j - 2, 0), min(j + 3, excess.size))
     around = around[(s.segments[around] == s.segments[j]) & np.isfinite(excess[around])]

@@ -69,7 +69,7 @@ def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFun
         for ends, column in ((start, 0), (end, 1)):
             time, side = leg.breaks[k + column], SIDES[column]
             gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
-            ends[:, k] += gradients @ _fit(gradients, continued[:, column] - ends[:, k])
+            ends[:, k] += gradients @ _fit_directions(gradients, continued[:, column] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
     multipliers = _with_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
@@ -88,11 +88,11 @@ def _with_densities(
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = _fit(gradients[rows, :, j].T, left[:, j])
+        mu[rows, point] = _fit_directions(gradients[rows, :, j].T, left[:, j])
     return mu
 
 
-def _fit(directions: Array, vector: Array) -> Array:
+def _fit_directions(directions: Array, vector: Array) -> Array:
     """Least-squares coefficients of a vector (n,) by directions (n, n_rows)."""
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
@@ -155,7 +155,7 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
     """Return multipliers of each segment's rows for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
-        wanted = -costates[:, _points(collocation, k)] * rule.weights
+        wanted = -costates[:, _segment_points(collocation, k)] * rule.weights
         if collocation.family.has_end_row:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
@@ -213,7 +213,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
     if not collocation.family.ends_at_point or not paths.size:
         return paths
     settled = paths.copy()
-    lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+    lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
     pushed = np.abs(paths) * lengths > _COSTATE_JUMP_MIN_SHARE * np.max(
         np.abs(paths) * lengths, axis=1, keepdims=True
     )
@@ -279,7 +279,7 @@ class _CostatePieces:
         pull = gradient - np.where(at_break, path_push, 0.0) + densities
         start, end = _boundary_costates(collocation, lam_g, weights * pull)
         size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
-        lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+        lengths = np.repeat(_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = (
             np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _COSTATE_JUMP_MIN_SHARE * size
         )
@@ -294,17 +294,17 @@ class _CostatePieces:
         """LGR, LGL: end held segments with the costates of their points; take densities out of impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _points(collocation, k)
-            self._split(k, k, here.start, self.start, 1.0)
+            here = _segment_points(collocation, k)
+            self._split_rows(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
-                self._split(k, k + 1, here.stop - 1, self.end, -1.0)
+                self._split_rows(k, k + 1, here.stop - 1, self.end, -1.0)
 
-    def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+    def _split_rows(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
         bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it belongs to the bound if that is active up to the
             # phase's end.
-            bounded = self.still[:, k] & np.any(self.bounded[:, _points(self.collocation, k)], axis=1)
+            bounded = self.still[:, k] & np.any(self.bounded[:, _segment_points(self.collocation, k)], axis=1)
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
@@ -315,7 +315,7 @@ class _CostatePieces:
     def settle_redundant_rows(self) -> None:
         """LG: if a bound is active at every node of a segment, extrapolate the costate of the points."""
         for k, rule in enumerate(self.collocation.rules):
-            here = _points(self.collocation, k)
+            here = _segment_points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
@@ -336,7 +336,7 @@ class _CostatePieces:
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.rules):
-            here = _points(collocation, k)
+            here = _segment_points(collocation, k)
             if collocation.family.has_end_row:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
@@ -352,11 +352,11 @@ class _CostatePieces:
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def _points(collocation: PhaseCollocation, k: int) -> slice:
+def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1])
 
 
-def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
+def _segment_durations(collocation: PhaseCollocation, weights: Array) -> Array:
     """Durations of the segments, (K,): the sums of their quadrature weights."""
     return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
 
@@ -365,7 +365,7 @@ def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) ->
     """Segments with a multiplier at an interior point, or (trapezoidal rule) at every point; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]
+        inside, here = ~shared[:, _segment_points(collocation, k)], pushed[:, _segment_points(collocation, k)]
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
 

@@ -60,13 +60,13 @@ def find_violations(
         return ()
     special: list[Violation] = []
     if result.status is Status.UNBOUNDED:
-        special = _running_off(transcription, result.x)
+        special = _unbounded_variables(transcription, result.x)
     if result.status is Status.NOT_A_NUMBER:
         special = _not_finite(problem, phases, parameters)
-    return (*special, *_broken(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
+    return (*special, *_violated_rows(transcription, problem, result, scaling))[:_LISTED_VIOLATIONS]
 
 
-def _broken(
+def _violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
     """Rows and bounds that do not hold; NaN counts as worst."""
@@ -83,7 +83,7 @@ def _excess(values: Array, interval: Interval) -> Array:
     return np.maximum(np.maximum(interval.lower - values, values - interval.upper), 0.0)
 
 
-def _running_off(transcription: Transcription, scaled: Array) -> list[Violation]:
+def _unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:
     """The variables that have grown beyond all measure, each where it is largest."""
     largest: dict[str, Violation] = {}
     for i in np.argsort(-np.abs(scaled), kind="stable"):

@@ -25,11 +25,11 @@ def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
     times : array (n_times,), optional
         s; default `N_INTERVALS` intervals of every segment. Where a control jumps, the value after the jump is given.
     """
-    t = _times(leg, times)
-    return Records(Variable("time", unit="s"), t, tuple(_quantities(leg, t)), {"phase": leg.name})
+    t = _export_times(leg, times)
+    return Records(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 
-def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
+def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
     """Yield everything that has a time history with its values (size, n_times)."""
     x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
@@ -43,7 +43,7 @@ def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]
         yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]
 
 
-def _times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
+def _export_times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
     if times is None:
         return leg.sample_times(N_INTERVALS)
     return np.atleast_1d(read_numbers(times, "the times"))

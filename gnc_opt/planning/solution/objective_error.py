@@ -100,7 +100,7 @@ def _finite(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def _totals(s: PhaseSamples, values: Array) -> Array:
+def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
     """Integrate values (n_samples,) over each segment (K,)."""
     starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
     return np.asarray(np.add.reduceat(np.where(s.weights > 0, values, 0.0) * s.weights, starts))
@@ -110,10 +110,10 @@ def _defects(s: PhaseSamples) -> Array:
     """d of each segment (K,); a jump of the states at a boundary counts for the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
     rates = defined(s.functions.rates, *at, leg.control_bounds)
-    total = _totals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
+    total = _segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
     if weights.size:
-        exact = _totals(s, weights @ defined(s.functions.integrands, *at, leg.control_bounds))
-        total = total + exact - _quadrature(leg, s)
+        exact = _segment_integrals(s, weights @ defined(s.functions.integrands, *at, leg.control_bounds))
+        total = total + exact - _quadrature_values(leg, s)
     inner = leg.breaks[1:-1]
     if inner.size:
         jumps = leg.x(inner, "left") - leg.x(inner, "right")
@@ -121,7 +121,7 @@ def _defects(s: PhaseSamples) -> Array:
     return total
 
 
-def _quadrature(leg: PhaseSolution, s: PhaseSamples) -> Array:
+def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
     """Return the weighted integrals of each segment by the collocation points' own quadrature (K,)."""
     weights = np.concatenate([rule.weights for rule in leg.rules])
     weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
@@ -135,14 +135,14 @@ def _quadrature(leg: PhaseSolution, s: PhaseSamples) -> Array:
 def _exceeded(s: PhaseSamples) -> Array:
     """o of each segment (K,)."""
     leg = s.leg
-    total = _totals(s, _priced(s.x, leg.state_bounds, s.state_multiplier))
+    total = _segment_integrals(s, _priced_excess(s.x, leg.state_bounds, s.state_multiplier))
     if leg.path_labels:
         paths = defined(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
-        total = total + _totals(s, _priced(paths, leg.path_bounds, s.mu))
+        total = total + _segment_integrals(s, _priced_excess(paths, leg.path_bounds, s.mu))
     return total
 
 
-def _priced(values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _priced_excess(values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return how far limits are exceeded times their multipliers, where these have the right sign (n_samples,)."""
     above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
     below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
@@ -161,7 +161,7 @@ def _suboptimal(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    return _totals(s, np.sum(_largest_gain(slope, curvature, lower, upper), axis=0))
+    return _segment_integrals(s, np.sum(_largest_gain(slope, curvature, lower, upper), axis=0))
 
 
 def _largest_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:

@@ -60,7 +60,7 @@ class PiecewisePolynomial:
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_breaks(self.breaks)
         _check_segments(self.breaks.size - 1, self.nodes, self.values)
-        object.__setattr__(self, "values", self._shared())
+        object.__setattr__(self, "values", self._shared_values())
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times ``t`` [s].
@@ -85,9 +85,9 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = self._grid.kept if times.size <= KEPT_TIMES else self._grid.bases
+        bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.bases
         for found in bases(times.tobytes(), side):
-            values = self._alike[found.group].values[:, :, found.places]
+            values = self._equal_grids[found.group].values[:, :, found.places]
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -95,7 +95,7 @@ class PiecewisePolynomial:
         """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        for alike in self._alike:
+        for alike in self._equal_grids:
             basis = barycentric_basis(alike.nodes, alike.weights, at)
             result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
@@ -139,18 +139,18 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _grid(self) -> "_Grid":
-        return _grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
+    def _time_grid(self) -> "_Grid":
+        return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _alike(self) -> tuple["_Alike", ...]:
+    def _equal_grids(self) -> tuple["_Alike", ...]:
         """Segments with the same nodes, which share one interpolation matrix."""
-        return tuple(_Alike.of(self, places) for places in self._grid.places)
+        return tuple(_Alike.of(self, places) for places in self._time_grid.places)
 
-    def _shared(self) -> tuple[Array, ...]:
-        """Return the values as views of what `_alike` keeps, lest a number that is changed in place go unseen."""
+    def _shared_values(self) -> tuple[Array, ...]:
+        """Return the values as views of what `_equal_grids` keeps, lest a number that is changed in place go unseen."""
         values = list(self.values)
-        for alike in self._alike:
+        for alike in self._equal_grids:
             for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
                 values[k] = alike.values[:, :, j].T
                 values[k].setflags(write=False)
@@ -218,7 +218,7 @@ class _Grid:
         self.kept = lru_cache(maxsize=CACHED_BASES)(self.bases)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _grid, self._given
+        return _time_grid, self._given
 
     def bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
         """Return the bases at times within the span, by groups."""
@@ -236,7 +236,7 @@ class _Grid:
 
 
 @lru_cache(maxsize=KEPT_GRIDS)
-def _grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
+def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
     return _Grid(np.frombuffer(breaks), nodes)
 
 

@@ -69,7 +69,7 @@ def propagate(
     states = [leg.x(leg.breaks[0])]
     flight, ended = _Flight(functions, tolerance, Budget(leg.states.labels)), ""
     for left, right in itertools.pairwise(edges):
-        controls = _controls(signal, left, right, _degree(leg, left, right))
+        controls = _control_polynomials(signal, left, right, _largest_degree(leg, left, right))
         try:
             states.append(flight.end(controls, states[-1], (left, right)))
         except EndedError as why:
@@ -77,11 +77,11 @@ def propagate(
             break
         if right in anew:
             gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
-            error = _larger(error, gap)
+            error = _larger_error(error, gap)
     columns = np.full((states[0].size, edges.size), np.nan)
     columns[:, : len(states)] = np.stack(states, axis=1)
     gap = columns[:, -1] - leg.x(leg.breaks[-1], "left")
-    error = _larger(error, gap)
+    error = _larger_error(error, gap)
     return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
 
 
@@ -97,7 +97,7 @@ def integrate_to(leg: PhaseSolution, functions: PhaseFunctions, times: Array) ->
     states[:, 0] = leg.x(leg.breaks[0])
     try:
         for k, (left, right) in enumerate(itertools.pairwise(edges)):
-            controls = _controls(leg.flown, left, right, _degree(leg, left, right))
+            controls = _control_polynomials(leg.flown, left, right, _largest_degree(leg, left, right))
             states[:, k + 1] = flight.end(controls, states[:, k], (left, right))
     except EndedError:
         pass
@@ -119,14 +119,14 @@ def segment_misses(leg: PhaseSolution, functions: PhaseFunctions, segments: Indi
         x = leg.x(left)
         try:
             for a, b in itertools.pairwise(edges):
-                x = flight.end(_controls(leg.flown, a, b, _degree(leg, a, b)), x, (a, b))
+                x = flight.end(_control_polynomials(leg.flown, a, b, _largest_degree(leg, a, b)), x, (a, b))
         except EndedError:
             continue
         misses[:, column] = leg.x(right, "left") - x
     return misses
 
 
-def _larger(first: Array, second: Array) -> Array:
+def _larger_error(first: Array, second: Array) -> Array:
     """Return the larger of two errors; NaN counts as larger."""
     return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))
 
@@ -140,7 +140,7 @@ def state_magnitudes(leg: PhaseSolution) -> Array:
     return magnitude(largest)
 
 
-def _degree(leg: PhaseSolution, left: float, right: float) -> int:
+def _largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
     """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
     inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
@@ -163,9 +163,9 @@ class _Flight:
         return run.states[:, -1]
 
 
-def _controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
+def _control_polynomials(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
     """Return the controls on an interval where they are polynomials of at most the given degree."""
-    tau, to_coefficients = _fit(degree)
+    tau, to_coefficients = _chebyshev_fit(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
@@ -182,7 +182,7 @@ def _controls(signal: Callable[..., Array], left: float, right: float, degree: i
 
 
 @cache
-def _fit(degree: int) -> tuple[Array, Array]:
+def _chebyshev_fit(degree: int) -> tuple[Array, Array]:
     """Chebyshev's points on [-1, 1], and what makes coefficients of the values there: exact up to a degree."""
     tau = chebyshev.chebpts1(degree + 1)
     sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)

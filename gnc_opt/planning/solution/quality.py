@@ -113,9 +113,9 @@ def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) 
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
-    hidden = hidden[_highest(k[hidden], promise[hidden])]
+    hidden = hidden[_highest_places(k[hidden], promise[hidden])]
     if hidden.size:
-        peaks, heights = _narrowed(
+        peaks, heights = _refined_peaks(
             samples, limits.some(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
         )
         higher = heights > excess[hidden]
@@ -123,11 +123,11 @@ def violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) 
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_highest(k[beyond], excess[beyond])]
+    beyond = beyond[_highest_places(k[beyond], excess[beyond])]
     return Violations(limits.some(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
 
 
-def _highest(groups: Indices, values: Array) -> Indices:
+def _highest_places(groups: Indices, values: Array) -> Indices:
     """Return where the `PEAKS_PER_LIMIT` highest values of each group are."""
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
@@ -174,7 +174,7 @@ class _Tops:
         return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
 
 
-def _narrowed(
+def _refined_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, all narrowed at once."""

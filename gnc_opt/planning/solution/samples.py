@@ -211,11 +211,11 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
-        most = float(np.nanmax(self._terms, initial=0.0))
+        most = float(np.nanmax(self._hamiltonian_terms, initial=0.0))
         asked = steering(self.leg, self.functions)
-        curvature = self._bending.curvature
+        curvature = self._curvature_matrix.curvature
         spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
-        rounding = self._bending.rounding(spans)
+        rounding = self._curvature_matrix.rounding(spans)
         if not rounding.size:
             return spans
         # Their part of the problem is not pressed.
@@ -223,7 +223,7 @@ class PhaseSamples:
         return control_spans(self.leg, self.u, terms, pressed, most, asked)
 
     @cached_property
-    def _bending(self) -> Bending:
+    def _curvature_matrix(self) -> Bending:
         curvature = np.einsum("iij->ij", self.control_hessian)
         return Bending(self.functions, self.times, self.x, self.u, self.lam, curvature)
 
@@ -254,7 +254,7 @@ class PhaseSamples:
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
         for i in np.flatnonzero(np.any(bends > by_slope[:, None], axis=1)):
             steep = np.flatnonzero(bends[i] > by_slope[i])
-            bends[i, steep] *= self._bending.lasting(int(i), steep, self.control_span[i])
+            bends[i, steep] *= self._curvature_matrix.lasting(int(i), steep, self.control_span[i])
         flown = np.fmax(by_slope, _largest_finite(bends))
         return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
 
@@ -318,7 +318,7 @@ class PhaseSamples:
         return worth if worth > 0 else 1.0
 
     @cached_property
-    def _terms(self) -> Array:
+    def _hamiltonian_terms(self) -> Array:
         """Sum of the magnitudes of what costates contribute to H (n_samples,)."""
         rates = self.functions.rates(self.times, self.x, self.u)
         return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
@@ -330,7 +330,7 @@ class PhaseSamples:
         Where the duration is given, integrands count by what they are above their least value: a constant means
         nothing.
         """
-        terms = self._terms
+        terms = self._hamiltonian_terms
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.lasts_as_told and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)

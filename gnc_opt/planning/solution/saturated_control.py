@@ -44,13 +44,13 @@ class SaturatedControl:
     def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
         values = self.polynomial.within(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = self.tolerance * _width(self.bounds)
+        slack = self.tolerance * _bound_range(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
 
     @cached_property
-    def _cells(self) -> tuple[Array, ...]:
+    def _segment_cells(self) -> tuple[Array, ...]:
         """Cell edges of each segment (n_k + 1,), in time."""
         edges = []
         for k, rule in enumerate(self.rules):
@@ -63,7 +63,7 @@ class SaturatedControl:
     def jumps(self) -> Array:
         """Times at which the signal may be discontinuous, ends included; increasing."""
         pieces = [self.polynomial.breaks]
-        pieces += [self._cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
+        pieces += [self._segment_cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
         return np.unique(np.concatenate(pieces))
 
     def clipped(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -80,14 +80,14 @@ class SaturatedControl:
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
         for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
             channels, here = np.flatnonzero(self.held[:, k]), np.flatnonzero(segment == k)
-            cell = np.searchsorted(self._cells[k], times[here], side) - 1
+            cell = np.searchsorted(self._segment_cells[k], times[here], side) - 1
             cell = np.clip(cell, 0, self.rules[k].n - 1)
             nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
             values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
         return values if np.ndim(t) else values[:, 0]
 
 
-def _width(bounds: Interval) -> Array:
+def _bound_range(bounds: Interval) -> Array:
     """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
     span = bounds.upper - bounds.lower
     fixed = magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))

@@ -42,21 +42,21 @@ class Bending:
 
     def lasting(self, i: int, at: Indices, span: float) -> Array:
         """Share of its curvature in a control that H may keep over half of a span to either side, at some samples."""
-        kept = self._kept(i, at, span)
+        kept = self._curvature_share(i, at, span)
         return np.asarray(np.where(np.isfinite(kept), np.minimum(_CURVATURE_MAX_RATIO * kept, 1.0), 1.0))
 
     def rounding(self, spans: Array) -> Indices:
         """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
         beyond = np.flatnonzero(spans * IDLE_CONTROL_SHARE >= np.ptp(self.u, axis=1))
-        return beyond[[not self._bends(int(i), spans[i]) for i in beyond]]
+        return beyond[[not self._is_curved(int(i), spans[i]) for i in beyond]]
 
-    def _bends(self, i: int, span: float) -> bool:
+    def _is_curved(self, i: int, span: float) -> bool:
         """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(self.curvature[i])))])
-        kept = self._kept(i, at, span)[0]
+        kept = self._curvature_share(i, at, span)[0]
         return bool(not np.isfinite(kept) or kept >= FORETOLD_CHANGE_MIN_SHARE)
 
-    def _kept(self, i: int, at: Indices, span: float) -> Array:
+    def _curvature_share(self, i: int, at: Indices, span: float) -> Array:
         """Share of its curvature in a control that H has over half of a span to either side, at some samples."""
         step = np.zeros((self.u.shape[0], 1))
         step[i] = 0.5 * span
@@ -89,7 +89,7 @@ def without_effect(
     effects = [functions.effects(t, x, base) for base in bases]
     for i in coupled:
         changes = [
-            np.abs(functions.effects(t, x, _moved(base, int(i), share * scale[i])) - before)
+            np.abs(functions.effects(t, x, _state_motion(base, int(i), share * scale[i])) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
@@ -98,7 +98,7 @@ def without_effect(
     return idle
 
 
-def _moved(u: Array, i: int, by: float) -> Array:
+def _state_motion(u: Array, i: int, by: float) -> Array:
     other = u.copy()
     other[i] += by
     return other
@@ -128,11 +128,13 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, l
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
         return magnitude(shared(size, leg.states))
-    movable = shared(_movable(leg, functions, used), leg.states)
+    movable = shared(_reachable_motion(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
-    return _otherwise(_otherwise(spans, *(_width(box) for box in boxes)), size, np.ones(size.size))
+    return _fallback_span(
+        _fallback_span(spans, *(_finite_width(box) for box in boxes)), size, np.ones(size.size)
+    )
 
 
 def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
@@ -175,7 +177,7 @@ def control_spans(
         Controls needed for the trajectory's motion (`steering`): the span of a constant control without a range, or its
         own size if less.
     """
-    extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
+    extent, size = _finite_width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
@@ -190,7 +192,7 @@ def control_spans(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE_CONTROL_SHARE * itself)
     unmoved &= spans <= np.fmax(IDLE_CONTROL_SHARE * itself, SPAN_MIN_SHARE * size)
     spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
-    return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
+    return _fallback_span(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
 
 def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
@@ -216,7 +218,7 @@ def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     return np.asarray(least)
 
 
-def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _reachable_motion(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     x, u = leg.x(middles), leg.flown(middles)
@@ -225,14 +227,14 @@ def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Arra
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
-    at_once = lasts * by_control @ _pushes(leg, used)
+    at_once = lasts * by_control @ _mean_control_effects(leg, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # what is further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
 
 
-def _pushes(leg: PhaseSolution, used: Array) -> Array:
+def _mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span."""
     times = leg.sample_times()
     lasts, u = times[-1] - times[0], leg.flown(times)
@@ -256,13 +258,13 @@ def shared(values: Array, layout: Layout) -> Array:
     return values
 
 
-def _width(box: Interval) -> Array:
+def _finite_width(box: Interval) -> Array:
     """Return the finite widths of an interval; 0 where there is none."""
     width = box.upper - box.lower
     return np.where(np.isfinite(width), width, 0.0)
 
 
-def _otherwise(values: Array, *others: Array) -> Array:
+def _fallback_span(values: Array, *others: Array) -> Array:
     for other in others:
         values = np.where(values > 0, values, other)
     return values

@@ -103,22 +103,22 @@ def summary(solution: SummarisedSolution) -> str:
     quality = known_quality(solution)
     lines = [
         _headline(solution),
-        *_failure(solution),
+        *_failure_lines(solution),
         *_optimality(solution),
         *_accuracy(solution, quality),
         _times(solution),
         *_refinement(solution),
-        *_bound(solution),
+        *_bound_lines(solution),
         *_reformulated_norms(solution),
-        _line("mesh", mesh_text(solution)),
-        _line("time spent", _time_spent(solution)),
+        _labelled_line("mesh", mesh_text(solution)),
+        _labelled_line("time spent", _time_spent(solution)),
     ]
     if not solution.converged:
         lines += list(_between_nodes(quality))
     lines += list(_overshoot(solution))
-    lines += [_line("table", str(found)) for found in left_tables(solution)]
+    lines += [_labelled_line("table", str(found)) for found in left_tables(solution)]
     if quality is not None and solution.problem is None:
-        lines.append(_line("note", "accuracy and defect were measured when the solution was saved"))
+        lines.append(_labelled_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
 
 
@@ -176,11 +176,11 @@ def optimality_text(solution: SummarisedSolution) -> str:
 
 def _mesh_words(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{_count(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {_count(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+    words = f"{_counted(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {_counted(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
-def _count(number: int, noun: str) -> str:
+def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
@@ -188,45 +188,47 @@ def _headline(solution: SummarisedSolution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
-        status = f"NOT SOLVED ({_words(solution.status.value)})"
+        status = f"NOT SOLVED ({_status_words(solution.status.value)})"
     elif history is None:
-        status = f"solved ({_words(solution.status.value)})"
+        status = f"solved ({_status_words(solution.status.value)})"
     else:
         reached = history.converged or history.status is RefinementStatus.UNCHECKED
-        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_words(history.status.value)})"
+        status = f"{'refined' if reached else 'NOT CONVERGED'} ({_status_words(history.status.value)})"
     return f"{solution.problem_name}: {status}, objective {objective_text(solution)} ({sense})"
 
 
-def _failure(solution: SummarisedSolution) -> Iterator[str]:
+def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
-    yield _line("what to do", solution.status.remedy)
+    yield _labelled_line("what to do", solution.status.remedy)
     for violation in solution.violations[:SUMMARY_MAX_NAMES]:
-        yield _line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
+        yield _labelled_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
 
 
 def _optimality(solution: SummarisedSolution) -> Iterator[str]:
     """Yield the result of the optimality check, its open conditions, and the bounds that it needs."""
     if not solution.status.solved:
         return
-    yield _line("optimality", optimality_text(solution))
+    yield _labelled_line("optimality", optimality_text(solution))
     if solution.verdict is None:
         return
     for c in solution.verdict.open[:SUMMARY_MAX_NAMES]:
-        yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}")
+        yield _labelled_line(
+            "open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.location_text}"
+        )
     if solution.problem is not None and (missing := bounds_to_give(solution.problem)):
-        yield _line("what to do", missing)
+        yield _labelled_line("what to do", missing)
 
 
 def _accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
     """Yield the accuracy of a solved problem; without the problem, its figures when it was saved."""
     if solution.problem is not None:
         if solution.status.solved:
-            yield _line("accuracy", solution.accuracy.text)
+            yield _labelled_line("accuracy", solution.accuracy.text)
     elif quality is None:
-        yield _line("accuracy", "unknown: load the solution with its problem")
+        yield _labelled_line("accuracy", "unknown: load the solution with its problem")
     else:
-        yield _line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
+        yield _labelled_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
 
 
 def _refinement(solution: SummarisedSolution) -> Iterator[str]:
@@ -235,29 +237,29 @@ def _refinement(solution: SummarisedSolution) -> Iterator[str]:
     if history is None:
         return
     if BETTER_COARSE_SOLVE in solution.provenance:
-        yield _line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
+        yield _labelled_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
     final = history.final
-    yield _line(
+    yield _labelled_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
-        f"{_count(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
+        f"{_counted(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
     )
 
 
-def _bound(solution: SummarisedSolution) -> Iterator[str]:
+def _bound_lines(solution: SummarisedSolution) -> Iterator[str]:
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
-        yield _line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
+        yield _labelled_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
 def _reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
-            yield _line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
+            yield _labelled_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
 def _times(solution: SummarisedSolution) -> str:
-    return _line(
+    return _labelled_line(
         "time",
         "; ".join(
             f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} s"
@@ -277,10 +279,12 @@ def _between_nodes(quality: Quality | None) -> Iterator[str]:
     """Yield defect and violations between the nodes."""
     if quality is None:
         return
-    yield _line("defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}")
+    yield _labelled_line(
+        "defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}"
+    )
     if quality.max_bound_violation > ROUNDING_VIOLATION:
         violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
-        yield _line("bounds", violation)
+        yield _labelled_line("bounds", violation)
 
 
 def _propagation_text(quality: Quality) -> str:
@@ -297,7 +301,7 @@ def _overshoot(solution: SummarisedSolution) -> Iterator[str]:
         units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
         more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
-        yield _line(
+        yield _labelled_line(
             "overshoot",
             f"control polynomials exceed their bounds between nodes ({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): "
             "use saturated_control or refine",
@@ -309,9 +313,9 @@ def left_tables(solution: SummarisedSolution) -> list[OutsideTable]:
     return [] if solution.problem is None else solution.outside_tables()
 
 
-def _words(value: str) -> str:
+def _status_words(value: str) -> str:
     return value.replace("_", " ")
 
 
-def _line(label: str, text: str) -> str:
+def _labelled_line(label: str, text: str) -> str:
     return f"  {label:<{LABEL_WIDTH}}{text}"

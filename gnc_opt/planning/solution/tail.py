@@ -42,9 +42,9 @@ def _rest_of_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         leg,
         mesh=mesh,
         initial_time=time,
-        x=_restricted(leg.x, first, breaks),
-        u=_restricted(leg.u, first, breaks),
-        lam=_restricted(leg.lam, first, breaks),
+        x=_restricted_signal(leg.x, first, breaks),
+        u=_restricted_signal(leg.u, first, breaks),
+        lam=_restricted_signal(leg.lam, first, breaks),
     )
     points = fresh.point_times
     ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.rules])
@@ -67,7 +67,7 @@ def _rest_of_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
     )
 
 
-def _restricted(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
+def _restricted_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
     """Return the segments from ``first`` on, that one from the first of the breaks on: the same polynomials."""
     left, right = signal.breaks[first], signal.breaks[first + 1]
     nodes = signal.nodes[first]

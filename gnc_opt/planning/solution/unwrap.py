@@ -42,7 +42,7 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     for i, j in pairs:
         turned[[i, j]] = _nearest_directions(u[[i, j]], angles[i], angles[j])
     for i in angles.keys() - set(itertools.chain(*pairs)):
-        turned[i] = _nearest(u[i], angles[i])
+        turned[i] = _nearest_angles(u[i], angles[i])
         turned[i] += angles[i] * _turns_inside(turned[i], bounds.lower[i], bounds.upper[i], angles[i])
     inside = np.all((turned >= bounds.lower[:, None]) & (turned <= bounds.upper[:, None]), axis=1)
     if not all(inside[i] and inside[j] for i, j in pairs):
@@ -70,7 +70,7 @@ def _turns_inside(angle: Array, lower: float, upper: float, period: float) -> fl
     return float(np.clip(0.0, least, most)) if least <= most else 0.0
 
 
-def _nearest(angle: Array, period: float) -> Array:
+def _nearest_angles(angle: Array, period: float) -> Array:
     """Angles (N,), the first within half a period of zero, the others nearest to those before them."""
     steps = np.diff(angle, prepend=0.0)
     return np.cumsum(steps - period * np.round(steps / period))

@@ -213,13 +213,13 @@ class Verdict:
     def headline(self) -> str:
         """The verdict in a sentence: if it is ok, whether it is known to be a minimum, and how far from a bound."""
         if self.minimum:
-            return f"every condition passes: a strict local minimum{self._distance}"
+            return f"every condition passes: a strict local minimum{self._distance_from_tolerance}"
         if self.ok:
-            return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance}"
+            return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance_from_tolerance}"
         return self.word
 
     @property
-    def _distance(self) -> str:
+    def _distance_from_tolerance(self) -> str:
         if self.bound is None or self.gap is None:
             return ""
         if self.bound.certified:
@@ -248,7 +248,7 @@ class Verdict:
     def table(self) -> str:
         """Return all conditions, one per line: name, result, value, place of the worst violation."""
         return "\n".join(
-            [*_rows([(c.name, c, "") for c in self.conditions], "condition"), f"verdict: {self.word}"]
+            [*_table_rows([(c.name, c, "") for c in self.conditions], "condition"), f"verdict: {self.word}"]
         )
 
     def __str__(self) -> str:
@@ -260,7 +260,7 @@ class Verdict:
         if also:
             messages.append(f"also: {also}")
         worst = [(group, most_severe(found)) for group, found in groups]
-        rows = _rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
+        rows = _table_rows([(group, c, f"{c.name}: ") for group, c in worst], "group")
         return "\n".join([*messages, *rows, f"verdict: {self.word}"])
 
     @property
@@ -300,7 +300,7 @@ def most_severe(conditions: Iterable[Condition]) -> Condition:
     return min(conditions, key=severity)
 
 
-def _rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
+def _table_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
     width = max(len(title), *(len(name) for name, _, _ in entries))
     rows = [(title, "result", f"{'violation':>9}", "largest at")]
     rows += [

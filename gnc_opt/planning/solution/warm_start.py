@@ -108,7 +108,7 @@ def start_from_solution(
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
         leg = problem.phases[name]
-        old = _matching(guess, leg)
+        old = _matching_phases(guess, leg)
         _put_phase(transcription, part, old, x, lam_x, lam_g)
     _put_parameters(transcription, problem, guess, x, lam_x)
     _put_end_rows(transcription, guess, lam_g)
@@ -127,7 +127,7 @@ def mesh_at_rest(leg: PhaseSolution) -> Mesh:
     return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
-def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
+def _matching_phases(guess: Solution, leg: Phase) -> PhaseSolution:
     old = guess.phases.get(leg.name)
     if old is None:
         raise ProblemError(
@@ -149,8 +149,8 @@ def _put_phase(
     transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _stretch(old, collocation.fractions)
-    breaks = _stretch(old, np.asarray(collocation.mesh.breaks))
+    points = _stretched_times(old, collocation.fractions)
+    breaks = _stretched_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point that ends its segment takes the limit from within: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
@@ -163,7 +163,7 @@ def _put_phase(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = sample(old.flown.clipped)
     free_times = part.times < transcription.n_variables
-    times = _stretch(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    times = _stretched_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
@@ -211,7 +211,7 @@ def _put_end_rows(transcription: Transcription, guess: Solution, lam_g: Array) -
         lam_g[row] = known.get(label, 0.0)
 
 
-def _stretch(old: PhaseSolution, fractions: Array) -> Array:
+def _stretched_times(old: PhaseSolution, fractions: Array) -> Array:
     """Times on the old phase at fractions of it."""
     first, last = old.breaks[0], old.breaks[-1]
     return np.asarray(first + fractions * (last - first))
@@ -276,14 +276,14 @@ def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
     known = {signal.name: signal for signal in signals}
     values: dict[str, Callable[[Any], Array]] = {
-        v.name: _function(leg, known[v.name])
+        v.name: _signal_guess(leg, known[v.name])
         for v in problem.phases[name].guessable.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
-def _function(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+def _signal_guess(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
     """Return a signal as a guess that can be evaluated just outside the phase."""
     first, last = float(leg.breaks[0]), float(leg.breaks[-1])
     return lambda t: np.asarray(signal(min(max(float(t), first), last)))

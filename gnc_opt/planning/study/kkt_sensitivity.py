@@ -62,7 +62,7 @@ class MovedSolution:
 
     def miss(self, found: Solution) -> float:
         """Return the largest error of the prediction, in shares of the variables' scales."""
-        here = _start(found.need_problem("compare"), found)[1].x
+        here = _start_values(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:
             return 0.0  # on another mesh, by a refinement: nothing to compare
         return float(np.max(np.abs(here - self.variables) / self.scales))
@@ -75,7 +75,7 @@ def predict(problem: Problem, last: Solution, before: Solution | None, ratio: fl
     through both, ``ratio`` being the length of this step over that of the last one.
     """
     problem = restated(problem)
-    transcription, start = _start(problem, last)
+    transcription, start = _start_values(problem, last)
     change = _by_sensitivity(problem, last)
     if change is None and before is not None:
         earlier = program_start(transcription, problem, before).x
@@ -90,7 +90,7 @@ def predict(problem: Problem, last: Solution, before: Solution | None, ratio: fl
     return MovedSolution(guess, x, scale_variables(transcription, problem, start.x))
 
 
-def _start(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
+def _start_values(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     transcription = transcribe(problem, meshes, solution.scheme)
     return transcription, program_start(transcription, problem, solution)
@@ -105,12 +105,12 @@ def _by_sensitivity(problem: Problem, last: Solution) -> Array | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ProblemWarning)  # one-sided derivatives predict, too
             point = KktPoint(last)
-            return point.respond(_difference(point.transcription, old, problem)).variables
+            return point.respond(_data_difference(point.transcription, old, problem)).variables
     except GncOptError:
         return None
 
 
-def _difference(transcription: Transcription, old: Problem, new: Problem) -> Change:
+def _data_difference(transcription: Transcription, old: Problem, new: Problem) -> Change:
     """Return the difference between the data of two problems; limits that are not finite do not move."""
 
     def moved(before: Array, after: Array) -> Array:
@@ -170,21 +170,21 @@ class KktPoint:
     """
 
     def __init__(self, solution: Solution) -> None:
-        trouble = self._attempt(solution)
+        trouble = self._solve_conditions(solution)
         if trouble:
-            trouble = self._attempt(sharper(solution))
+            trouble = self._solve_conditions(sharper(solution))
         if trouble:
             raise GncOptError(trouble)
         self._warn_of_weak_limits()
 
     # --- the point --------------------------------------------------------------------------------
 
-    def _attempt(self, solution: Solution) -> str:
+    def _solve_conditions(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
         self._point = ProgramPoint.of(solution, held=with_contacts)
-        return self._converge() or self._wrong_limit()
+        return self._newton() or self._wrong_limit()
 
-    def _converge(self) -> str:
+    def _newton(self) -> str:
         """Apply Newton's method to the conditions; return what is wrong if it fails, else an empty text."""
         best = np.inf
         for _ in range(8):
@@ -215,7 +215,7 @@ class KktPoint:
         """Return which multiplier has the wrong sign or which limit is violated now; else an empty text."""
         culprits = [
             limits.labels[i]
-            for limits, values, multipliers in self._sides()
+            for limits, values, multipliers in self._limits_and_multipliers()
             for i in np.flatnonzero(
                 (limits.push(multipliers) < -WEAKLY_ACTIVE_TOLERANCE)
                 | (limits.room(values) < -WEAKLY_ACTIVE_TOLERANCE)
@@ -232,7 +232,7 @@ class KktPoint:
     def _warn_of_weak_limits(self) -> None:
         weak = [
             limits.labels[i]
-            for limits, values, multipliers in self._sides()
+            for limits, values, multipliers in self._limits_and_multipliers()
             for i in np.flatnonzero(limits.weak(values, multipliers))
         ]
         if weak:
@@ -242,7 +242,7 @@ class KktPoint:
                 "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
 
-    def _sides(self) -> list[tuple[ProgramLimits, Array, Array]]:
+    def _limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
         """Limits of variables and of rows, each with values and multipliers."""
         point = self._point
         # Multipliers that are not unique tell nothing by their signs.
@@ -261,7 +261,9 @@ class KktPoint:
         shifted = np.where(self.held, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
             v.full().ravel()
-            for v in _derivatives(self.transcription)(point.x, point.numbers, point.lam, direction)
+            for v in _directional_derivatives(self.transcription)(
+                point.x, point.numbers, point.lam, direction
+            )
         )
         free, held = ~self.pinned, self.held
         right = np.concatenate(
@@ -307,7 +309,7 @@ class KktPoint:
         return self._point.x * self.scaling.variables
 
 
-def _derivatives(transcription: Transcription) -> Any:
+def _directional_derivatives(transcription: Transcription) -> Any:
     """Return (x, p, lam, dp) -> directional derivatives along dp of L, of its gradient and of g."""
     if "sensitivity" not in transcription.built:
         nlp = transcription.nlp

@@ -81,15 +81,15 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     if theorem:
         best: LowerBound | None = LowerBound(solution.objective, _labels(problem), theorem)
     else:
-        found = (_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
+        found = (_relaxation_bound(relaxation, solution, tol) for relaxation in relaxations(problem))
         known = [bound for bound in found if bound is not None]
         best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
     return replace(solution, bound=best).with_verdict(verdict)
 
 
-def _bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
+def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
     """Return what a relaxation bounds the cost by; None if it is not solved or known to be no bound."""
-    problem = _guessed(relaxation, solution)
+    problem = _with_solution_guess(relaxation, solution)
     relaxed = solve(problem, tol=tol, throw=False)
     if not relaxed.converged:
         return None
@@ -107,7 +107,7 @@ def _bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound
     return LowerBound(relaxed.objective, tuple(dict.fromkeys(labels)), theorem)
 
 
-def _guessed(relaxation: Relaxation, solution: Solution) -> Problem:
+def _with_solution_guess(relaxation: Relaxation, solution: Solution) -> Problem:
     """Return a relaxation with the solution's flight as its guess."""
     problem = relaxation.problem
     for name, leg in problem.phases.items():
@@ -146,7 +146,7 @@ def _linear_time_optimal(problem: Problem, solution: Solution) -> bool:
     return (
         _least_time(problem, leg, solution.phase().final_time)
         and bool(np.all(leg.numbers.final.fixed))
-        and _linear(leg)
+        and _is_linear_time_optimal(leg)
         and _can_rest(leg, solution)
     )
 
@@ -162,11 +162,11 @@ def _least_time(problem: Problem, leg: Phase, found: float) -> bool:
     return bool(initial.fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
 
 
-def _linear(leg: Phase) -> bool:
+def _is_linear_time_optimal(leg: Phase) -> bool:
     """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
-    curved = has_kinks(rates) or _depends(ca.jacobian(rates, x), ca.vertcat(x, u))
+    curved = has_kinks(rates) or _depends_on(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
     box = leg.path_interval()
@@ -174,16 +174,16 @@ def _linear(leg: Phase) -> bool:
         row = rows[i]
         if not ca.depends_on(row, x):
             continue
-        if ca.depends_on(row, u) or not _convex(leg, row, x, box.lower[i], box.upper[i]):
+        if ca.depends_on(row, u) or not _is_convex_set(leg, row, x, box.lower[i], box.upper[i]):
             return False
     return True
 
 
-def _convex(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
+def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     """Whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
-    if _depends(hessian, x) or has_kinks(row):
+    if _depends_on(hessian, x) or has_kinks(row):
         return False
     values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
     slack = ROUNDING * np.max(np.abs(values), initial=0.0)
@@ -192,7 +192,7 @@ def _convex(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     )
 
 
-def _depends(expression: Any, symbols: Any) -> bool:
+def _depends_on(expression: Any, symbols: Any) -> bool:
     return bool(ca.depends_on(expression, symbols))
 
 

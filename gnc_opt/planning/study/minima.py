@@ -68,15 +68,15 @@ class Minimum:
 def merged(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima, best first, whatever the order they come in."""
     groups: list[list[Minimum]] = []
-    for minimum in sorted(minima, key=_rank):
+    for minimum in sorted(minima, key=_minimum_rank):
         if groups and equal(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
-    return [_one(group) for group in groups]
+    return [_join_equal(group) for group in groups]
 
 
-def _rank(minimum: Minimum) -> tuple[float, int]:
+def _minimum_rank(minimum: Minimum) -> tuple[float, int]:
     sense = -1.0 if minimum.solution.maximised else 1.0
     return sense * minimum.objective, minimum.starts[0]
 
@@ -86,7 +86,7 @@ def equal(a: float, b: float) -> bool:
     return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
 
 
-def _one(group: Sequence[Minimum]) -> Minimum:
+def _join_equal(group: Sequence[Minimum]) -> Minimum:
     """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
     chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
     starts = sorted(start for minimum in group for start in minimum.starts)
@@ -95,11 +95,11 @@ def _one(group: Sequence[Minimum]) -> Minimum:
         hits=len(starts),
         starts=tuple(starts),
         trajectories=_count_trajectories(group),
-        coarse_objectives=_distinct(value for minimum in group for value in minimum.coarse_objectives),
+        coarse_objectives=_distinct_values(value for minimum in group for value in minimum.coarse_objectives),
     )
 
 
-def _distinct(objectives: Iterable[float]) -> tuple[float, ...]:
+def _distinct_values(objectives: Iterable[float]) -> tuple[float, ...]:
     """Return values in increasing order, equal ones once."""
     kept: list[float] = []
     for value in sorted(objectives):
@@ -112,13 +112,13 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
     """Count different trajectories among equal minima, each of which may stand for several already."""
     samples: list[Array] = []
     for minimum in group:
-        sample = _sample(minimum.solution)
+        sample = _sampled_states(minimum.solution)
         if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
             samples.append(sample)
     return max(len(samples), *(minimum.trajectories for minimum in group))
 
 
-def _sample(solution: Solution) -> Array:
+def _sampled_states(solution: Solution) -> Array:
     """Return all states at 21 times of each phase, in shares of their magnitudes."""
     rows: list[Array] = []
     for leg in solution.phases.values():

@@ -67,27 +67,29 @@ class Refining:
     def _refine(self, problem: Problem, minimum: Minimum) -> Minimum:
         coarse = minimum.solution.with_problem(problem)
         if self.structure == "none":
-            return self._refined(minimum, coarse, "none")
+            return self._refine_mesh(minimum, coarse, "none")
         try:
-            found = self._switched(minimum, coarse)
+            found = self._refine_switches(minimum, coarse)
         except ProblemError:
             if self.structure == "bang-bang":
                 raise
-            return self._refined(minimum, coarse, "none")  # no control switches
+            return self._refine_mesh(minimum, coarse, "none")  # no control switches
         if self.structure == "bang-bang" or found.verdict_ok:
             return found
         points = max(leg.mesh.size for leg in coarse.phases.values())
-        by_mesh = self._refined(minimum, coarse, "none", max_points=WORTHWHILE * points)
-        return by_mesh if by_mesh.verdict_ok or _error(by_mesh) < _error(found) else found
+        by_mesh = self._refine_mesh(minimum, coarse, "none", max_points=WORTHWHILE * points)
+        return (
+            by_mesh if by_mesh.verdict_ok or _refinement_error(by_mesh) < _refinement_error(found) else found
+        )
 
-    def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
+    def _refine_switches(self, minimum: Minimum, coarse: Solution) -> Minimum:
         """Refine to exact switch times: from the coarse solution, from halved segments, and from the first result."""
-        first = self._refined(minimum, coarse, "bang-bang")
+        first = self._refine_mesh(minimum, coarse, "bang-bang")
         problem = coarse.problem
         if first.verdict_ok or problem is None:
             return first
         meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
-        halved = {name: _halved(mesh) for name, mesh in meshes.items()}
+        halved = {name: _halved_mesh(mesh) for name, mesh in meshes.items()}
         places = [(coarse, halved), (first.solution.with_problem(problem), meshes)]
         for guess, mesh in places if first.refined else places[:1]:
             solution = solve_mesh(problem, mesh, guess=guess, options=self.options)
@@ -96,12 +98,12 @@ class Refining:
                 continue
             if mesh is meshes and equal(solution.objective, coarse.objective):
                 continue  # back where it came from
-            second = self._refined(minimum, solution, "bang-bang")
+            second = self._refine_mesh(minimum, solution, "bang-bang")
             if second.verdict_ok:
                 return second
         return first
 
-    def _refined(
+    def _refine_mesh(
         self, minimum: Minimum, coarse: Solution, structure: StructureChoice, max_points: int = MOST_POINTS
     ) -> Minimum:
         limits = RefinementLimits(max_passes=MOST_PASSES, max_points=max_points)
@@ -119,13 +121,13 @@ class Refining:
         )
 
 
-def _error(minimum: Minimum) -> float:
+def _refinement_error(minimum: Minimum) -> float:
     """Return the error that refining left; infinite if it has not been refined."""
     history = minimum.solution.history
     return math.inf if history is None or not minimum.refined else history.final.error
 
 
-def _halved(mesh: Mesh) -> Mesh:
+def _halved_mesh(mesh: Mesh) -> Mesh:
     """Return the mesh with every segment cut in two."""
     breaks = np.asarray(mesh.breaks)
     middles = 0.5 * (breaks[:-1] + breaks[1:])
@@ -316,7 +318,7 @@ def multistart(
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
     chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
-    shared = _shared(problem)
+    shared = _problem_for_workers(problem)
     stated = shared.value
     with WorkerPool(shared, executor, "multistart()") as pool:
         stated.check()
@@ -350,13 +352,15 @@ class _Search:
     def endings(self, coarse: _Coarse, n: int) -> list[_StartEnding]:
         """Solve n starts: the problem's own guess and random ones, every second about as long as the best so far."""
         endings: list[_StartEnding] = []
-        with _meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
+        with _progress_meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
             try:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
-                        done = self.pool.run(coarse, starts, lambda start: show(_answer(start).objective))
-                        endings += [_answer(start) for start in done]
-                        coarse = replace(coarse, durations=_durations(endings))
+                        done = self.pool.run(
+                            coarse, starts, lambda start: show(_task_answer(start).objective)
+                        )
+                        endings += [_task_answer(start) for start in done]
+                        coarse = replace(coarse, durations=_phase_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
         return endings
@@ -370,20 +374,20 @@ class _Search:
             batch, waiting = waiting[: max(left, 0)], waiting[max(left, 0) :]
             if not batch:
                 break
-            with _meter("refinements", len(batch), self.progress, self.problem.sense) as show:
-                done = self.pool.run(refining, batch, lambda minimum: show(_answer(minimum).objective))
-            answers = {id(minimum.item): _answer(minimum) for minimum in done}
+            with _progress_meter("refinements", len(batch), self.progress, self.problem.sense) as show:
+                done = self.pool.run(refining, batch, lambda minimum: show(_task_answer(minimum).objective))
+            answers = {id(minimum.item): _task_answer(minimum) for minimum in done}
             finer += [answers.get(id(minimum), minimum) for minimum in batch]
         return [*finer, *waiting]
 
 
-def _durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
+def _phase_durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
     """Return how long each phase takes in the best of the solutions; nothing without one."""
     best = next(iter(merged(_first_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
-def _shared(problem: Problem | Builder) -> Shared[Problem]:
+def _problem_for_workers(problem: Problem | Builder) -> Shared[Problem]:
     """Return the problem for all workers; only a function that builds it can be sent to other processes."""
     from gnc_opt.workers import Shared
 
@@ -395,15 +399,15 @@ def _shared(problem: Problem | Builder) -> Shared[Problem]:
             f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
-    builder = partial(_built, problem)
+    builder = partial(_built_problem, problem)
     return Shared(builder(), "the function that builds the problem", remedy, builder)
 
 
-def _built(builder: Builder) -> Problem:
+def _built_problem(builder: Builder) -> Problem:
     return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
 
 
-def _answer(done: Done[Item, Answer]) -> Answer:
+def _task_answer(done: Done[Item, Answer]) -> Answer:
     """Return what a task answered, or raise what prevented it."""
     from gnc_opt.workers import WorkerDied
 
@@ -427,7 +431,7 @@ def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
     return sum(abs(minimum.objective - best) <= within * abs(best) for minimum in minima)
 
 
-def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
+def _progress_meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
     from gnc_opt.progress import search_meter
@@ -475,7 +479,7 @@ class _Coarse:
                 raise
             return _StartEnding(index, "bad guess")
         if solution.status.solved and is_spurious(solution):
-            finer = {name: _halved(leg.mesh) for name, leg in solution.phases.items()}
+            finer = {name: _halved_mesh(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             pass_on_interrupt(solution, options)

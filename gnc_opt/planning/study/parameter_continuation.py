@@ -185,7 +185,7 @@ def continuation(
     length = whole if step is None else read_positive(step, "the step of continuation()")
     if first is not None:
         expect(first, Solution, "the first solution of continuation()", "give what solve() returned")
-    problem = _read(problem_of, float(way[0]))
+    problem = _read_values(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
@@ -196,7 +196,7 @@ def continuation(
     return _Walk(problem_of, way, max(least, 1e-14 * whole), tol, options).go(start, length)
 
 
-def _read(problem_of: Family, value: float) -> Problem:
+def _read_values(problem_of: Family, value: float) -> Problem:
     problem = expect(
         problem_of(value), Problem, "what the function of continuation() returned", "return the problem"
     )
@@ -226,7 +226,7 @@ class _Walk:
                 if ahead * (value - target) > -self.least:
                     value = float(target)
                 taken = abs(value - values[-1])
-                found, miss = self._step(value, values[branch:], solutions[branch:])
+                found, miss = self._solve_at(value, values[branch:], solutions[branch:])
                 smooth = found.status.solved and miss <= PREDICTION_ERROR_MAX
                 if found.status is Status.INTERRUPTED:
                     status = ContinuationStatus.INTERRUPTED
@@ -246,7 +246,11 @@ class _Walk:
                         f"bifurcation or a fold), by {miss:.2g} of its size"
                     )
                     branch = len(values)
-                if self.tol is not None and found.structure != () and _kinds(found) != _kinds(solutions[-1]):
+                if (
+                    self.tol is not None
+                    and found.structure != ()
+                    and _parameter_kinds(found) != _parameter_kinds(solutions[-1])
+                ):
                     events.append(f"structure changes between {values[-1]:.10g} and {value:.10g}")
                 values.append(value)
                 solutions.append(found)
@@ -255,11 +259,11 @@ class _Walk:
             status = ContinuationStatus.INTERRUPTED
         return Continuation(np.array(values), tuple(solutions), status, tuple(events))
 
-    def _step(
+    def _solve_at(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
         """Return the solution at a value, and how wrong its prediction was."""
-        problem, last = _read(self.problem_of, value), solutions[-1]
+        problem, last = _read_values(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])
@@ -280,5 +284,5 @@ class _Walk:
             return found, miss
 
 
-def _kinds(solution: Solution) -> tuple[object, ...]:
+def _parameter_kinds(solution: Solution) -> tuple[object, ...]:
     return tuple((arc.phase, arc.channel, arc.kind) for arc in solution.structure)

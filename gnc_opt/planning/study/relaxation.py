@@ -33,11 +33,11 @@ class Relaxation:
 
 def relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each largest closed set with all states of the cost."""
-    found = (_restricted(problem, part) for part in _largest(list(_closed_sets(problem))))
+    found = (_restricted_problem(problem, part) for part in _largest_sets(list(_closed_sets(problem))))
     return [relaxation for relaxation in found if relaxation is not None]
 
 
-def _largest(sets: list[Mask]) -> Iterator[Mask]:
+def _largest_sets(sets: list[Mask]) -> Iterator[Mask]:
     for i, own in enumerate(sets):
         if not any(np.all(other >= own) for j, other in enumerate(sets) if j != i):
             yield own
@@ -51,16 +51,16 @@ def _closed_sets(problem: Problem) -> Iterator[Mask]:
     ties = [_at_ends(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
-        needs[np.ix_(own, own)] |= _depends(leg.model.derivative(), x)
+        needs[np.ix_(own, own)] |= _dependence(leg.model.derivative(), x)
         rows = np.zeros((leg.path_expression().numel(), owner.size), dtype=bool)
-        rows[:, own] = _depends(leg.path_expression(), x)
+        rows[:, own] = _dependence(leg.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
     # Phases stay joined: what links them ties states, whatever else is left out.
     linking = every[[np.unique(owner[row]).size > 1 for row in every]]
     known: set[bytes] = set()
     for rows in (every, linking):
-        for closed in _closure(needs | (rows.T.astype(int) @ rows > 0)):
+        for closed in _transitive_closure(needs | (rows.T.astype(int) @ rows > 0)):
             if (
                 not closed.all()
                 and closed.tobytes() not in known
@@ -70,7 +70,7 @@ def _closed_sets(problem: Problem) -> Iterator[Mask]:
                 yield closed
 
 
-def _closure(needs: Mask) -> Mask:
+def _transitive_closure(needs: Mask) -> Mask:
     """Return all that each needs, directly or not."""
     while True:
         more = (needs.astype(int) @ needs) > 0
@@ -79,7 +79,7 @@ def _closure(needs: Mask) -> Mask:
         needs = more
 
 
-def _depends(expression: Any, symbols: Any) -> Mask:
+def _dependence(expression: Any, symbols: Any) -> Mask:
     """Return which rows depend on which symbols, (n_rows, n_symbols)."""
     pattern = np.zeros((expression.numel(), symbols.numel()), dtype=bool)
     if pattern.size:
@@ -92,9 +92,9 @@ def _at_ends(problem: Problem, expression: Any) -> Mask:
     """Return on which states of all phases rows depend, by end points or by integrals."""
     columns = []
     for leg in problem.phases.values():
-        ends = _depends(expression, leg.ends("initial")) | _depends(expression, leg.ends("final"))
-        along = _depends(leg.integrand_expression(), leg.model.symbols("state"))
-        used = _depends(expression, leg.integral_symbols())
+        ends = _dependence(expression, leg.ends("initial")) | _dependence(expression, leg.ends("final"))
+        along = _dependence(leg.integrand_expression(), leg.model.symbols("state"))
+        used = _dependence(expression, leg.integral_symbols())
         columns.append(ends | ((used.astype(int) @ along) > 0))
     return np.hstack(columns)
 
@@ -112,9 +112,9 @@ class _Part:
             if used
         }
         moved = ca.vertcat(rates, *self.integrands.values())
-        self.controls = np.any(_depends(moved, u), axis=0)
-        alone = ~np.any(_depends(paths, x)[:, ~states], axis=1)
-        limited = _depends(paths, u)
+        self.controls = np.any(_dependence(moved, u), axis=0)
+        alone = ~np.any(_dependence(paths, x)[:, ~states], axis=1)
+        limited = _dependence(paths, u)
         self.rows = alone & ~np.any(limited, axis=1)
         while True:  # rows on states and controls that are left bring their other controls along
             more = alone & (self.rows | np.any(limited[:, self.controls], axis=1))
@@ -137,25 +137,25 @@ class _Part:
             (old.states, self.states, model.state),
             (old.controls, self.controls, model.control),
         ):
-            for name, places in _components(layout, kept):
+            for name, places in _kept_components(layout, kept):
                 v = layout[name]
                 nominal = None if v.nominal is None else np.broadcast_to(v.nominal, v.size)[places]
                 declare(name, len(places), unit=v.unit, nominal=nominal)
         parameters = np.array(
             [s.element_hash() in used for s in ca.vertsplit(p)] if p.numel() else [], dtype=bool
         )
-        for name, places in _components(old.parameters, parameters):
+        for name, places in _kept_components(old.parameters, parameters):
             value = old.parameter_values[old.parameters.slice(name)][places]
             model.parameter(name, value, unit=old.parameters[name].unit)
         kept = ((x, self.states), (u, self.controls), (p, parameters))
         before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
         after = ca.vertcat(*model.arguments())
-        rates = _substituted(self.rates, before, after)
+        rates = _in_other_symbols(self.rates, before, after)
         model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
         return model, before, after
 
 
-def _restricted(problem: Problem, kept: Mask) -> Relaxation | None:
+def _restricted_problem(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs others."""
     conditions, cost = problem.constraint_expression(), problem.cost
     if np.any(_at_ends(problem, cost)[:, ~kept]):
@@ -166,13 +166,13 @@ def _restricted(problem: Problem, kept: Mask) -> Relaxation | None:
     parts, first = [], 0
     for leg in problem.phases.values():
         last = first + leg.model.states.size
-        integrals = np.any(_depends(ends, leg.integral_symbols()), axis=0)
+        integrals = np.any(_dependence(ends, leg.integral_symbols()), axis=0)
         parts.append(_Part(leg, kept[first:last], integrals))
         first = last
-    return _stated(problem, parts, conditions, problem.constraint_interval(), alone)
+    return _stated_phase(problem, parts, conditions, problem.constraint_interval(), alone)
 
 
-def _stated(
+def _stated_phase(
     problem: Problem, parts: list[_Part], conditions: Any, limits: Interval, alone: Mask
 ) -> Relaxation:
     used = {
@@ -181,7 +181,7 @@ def _stated(
         for s in ca.symvar(e)
     }
     states = ", ".join(
-        dict.fromkeys(name for p in parts for name, _ in _components(p.leg.model.states, p.states))
+        dict.fromkeys(name for p in parts for name, _ in _kept_components(p.leg.model.states, p.states))
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
     before, after = _parameters(problem, relaxed, parts, used)
@@ -198,7 +198,7 @@ def _stated(
         before += [part.leg.integrands[name][0] for name in part.integrands]
         after += [leg.integrands[name][0] for name in part.integrands]
     cost, rows = (
-        _substituted(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
+        _in_other_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
         label = _one_row(problem.constraint_labels()[place])
@@ -235,21 +235,21 @@ def _state_phase(leg: Phase, part: _Part, before: Any, after: Any) -> None:
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=_those(old.initial, states),
-        final=_those(old.final, states),
-        states=_those(old.states, states),
-        controls=_those(old.controls, controls),
+        initial=_chosen_components(old.initial, states),
+        final=_chosen_components(old.final, states),
+        states=_chosen_components(old.states, states),
+        controls=_chosen_components(old.controls, controls),
     )
-    limits = _those(part.leg.path_interval(), part.rows)
+    limits = _chosen_components(part.leg.path_interval(), part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
-    rows = _substituted(part.paths, before, after)
+    rows = _in_other_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
         leg.path(_one_row(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
-        leg.integral(_substituted(integrand, before, after), name)
+        leg.integral(_in_other_symbols(integrand, before, after), name)
 
 
-def _components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
+def _kept_components(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
     """Yield the variables of which components are kept, and which of theirs."""
     chosen = np.asarray(kept, dtype=bool)
     for name in layout.names:
@@ -263,12 +263,12 @@ def _one_row(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 
-def _substituted(expression: Any, before: Any, after: Any) -> Any:
+def _in_other_symbols(expression: Any, before: Any, after: Any) -> Any:
     """Return an expression in other symbols; phases that share a model bring its symbols more than once."""
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())
     return ca.substitute(expression, before[places], after[places])
 
 
-def _those(box: Interval, kept: Mask) -> Interval:
+def _chosen_components(box: Interval, kept: Mask) -> Interval:
     return Interval(box.lower[kept], box.upper[kept])

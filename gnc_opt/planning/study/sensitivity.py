@@ -105,11 +105,11 @@ class Sensitivity:
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
-        return _named(self.phase(phase).states, name, "state")
+        return _named_quantity(self.phase(phase).states, name, "state")
 
     def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a control over time."""
-        return _named(self.phase(phase).controls, name, "control")
+        return _named_quantity(self.phase(phase).controls, name, "control")
 
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
@@ -128,7 +128,7 @@ class Sensitivity:
         return self.phase().final_time
 
 
-def _named(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
+def _named_quantity(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
         raise unknown_name(kind, name, "the sensitivity", signals)
     return signals[name]
@@ -207,15 +207,15 @@ def sensitivity(
             f"sensitivity() got {len(chosen)} quantities: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
-    _check(solution)
-    point = _point(solution)
+    _check_solution(solution)
+    point = _factorised_point(solution)
     kind, name = chosen[0]
-    quantity, changes = _changes(point, solution, kind, name, phase)
+    quantity, changes = _quantity_changes(point, solution, kind, name, phase)
     responses = [point.respond(change) for change in changes]
     return _collect(point, solution, quantity, changes, responses)
 
 
-def _check(solution: Solution) -> None:
+def _check_solution(solution: Solution) -> None:
     solution.need_problem("differentiate")
     if not solution.status.solved:
         raise GncOptError(
@@ -224,7 +224,7 @@ def _check(solution: Solution) -> None:
         )
 
 
-def _point(solution: Solution) -> KktPoint:
+def _factorised_point(solution: Solution) -> KktPoint:
     """Factorise once per solution."""
     if solution not in _POINTS:
         _POINTS[solution] = KktPoint(solution)
@@ -268,7 +268,7 @@ def _warn_of_singular_controls(point: KktPoint, solution: Solution) -> None:
 # --- the quantity ---------------------------------------------------------------------------------
 
 
-def _changes(
+def _quantity_changes(
     point: KktPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[Change]]:
     """Name the quantity and return one direction per component."""
@@ -380,16 +380,16 @@ def _collect(
     problem, transcription = point.problem, point.transcription
     layout = problem.parameters
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
-    parameters = {name: _stacked(list(values[:, layout.slice(name)])) for name in layout.names}
+    parameters = {name: _stacked_values(list(values[:, layout.slice(name)])) for name in layout.names}
     phases = {
         name: _phase_sensitivity(point, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
-    objective = _stacked([np.array([problem.sense * r.objective]) for r in responses])
+    objective = _stacked_values([np.array([problem.sense * r.objective]) for r in responses])
     return Sensitivity(quantity, objective, phases, parameters)
 
 
-def _stacked(components: list[Array]) -> Array | float:
+def _stacked_values(components: list[Array]) -> Array | float:
     """One value per component; a single component and a single value lose their axis."""
     flat = [c[0] if c.size == 1 else c for c in components]
     if len(flat) > 1:
@@ -417,8 +417,8 @@ def _phase_sensitivity(
     inner = np.stack([a[1:-1] for a in anchors])
     return PhaseSensitivity(
         leg.name,
-        _stacked([a[:1] for a in anchors]),
-        _stacked([a[-1:] for a in anchors]),
+        _stacked_values([a[:1] for a in anchors]),
+        _stacked_values([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
         signals(leg.states, [piece[1] for piece in pieces]),
         signals(leg.controls, [piece[2] for piece in pieces]),
@@ -477,7 +477,7 @@ def _rate_changes(
     p = model_parameters(problem, own, q)
     functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
-        other.model.parameters.size for other in _before(problem, part.name)
+        other.model.parameters.size for other in _break_before(problem, part.name)
     )  # where this phase's parameters start among the numbers
     directions = [
         time_changes[None, :],
@@ -491,7 +491,7 @@ def _rate_changes(
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
 
-def _before(problem: Problem, phase: str) -> list[Phase]:
+def _break_before(problem: Problem, phase: str) -> list[Phase]:
     names = list(problem.phases)
     return [problem.phases[n] for n in names[: names.index(phase)]]
 

@@ -301,9 +301,9 @@ class _Line:
     options: SolverOptions | None
 
     def __call__(self, functions: _Functions, item: tuple[int, tuple[float, ...]]) -> list[_Point]:
-        return list(self._points(functions, item[1]))
+        return list(self._grid_points(functions, item[1]))
 
-    def _points(self, functions: _Functions, fixed: tuple[float, ...]) -> Iterator[_Point]:
+    def _grid_points(self, functions: _Functions, fixed: tuple[float, ...]) -> Iterator[_Point]:
         neighbour: Solution | None = None
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))

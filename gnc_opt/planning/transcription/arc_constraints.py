@@ -32,13 +32,13 @@ def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
 
 def hold_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of controls at the points of their arcs."""
-    _put(box, collocation.point_controls, _at_points(held.controls, collocation), bounds)
+    _put_kinds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
 
 
 def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Put the bounds of path constraint rows at the points of their arcs."""
     if held.paths:
-        _put(box, collocation.path_rows, _at_points(held.paths, collocation), bounds)
+        _put_kinds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
 
 
 def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
@@ -48,8 +48,8 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
     """
     if not held.states:
         return
-    bounds, going_on = leg.numbers.states, _going_on(leg, held)
-    _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
+    bounds, going_on = leg.numbers.states, _continued_states(leg, held)
+    _put_kinds(box, collocation.point_states, _kinds_at_points(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
             if kind is ArcKind.RELEASED:
@@ -67,7 +67,7 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _going_on(leg: Phase, held: Held) -> set[int]:
+def _continued_states(leg: Phase, held: Held) -> set[int]:
     """The states of a phase that the phase before hands over from an arc on the same bound."""
     found = set()
     for name in leg.model.states.names:
@@ -118,7 +118,7 @@ def _limits(bounds: Interval, kind: ArcKind) -> Array:
     return bounds.upper if kind is ArcKind.UPPER else bounds.lower
 
 
-def _at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
+def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     """The kind of every row at every point, an object array (n, N)."""
     kinds_of = np.asarray(kinds, dtype=object).reshape(
         len(kinds), collocation.mesh.segments
@@ -126,7 +126,7 @@ def _at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
 
 
-def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
+def _put_kinds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
         limits = np.broadcast_to(_limits(bounds, kind)[:, None], kinds.shape)

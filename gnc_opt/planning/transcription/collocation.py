@@ -52,19 +52,19 @@ class PhaseCollocation:
         """The collocation rule of each segment."""
         return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
-    def _spread(self, starts: Array, widths: Array) -> Array:
+    def _spread_rows(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
         return np.concatenate(pieces)
 
     @cached_property
     def fractions(self) -> Array:
         """Collocation times as fractions of the phase on the mesh as given, shape (N,); for guesses."""
-        return self._spread(np.asarray(self.mesh.breaks), self.mesh.widths)
+        return self._spread_rows(np.asarray(self.mesh.breaks), self.mesh.widths)
 
     @cached_property
     def arc_fractions(self) -> Array:
         """Collocation times as fractions of their arcs, shape (N,)."""
-        return self._spread(self.mesh.arc_starts, self.mesh.arc_widths)
+        return self._spread_rows(self.mesh.arc_starts, self.mesh.arc_widths)
 
     @cached_property
     def point_arcs(self) -> Indices:
@@ -94,7 +94,7 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_grid(boundary, n), _grid(points, n), _grid(controls, m))
+        grids = (_place_grid(boundary, n), _place_grid(points, n), _place_grid(controls, m))
         return *grids, int(places[-1]) - self.first_variable
 
     @property
@@ -236,6 +236,6 @@ def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -
     return matrix
 
 
-def _grid(first: Indices, count: int) -> Indices:
+def _place_grid(first: Indices, count: int) -> Indices:
     """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

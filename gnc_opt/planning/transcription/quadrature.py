@@ -67,7 +67,7 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
-    return _rule(*_checked(scheme, n))
+    return _rule(*_checked_rule(scheme, n))
 
 
 def gauss_rule(n: int) -> CollocationRule:
@@ -77,28 +77,28 @@ def gauss_rule(n: int) -> CollocationRule:
 
 def points(scheme: Scheme, n: int) -> Array:
     """The ``n`` points of a family, ascending, shape (n,). Errors as `collocation_rule`."""
-    return _points_and_weights(*_checked(scheme, n))[0]
+    return _points_and_weights(*_checked_rule(scheme, n))[0]
 
 
 def weights(scheme: Scheme, n: int) -> Array:
     """The ``n`` quadrature weights of a family, shape (n,). Errors as `collocation_rule`."""
-    return _points_and_weights(*_checked(scheme, n))[1]
+    return _points_and_weights(*_checked_rule(scheme, n))[1]
 
 
 def barycentric_weights(nodes: ArrayLike) -> Array:
     """Barycentric weights ``1 / prod_k (x_j - x_k)``, the largest scaled to ±1, shape (len(nodes),)."""
-    return _cached_barycentric_weights(_vector(nodes).tobytes())
+    return _cached_barycentric_weights(_float_vector(nodes).tobytes())
 
 
 def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Values on ``nodes`` → derivative at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
-    x, w = _vector(nodes), barycentric_weights(nodes)
+    x, w = _float_vector(nodes), barycentric_weights(nodes)
     return np.asarray(interpolation_matrix(x, at) @ _square_differentiation(x, w))
 
 
 def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Values on ``nodes`` → value at ``at`` of the polynomial through them, shape (len(at), len(nodes))."""
-    return barycentric_basis(_vector(nodes), barycentric_weights(nodes), _vector(at))
+    return barycentric_basis(_float_vector(nodes), barycentric_weights(nodes), _float_vector(at))
 
 
 def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
@@ -112,7 +112,7 @@ def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 
-def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+def _checked_rule(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = family_of(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
@@ -237,7 +237,7 @@ def _rounded(values: Numbers) -> Array:
     return table
 
 
-def _vector(values: ArrayLike) -> Array:
+def _float_vector(values: ArrayLike) -> Array:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
     if vector.ndim != 1:
         raise ArgumentError(f"expected a vector of nodes or abscissae, got an array of shape {vector.shape}")

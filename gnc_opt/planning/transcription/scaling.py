@@ -81,7 +81,10 @@ def _derivatives(transcription: Transcription, problem: Problem, start: Array) -
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate(problem, inside)
-        gradient, nonzeros = np.maximum(gradient, _size(slope)), np.maximum(nonzeros, _size(jacobian))
+        gradient, nonzeros = (
+            np.maximum(gradient, _matrix_size(slope)),
+            np.maximum(nonzeros, _matrix_size(jacobian)),
+        )
         room = np.maximum(room, _finite(np.minimum(values - limits.lower, limits.upper - values)))
     return gradient, nonzeros, room
 
@@ -90,5 +93,5 @@ def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def _size(values: Array) -> Array:
+def _matrix_size(values: Array) -> Array:
     return np.where(np.isfinite(values), np.abs(values), 0.0)

@@ -68,7 +68,7 @@ class Transcription(Numbering):
         self.built: dict[Any, Any] = {}
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
         junctions = [self._junction_block(*placed) for placed in self.junctions]
-        self.program = SeparableProgram(self._linear(), (*phase_blocks, *junctions, self._end_block()))
+        self.program = SeparableProgram(self._is_linear(), (*phase_blocks, *junctions, self._end_block()))
         self.objective, self.constraints = (
             self.program.rows(0, 1),
             self.program.rows(1, 1 + self.n_constraints),
@@ -235,7 +235,7 @@ class Transcription(Numbering):
         data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
         return PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
 
-    def _linear(self) -> Any:
+    def _is_linear(self) -> Any:
         entries = [part.collocation.linear for part in self.parts.values()]
         entries.append(smooth_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
@@ -275,13 +275,15 @@ class Transcription(Numbering):
         n, m = self.n_variables, self.n_constraints
         _, columns = self.objective.jacobian_pattern
         scaled = gradient * s.objective_scale * s.scales[columns.tolist()]
-        gradient = ca.densify(_sparse(n, 1, columns, 0 * columns, scaled))
+        gradient = ca.densify(_sparse_matrix(n, 1, columns, 0 * columns, scaled))
         rows, columns = self.constraints.jacobian_pattern
         # vec: of a vector of one entry CasADi picks a row.
         scaled = jacobian * ca.vec(s.row_scales[rows.tolist()]) * s.scales[columns.tolist()]
-        jacobian = _sparse(m, n, rows, columns, scaled)
+        jacobian = _sparse_matrix(m, n, rows, columns, scaled)
         rows, columns = self.program.hessian_pattern
-        hessian = _sparse(n, n, rows, columns, hessian * s.scales[rows.tolist()] * s.scales[columns.tolist()])
+        hessian = _sparse_matrix(
+            n, n, rows, columns, hessian * s.scales[rows.tolist()] * s.scales[columns.tolist()]
+        )
         point, names = [s.x, s.p], ["x", "p"]
         return NlpProblem(
             x=s.x,
@@ -414,7 +416,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     return built
 
 
-def _sparse(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
+def _sparse_matrix(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:
     """Build an MX matrix from column-major (row, column) places and its nonzeros."""
     starts = np.searchsorted(columns, np.arange(n_columns + 1))
     pattern = ca.Sparsity(n_rows, n_columns, starts.tolist(), rows.tolist())

@@ -29,7 +29,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
 from gnc_opt.planning.problem.guess.perturbation import angular_states, is_plain, with_random_guess
-from gnc_opt.planning.study.multistart import Refining, _answer, _Coarse
+from gnc_opt.planning.study.multistart import Refining, _task_answer, _Coarse
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
 
@@ -367,7 +367,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
 
 def test_a_dead_worker_is_told() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        _answer(Done(0, None, WorkerDied()))
+        _task_answer(Done(0, None, WorkerDied()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

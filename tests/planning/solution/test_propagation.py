@@ -24,7 +24,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.model import integration
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.solution.diagnosis import _running_off
+from gnc_opt.planning.solution.diagnosis import _unbounded_variables
 from gnc_opt.planning.solution.propagation import Propagation, propagate
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 
@@ -282,7 +282,7 @@ def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
     names = [f"{name}, t = {i}" for i in range(40) for name in ("x", "y", "z")]
     scaled = np.full(120, -2e6)
     scaled[3 * 7 + 1], scaled[2::3] = 3e6, 9e5
-    found = _running_off(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
+    found = _unbounded_variables(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
     assert [(v.name, v.amount) for v in found] == [
         ("y, t = 7 runs off to infinity", 3e6),
         ("x, t = 0 runs off to infinity", 2e6),

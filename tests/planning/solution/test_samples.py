@@ -255,7 +255,9 @@ def test_violations_are_peaks_found_between_samples() -> None:
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:
-    assert limits._highest(np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])).tolist() == [
+    assert limits._highest_places(
+        np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
+    ).tolist() == [
         5,
         4,
         6,

@@ -42,7 +42,7 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
     for vector in leg.vectors:
-        _aim(leg, vector, times, (first, last), controls)
+        _set_constant_vector(leg, vector, times, (first, last), controls)
     if perturbed:
         controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
@@ -55,7 +55,9 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     return PhaseStart(times, states, controls)
 
 
-def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
+def _set_constant_vector(
+    leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
+) -> None:
     """Set a vector control to the constant that gives the mean rate between the ends, if sustained and allowed."""
     layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
     if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
@@ -168,8 +170,8 @@ def guess_times(leg: Phase) -> Array:
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
-    if np.isnan(wanted[1]) and after is not None and not _is_told(final):
-        usual = _share(after, t0) or usual
+    if np.isnan(wanted[1]) and after is not None and not _is_given(final):
+        usual = _equal_shares(after, t0) or usual
     tf = _time_in(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
@@ -184,17 +186,17 @@ def _linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
     return next(before, None), next(after, None)
 
 
-def _is_told(time: Interval) -> bool:
+def _is_given(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
-def _share(leg: Phase | None, start: float) -> float:
+def _equal_shares(leg: Phase | None, start: float) -> float:
     """Return each phase's equal share, s, of the time from the previous start to the next specified end."""
     phases = 1
     while leg is not None:
         phases += 1
         own, final = leg.numbers.guess.time, leg.times()[1]
-        if own is not None or _is_told(final):
+        if own is not None or _is_given(final):
             end = float(own[-1]) if own is not None else float(final.middle[0])
             return max(end - start, 0.0) / phases
         leg = _linked_in_time(leg)[1]
@@ -221,7 +223,7 @@ def end_values(leg: Phase) -> tuple[Array, Array]:
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
         rows = leg.model.states.slice(name)
-        first[rows], last[rows] = _along(_chain(leg, name), leg)
+        first[rows], last[rows] = _guessed_ends(_linked_phases(leg, name), leg)
     return first, last
 
 
@@ -259,7 +261,7 @@ class _Link:
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
-def _chain(leg: Phase, name: str) -> list[_Link]:
+def _linked_phases(leg: Phase, name: str) -> list[_Link]:
     """Return the phases that links join to one in a state, in their order."""
     chain = [leg]
     while handed := chain[0].handed_over(name):
@@ -269,11 +271,11 @@ def _chain(leg: Phase, name: str) -> list[_Link]:
     return [_Link.of(phase, name) for phase in chain]
 
 
-def _along(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
+def _guessed_ends(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     """Return the guessed ends of a state in one phase of a chain."""
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _ahead(chain[index:])
+        ahead, time = _next_known_value(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
         begin = np.where(np.isnan(begin), link.box.middle, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
@@ -286,7 +288,7 @@ def _along(chain: list[_Link], leg: Phase) -> tuple[Array, Array]:
     return first, last
 
 
-def _ahead(chain: list[_Link]) -> tuple[Array, Array]:
+def _next_known_value(chain: list[_Link]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps up to it, and in what time it comes."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

@@ -68,7 +68,7 @@ def with_random_guess(
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
-        values = _by_name(leg.model.states, states) | _by_name(leg.model.controls, controls)
+        values = _values_by_name(leg.model.states, states) | _values_by_name(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _with_random_parameters(twin, rng)
 
@@ -110,7 +110,7 @@ def _draw_turns(
     return added
 
 
-def _by_name(layout: Layout, rows: Array) -> dict[str, Any]:
+def _values_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 
@@ -141,7 +141,7 @@ def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Gene
     numbers = leg.numbers
     low, high = max(least, VIGOUR[0]), VIGOUR[1]
     amplitude = magnitudes * low * (high / low) ** rng.uniform()
-    states = line + amplitude[:, None] * _waves(magnitudes.size, rng)
+    states = line + amplitude[:, None] * _smooth_random_signals(magnitudes.size, rng)
     offsets = amplitude * rng.normal(size=(2, magnitudes.size))
     for end, offset, ramp in (
         (numbers.initial, offsets[0], 1 - FRACTIONS),
@@ -159,21 +159,21 @@ def _draw_controls(
     middle = np.where(bounded[:, None], box.middle[:, None], guess)
     reach = np.where(bounded, 0.5 * (box.upper - box.lower), magnitudes)
     if full or rng.uniform() < 0.5:
-        pattern = np.stack([_bangs(rng) for _ in range(reach.size)]) if reach.size else guess
+        pattern = np.stack([_random_bangs(rng) for _ in range(reach.size)]) if reach.size else guess
     else:
-        pattern = _waves(reach.size, rng)
+        pattern = _smooth_random_signals(reach.size, rng)
     level = 1.0 if full else rng.uniform(0.3, 1.0)
     return _clip(middle + level * reach[:, None] * pattern, box)
 
 
-def _bangs(rng: np.random.Generator) -> Array:
+def _random_bangs(rng: np.random.Generator) -> Array:
     """Return a pattern of -1 and +1 with a few random switches, at `FRACTIONS`."""
     switches = np.sort(rng.uniform(size=rng.integers(0, 5)))
     sign = rng.choice((-1.0, 1.0))
     return np.asarray(sign * (-1.0) ** np.searchsorted(switches, FRACTIONS))
 
 
-def _waves(size: int, rng: np.random.Generator) -> Array:
+def _smooth_random_signals(size: int, rng: np.random.Generator) -> Array:
     """Return smooth random signals (size, n_fractions) of order one that vanish at both ends."""
     k = np.arange(1, WAVES + 1)
     return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))

@@ -104,9 +104,9 @@ def guess_from_simulation(
     t0, tf = guess_times(leg)
     if duration is not None:
         tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
-    law = _law(problem, leg, controls)
+    law = _control_law(problem, leg, controls)
     q = problem.guessed_parameters()
-    p, start = leg.model.parameter_values, _initial(leg, initial)
+    p, start = leg.model.parameter_values, _initial_state(leg, initial)
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
     fast = fast_call(rates, p, q)
@@ -114,10 +114,10 @@ def guess_from_simulation(
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
-    stop = None if until is None else _stop(problem, leg, until)
+    stop = None if until is None else _stop_event(problem, leg, until)
     sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
     try:
-        flight = _flight(rate, start, (t0, tf), sizes, leg, stop)
+        flight = _integrate(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
             f"the flight that guess_from_simulation() makes of {leg.where} cannot go on ({error}): change the law"
@@ -138,7 +138,7 @@ def guess_from_simulation(
     return problem.with_guess(leg.name, times, **values)
 
 
-def _flight(
+def _integrate(
     rate: Rate,
     start: Array,
     times: tuple[float, float],
@@ -156,7 +156,7 @@ def _flight(
         return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
-def _initial(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
+def _initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
     start = end_values(leg)[0].copy()
     for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
@@ -164,7 +164,9 @@ def _initial(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
     return start
 
 
-def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[[float, Array], Array]:
+def _control_law(
+    problem: Problem, leg: Phase, controls: Mapping[str, Any]
+) -> Callable[[float, Array], Array]:
     """Return the controls as a function of t and x, within their bounds."""
     model, box = leg.model, leg.numbers.controls
     sizes = {name: v.size for name, v in leg.guessable.items() if name not in model.states}
@@ -196,7 +198,7 @@ def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[
     return law
 
 
-def _stop(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
+def _stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "what guess_from_simulation() flies until"
     function = _function(problem, leg, as_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])

@@ -28,13 +28,13 @@ def bent(problem: P) -> P:
         if not_finite_at_guess(problem, leg) is None:
             continue
         twin = problem.clone()
-        twin.phases[name].guess(**_bends(leg))
+        twin.phases[name].guess(**_curved_states(leg))
         if not_finite_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
 
-def _bends(leg: Phase) -> dict[str, Any]:
+def _curved_states(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
     start, layout, box = start_phase(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.

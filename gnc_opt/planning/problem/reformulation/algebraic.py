@@ -122,7 +122,7 @@ def with_algebraic_states(problem: P) -> P:
     """Return a problem whose algebraic variables are states; itself if it has none."""
     found = []
     for name, leg in problem.phases.items():
-        forms = problem.once(("algebraic", name), lambda leg=leg: list(_forms(leg)))  # type: ignore[misc]
+        forms = problem.once(("algebraic", name), lambda leg=leg: list(_algebraic_forms(leg)))  # type: ignore[misc]
         found += [(name, form) for form in forms if form.is_wanted(leg) and form.is_regular(leg)]
     if not found:
         return problem
@@ -135,7 +135,7 @@ def with_algebraic_states(problem: P) -> P:
     return twin
 
 
-def _forms(leg: Phase) -> Iterator[AlgebraicForm]:
+def _algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
     model = leg.model
     t, x, _, _ = model.arguments()
     rate = model.derivative()

@@ -42,7 +42,7 @@ class Extremum:
 
 def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
-    ignored, found = _of_tables(problem, leg), {}
+    ignored, found = _table_pieces(problem, leg), {}
     wanted = integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = outermost(integrand, ignored, domain) if wanted[name] else []
@@ -101,7 +101,7 @@ def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     return senses
 
 
-def _of_tables(problem: Statement, leg: Phase) -> frozenset[int]:
+def _table_pieces(problem: Statement, leg: Phase) -> frozenset[int]:
     return frozenset[int]().union(*(use.hashes for use in table_uses(problem, problem.phases[leg.name])))
 
 
@@ -139,11 +139,11 @@ def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[
 
 def pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Return smooth expressions of which a node is the largest (sense 1) or the least (-1); None if it is of none."""
-    found = _pieces(node, sense, domain)
+    found = _smooth_pieces(node, sense, domain)
     return None if found is None or len(found) > KINK_MAX_PIECES else _without_dominated(found, sense)
 
 
-def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _smooth_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     if is_smooth(node):
         return [node]
     extremum = _extremum(node, domain)
@@ -153,24 +153,27 @@ def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
             return None
         if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
             operands = operands[:1]
-        return _union([_pieces(operand, sense, domain) for operand in operands])
+        return _union_pieces([_smooth_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
     if operation == ca.OP_NEG:
-        return _scaled(_pieces(node.dep(0), -sense, domain), -1)
+        return _scaled_pieces(_smooth_pieces(node.dep(0), -sense, domain), -1)
     if operation == ca.OP_TWICE:
-        return _scaled(_pieces(node.dep(0), sense, domain), 2)
+        return _scaled_pieces(_smooth_pieces(node.dep(0), sense, domain), 2)
     if operation in (ca.OP_ADD, ca.OP_SUB):
         sign = 1 if operation == ca.OP_ADD else -1
-        left, right = _pieces(node.dep(0), sense, domain), _pieces(node.dep(1), sign * sense, domain)
+        left, right = (
+            _smooth_pieces(node.dep(0), sense, domain),
+            _smooth_pieces(node.dep(1), sign * sense, domain),
+        )
         if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
             return None
         return [a + sign * b for a, b in product(left, right)]
     if operation in (ca.OP_MUL, ca.OP_DIV):
-        return _times(node, sense, domain)
+        return _product_pieces(node, sense, domain)
     return None
 
 
-def _times(node: Any, sense: int, domain: Domain) -> Pieces | None:
+def _product_pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     """Of a product or quotient of a kink and a smooth factor of known sign."""
     kink, factor = node.dep(0), node.dep(1)
     if node.op() == ca.OP_MUL and not is_smooth(factor):
@@ -178,10 +181,12 @@ def _times(node: Any, sense: int, domain: Domain) -> Pieces | None:
     sign = domain.sign(factor) if is_smooth(factor) else 0
     if sign == 0:
         return None
-    return _scaled(_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor)
+    return _scaled_pieces(
+        _smooth_pieces(kink, sign * sense, domain), 1 / factor if node.op() == ca.OP_DIV else factor
+    )
 
 
-def _union(lists: list[Pieces | None]) -> Pieces | None:
+def _union_pieces(lists: list[Pieces | None]) -> Pieces | None:
     found: dict[int, Any] = {}
     for one in lists:
         if one is None:
@@ -190,7 +195,7 @@ def _union(lists: list[Pieces | None]) -> Pieces | None:
     return list(found.values())
 
 
-def _scaled(found: Pieces | None, factor: Any) -> Pieces | None:
+def _scaled_pieces(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
@@ -203,10 +208,10 @@ def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
         return -1, [node.dep(0), node.dep(1)]
-    return _chosen(node, domain) if operation == ca.OP_ADD else None
+    return _choice_pieces(node, domain) if operation == ca.OP_ADD else None
 
 
-def _chosen(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
+def _choice_pieces(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """``if_else(a < b, ...)`` that is continuous, and bends where a = b, is the larger or the smaller of its values."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
@@ -340,7 +345,9 @@ def smooth_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
         sense = limited_sense(constraint, i)
         own = pieces(row, sense, domain) if sense and not is_smooth(row) else None
         changed |= own is not None
-        kept = [e for e in own or [row] if own is None or not _holds(e, box.lower[i], box.upper[i])]
+        kept = [
+            e for e in own or [row] if own is None or not _is_constant_within(e, box.lower[i], box.upper[i])
+        ]
         rows += [(e, box.lower[i], box.upper[i]) for e in kept]
     if not changed or not rows:
         return None
@@ -357,7 +364,7 @@ def above_pieces(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
     return Constraint(symbol.variable.name, ca.vertcat(*rows), limits), max(constants, default=-np.inf)
 
 
-def _holds(expression: Any, lower: float, upper: float) -> bool:
+def _is_constant_within(expression: Any, lower: float, upper: float) -> bool:
     """Whether an expression is a constant within limits."""
     return bool(expression.is_constant() and lower <= float(expression) <= upper)
 
@@ -381,7 +388,7 @@ class EpigraphForm(PhaseForm):
                 place = kink.node.element_hash()
                 if place in symbols:
                     continue
-                s = symbols[place] = _new(old, len(symbols))
+                s = symbols[place] = _new_name(old, len(symbols))
                 label = s.variable.name
                 kinks[label] = kink
                 paths[label], least[label] = above_pieces(s, kink)
@@ -433,5 +440,5 @@ def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
     return at
 
 
-def _new(model: Model, k: int) -> Symbol:
+def _new_name(model: Model, k: int) -> Symbol:
     return Symbol(Variable(free_name(model, "epigraph" if k == 0 else f"epigraph_{k + 1}"), 1, ""))

@@ -45,7 +45,9 @@ _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 def without_full_turns(problem: P) -> P:
     """Return a problem whose angles are free where their bounds leave out no direction; itself if it has none."""
     found = {
-        name: turns for name, leg in problem.phases.items() if np.any((turns := _turns(problem, leg)).free)
+        name: turns
+        for name, leg in problem.phases.items()
+        if np.any((turns := _full_turns(problem, leg)).free)
     }
     if not found:
         return problem
@@ -58,7 +60,7 @@ def without_full_turns(problem: P) -> P:
     return twin
 
 
-def _turns(problem: Statement, leg: Phase) -> Turns:
+def _full_turns(problem: Statement, leg: Phase) -> Turns:
     box = leg.numbers.controls
     room, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = Turns(none - np.inf, none + np.inf, none)
@@ -127,9 +129,9 @@ def _without_norms(problem: P) -> P:
             np.sign(leg.numbers.controls.lower).tobytes(),
             guessed_controls(leg),
         )
-        while (form := _form(problem, leg, key)) is not None:
-            key = (*key, form.vector.places, *_restate(leg, form))
-        key = (*key, *_straighten(problem, leg, key))
+        while (form := _next_form(problem, leg, key)) is not None:
+            key = (*key, form.vector.places, *_give_form(leg, form))
+        key = (*key, *_restate_kinks(problem, leg, key))
         rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         keys.append((*key, *rootless))
@@ -156,7 +158,7 @@ def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
-def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
+def _next_form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
     """The next form of a phase, which is the same for all variations."""
 
     def build() -> Form | None:
@@ -166,7 +168,7 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
     return problem.once(("form", *key), build)
 
 
-def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
+def _restate_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
     told = key
     if not _has_kinks(problem, leg, told):
@@ -195,16 +197,16 @@ def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
     return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(along(leg))))
 
 
-def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
+def _give_form(leg: Phase, form: Form) -> tuple[str, ...]:
     """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
     stated, rows = leg.clone(), box_rows(form, leg)
-    form.give(leg, _numbers(stated, form))
+    form.give(leg, _numbers_in_form(stated, form))
     leg.paths |= rows
     leg.replace_controls(form.control, on_sphere=form.on_sphere)
     return tuple(rows)
 
 
-def _numbers(stated: Phase, form: Form) -> PhaseNumbers:
+def _numbers_in_form(stated: Phase, form: Form) -> PhaseNumbers:
     """The numbers of a phase in its new controls."""
     old, new, numbers = stated.model.controls, form.model.controls, stated.numbers
     box = free(new.size)
@@ -222,11 +224,11 @@ def _numbers(stated: Phase, form: Form) -> PhaseNumbers:
         own = [np.max(numbers.scales[v.name]) for v in form.vector.stated if v.name in numbers.scales]
         scales |= {form.control.magnitude: np.array([max(own)])} if own else {}
     return replace(
-        numbers, controls=Interval(box.lower, box.upper), scales=scales, guess=_guess(stated, form)
+        numbers, controls=Interval(box.lower, box.upper), scales=scales, guess=_guess_in_form(stated, form)
     )
 
 
-def _guess(stated: Phase, form: Form) -> PhaseGuess:
+def _guess_in_form(stated: Phase, form: Form) -> PhaseGuess:
     """The guess, that of components of the vector as one of the vector."""
     guess, gone = stated.numbers.guess, {v.name for v in form.vector.stated}
     given = gone & guess.values.keys()

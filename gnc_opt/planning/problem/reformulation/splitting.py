@@ -67,14 +67,14 @@ class Bend:
             slopes = ca.jacobian(gaps, u)
             if not slopes.nnz() or any(ca.which_depends(gaps, u, 2, True)):
                 continue
-            lines = _lines(gaps, slopes, u)
+            lines = _piece_lines(gaps, slopes, u)
             if lines is None:
                 continue
             first, alpha, beta = lines
             factor = slopes[first]
             sign = domain.sign(factor)
             if sign != 0:
-                own = _envelope(sign * alpha, sign * beta)
+                own = _line_at_infinity(sign * alpha, sign * beta)
                 return cls(node, sense, found[0], sense * sign * factor, place, *own)
         return None
 
@@ -84,7 +84,7 @@ class Bend:
         return self.base + self.factor * (self.slope * u + self.offset + sum(more))
 
 
-def _lines(gaps: Any, slopes: Any, u: Any) -> tuple[int, Array, Array] | None:
+def _piece_lines(gaps: Any, slopes: Any, u: Any) -> tuple[int, Array, Array] | None:
     """Return the row of the first slope, and slopes and offsets of all in its units; None if those are no numbers."""
     first = next(i for i in range(slopes.numel()) if not slopes[i].is_zero())
     alpha, beta = ca.densify(slopes) / slopes[first], ca.substitute(gaps, u, 0.0) / slopes[first]
@@ -98,7 +98,7 @@ def _lines(gaps: Any, slopes: Any, u: Any) -> tuple[int, Array, Array] | None:
     return first, np.median(values[:n], axis=1), np.median(values[n:], axis=1)
 
 
-def _envelope(alpha: Array, beta: Array) -> tuple[float, float, tuple[float, ...], tuple[float, ...]]:
+def _line_at_infinity(alpha: Array, beta: Array) -> tuple[float, float, tuple[float, ...], tuple[float, ...]]:
     """Return slope and offset of the line that is the largest far to the left, corners and rises of the slope there."""
     order = np.lexsort((-beta, alpha))
     at = order[0]
@@ -130,7 +130,7 @@ def bounds_by_hand(leg: Phase, domain: Domain) -> BoundsByHand:
     """Return the bounds of controls that path constraints with kinks amount to, and nothing else."""
     symbols = ca.vertsplit(leg.model.symbols("control"))
     controls = {place: symbols[place] for place in stated_controls(leg).values()}
-    found = {name: _bounds(c, controls, free(len(symbols)), domain) for name, c in leg.paths.items()}
+    found = {name: _part_bounds(c, controls, free(len(symbols)), domain) for name, c in leg.paths.items()}
     return {name: box for name, box in found.items() if box is not None}
 
 
@@ -145,7 +145,7 @@ def bound_controls(leg: Phase, found: BoundsByHand) -> None:
     leg.restatement = Restatement.of_limits(leg.model, texts).after(leg.restatement)
 
 
-def _bounds(
+def _part_bounds(
     constraint: Constraint, controls: dict[int, Any], box: Interval, domain: Domain
 ) -> Interval | None:
     for i, row in enumerate(rows_of(constraint.expression)):
@@ -155,7 +155,7 @@ def _bounds(
             return None
         limit = constraint.interval.upper[i] if sense > 0 else constraint.interval.lower[i]
         for piece in own:
-            place, slope, offset = _line(piece, controls)
+            place, slope, offset = _affine_piece(piece, controls)
             if place is None:
                 return None
             end = (limit - offset) / slope
@@ -166,7 +166,7 @@ def _bounds(
     return box if np.all(box.lower <= box.upper) else None
 
 
-def _line(piece: Any, controls: dict[int, Any]) -> tuple[int | None, float, float]:
+def _affine_piece(piece: Any, controls: dict[int, Any]) -> tuple[int | None, float, float]:
     """Return the control that a piece is an affine function of alone, its slope and the rest; None if it is not."""
     own = ca.symvar(piece)
     place = next((i for i, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
@@ -195,7 +195,7 @@ class Bends:
             return [bend for bend in tried if bend is not None]
 
         pushed = {name: bends(kinks) for name, kinks in kinks_that_cost(problem, leg, domain).items()}
-        corners = _corners(leg.model.controls, [bend for own in pushed.values() for bend in own])
+        corners = _control_corners(leg.model.controls, [bend for own in pushed.values() for bend in own])
         kept = {
             name: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
             for name, own in pushed.items()
@@ -208,7 +208,7 @@ class Bends:
         return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
 
 
-def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
+def _control_corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
     """Return the corners of controls all of whose components have as many, by the places of those."""
     corners: dict[int, tuple[float, ...]] = {}
     for v in layout.variables:
@@ -236,14 +236,14 @@ class SplitForm(PhaseForm):
             if places[0] not in bends.corners:
                 continue
             corners = tuple(zip(*(bends.corners[i] for i in places), strict=True))
-            *plus, minus = parts[v.name] = _parts(old, v, len(corners))
+            *plus, minus = parts[v.name] = _part_symbols(old, v, len(corners))
             own = SplitControl(v, tuple(p.variable.name for p in parts[v.name]), corners)
             splits.append(own)
             for i, symbol in enumerate(ca.vertsplit(old.symbol(v.name))):
                 beyond[places[i]] = {
                     corner[i]: sum(p[i] for p in plus[k:]) for k, corner in enumerate(corners)
                 }
-                instead[symbol.element_hash()] = _value(corners[0][i], [p[i] for p in plus], minus[i])
+                instead[symbol.element_hash()] = _part_value(corners[0][i], [p[i] for p in plus], minus[i])
 
         def split(expression: Any) -> Any:
             return replaced(expression, instead)
@@ -274,8 +274,8 @@ class SplitForm(PhaseForm):
                 old,
                 stated,
                 split(stated),
-                _values(old, splits),
-                tuple(map(_told, splits)),
+                _part_expressions(old, splits),
+                tuple(map(_given_value, splits)),
             ),
             tuple(splits),
         )
@@ -309,19 +309,19 @@ class SplitForm(PhaseForm):
         self.give(leg, replace(numbers, controls=box, scales=scales))
 
 
-def _value(corner: float, plus: list[Any], minus: Any) -> Any:
+def _part_value(corner: float, plus: list[Any], minus: Any) -> Any:
     total = sum(plus[1:], plus[0]) - minus
     return corner + total if corner else total
 
 
-def _told(control: SplitControl) -> str:
+def _given_value(control: SplitControl) -> str:
     *plus, minus = control.parts
     first = control.corners[0]
     corner = f"{', '.join(f'{c:g}' for c in first)} + " if any(first) else ""
     return f"{control.name} is solved for as {corner}{' + '.join(plus)} - {minus}, parted where its cost has kinks"
 
 
-def _parts(model: Model, variable: Variable, corners: int) -> list[Symbol]:
+def _part_symbols(model: Model, variable: Variable, corners: int) -> list[Symbol]:
     """Return the symbols of the parts beyond each corner, and below the first one."""
 
     def part(what: str) -> Symbol:
@@ -330,7 +330,7 @@ def _parts(model: Model, variable: Variable, corners: int) -> list[Symbol]:
     return [*(part("plus" if k == 0 else f"plus_{k + 1}") for k in range(corners)), part("minus")]
 
 
-def _values(model: Model, splits: list[SplitControl]) -> Any:
+def _part_expressions(model: Model, splits: list[SplitControl]) -> Any:
     """Return the new controls in terms of the old ones."""
     own = {c.name: c for c in splits}
     values: list[Any] = []

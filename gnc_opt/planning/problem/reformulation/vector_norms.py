@@ -32,7 +32,7 @@ Places: TypeAlias = tuple[int, ...]
 
 def norm_by_hand(leg: Phase) -> Places | None:
     """Return the components of the largest vector whose norm has to be restated; None if there is none."""
-    return max([*_under_roots(leg), *_squared(leg)], key=len, default=None)
+    return max([*_root_vectors(leg), *_squared_norms(leg)], key=len, default=None)
 
 
 def stated_controls(leg: Phase) -> dict[int, int]:
@@ -49,7 +49,7 @@ def guessed_controls(leg: Phase) -> frozenset[str]:
     return frozenset(name for name in leg.numbers.guess.values if name in leg.model.controls)
 
 
-def _under_roots(leg: Phase) -> Iterator[Places]:
+def _root_vectors(leg: Phase) -> Iterator[Places]:
     """Yield vectors of which a root is the norm: there it has no derivative at zero."""
     stated, tried = stated_controls(leg), set()
     controls = leg.model.symbols("control")
@@ -61,11 +61,11 @@ def _under_roots(leg: Phase) -> Iterator[Places]:
         if len(places) > 1 and places not in tried:
             tried.add(places)
             is_norm = NormNodes.of(node, controls[list(places)]).degrees.get(node.element_hash()) == 1
-            if is_norm and not (_curves(leg, places) and _is_limited_only(leg, places)):
+            if is_norm and not (_curves_in_all(leg, places) and _is_limited_only(leg, places)):
                 yield places
 
 
-def _curves(leg: Phase, places: Places) -> bool:
+def _curves_in_all(leg: Phase, places: Places) -> bool:
     """Whether an integrand curves in all components of a vector, so that an optimum passes through zero smoothly."""
     vector = leg.model.symbols("control")[list(places)]
     hessians = (ca.hessian(row, vector)[0] for row in ca.vertsplit(leg.integrand_expression()))
@@ -79,19 +79,25 @@ def _is_limited_only(leg: Phase, places: Places) -> bool:
     own = {leg.model.symbols("control")[i].element_hash() for i in places}
     elsewhere = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
     with_root = [
-        node for node in nodes_of(elsewhere) if node.op() in ROOTS and own & {*map(_hash, ca.symvar(node))}
+        node
+        for node in nodes_of(elsewhere)
+        if node.op() in ROOTS and own & {*map(_expression_hash, ca.symvar(node))}
     ]
     changed = without_roots(leg)
     rows = ca.vertcat(*(changed.get(name, c).expression for name, c in leg.paths.items()))
-    left = [node for node in nodes_of(rows) if node.op() in ROOTS and own & {*map(_hash, ca.symvar(node))}]
+    left = [
+        node
+        for node in nodes_of(rows)
+        if node.op() in ROOTS and own & {*map(_expression_hash, ca.symvar(node))}
+    ]
     return not with_root and not left
 
 
-def _hash(symbol: Any) -> int:
+def _expression_hash(symbol: Any) -> int:
     return int(symbol.element_hash())
 
 
-def _squared(leg: Phase) -> Iterator[Places]:
+def _squared_norms(leg: Phase) -> Iterator[Places]:
     """Yield vectors whose squared norm is limited at zero slope, or from below without a user's guess."""
     guessed = guessed_controls(leg)
     names = [v.name for v in leg.model.controls.variables for _ in range(v.size)]
@@ -194,14 +200,14 @@ def _without_root(row: Any, limits: Interval) -> Any | None:
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = rebuilt(row, lambda node: size if node.element_hash() == place else None)
     found = limits_of(of_size, size, limits)
-    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes(root):
+    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _root_vanishes(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
     return rebuilt(row, lambda node: tangent if node.element_hash() == place else None)
 
 
-def _vanishes(root: Any) -> bool:
+def _root_vanishes(root: Any) -> bool:
     """Whether a root is zero where everything is."""
     symbols = ca.vertcat(*ca.symvar(root))
     return float(ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))) == 0
@@ -228,12 +234,12 @@ class Vector:
         """The controls that have components in it; they go."""
         layout = self.model.controls
         own = set(self.places)
-        return tuple(v for v in layout.variables if own & set(_range(layout, v.name)))
+        return tuple(v for v in layout.variables if own & set(_norm_range(layout, v.name)))
 
     @cached_property
     def rest(self) -> Places:
         """Places of components of those that are not in it."""
-        every = [i for v in self.stated for i in _range(self.model.controls, v.name)]
+        every = [i for v in self.stated for i in _norm_range(self.model.controls, v.name)]
         return tuple(i for i in every if i not in self.places)
 
     @property
@@ -317,7 +323,10 @@ class Form(PhaseForm):
         return cls(
             old.in_controls(
                 _new_controls(vector, magnitude, direction, rest),
-                [(c, express(_value(old, c, product))) for c in _composed(vector, control, rest)],
+                [
+                    (c, express(_composed_value(old, c, product)))
+                    for c in _composed_vector(vector, control, rest)
+                ],
                 express,
             ),
             paths,
@@ -326,8 +335,8 @@ class Form(PhaseForm):
                 old,
                 stated,
                 express(stated),
-                _values(vector, magnitude, direction, rest),
-                (f"{_shown(vector)} is solved for as {' * '.join(parts)}{limits.text}",),
+                _vector_values(vector, magnitude, direction, rest),
+                (f"{_shown_vector(vector)} is solved for as {' * '.join(parts)}{limits.text}",),
             ),
             vector,
             control,
@@ -341,17 +350,17 @@ class Form(PhaseForm):
 # --- controls ---------------------------------------------------------------------------------------------
 
 
-def _range(layout: Layout, name: str) -> range:
+def _norm_range(layout: Layout, name: str) -> range:
     return range(*layout.slice(name).indices(layout.size))
 
 
-def _shown(vector: Vector) -> str:
+def _shown_vector(vector: Vector) -> str:
     labels = [vector.model.controls.labels[i] for i in vector.places]
     whole = len(vector.stated) == 1 and not vector.rest
     return vector.name if whole else f"[{', '.join(labels)}]"
 
 
-def _composed(vector: Vector, control: VectorControl, rest: Symbol | None) -> list[ComposedControl]:
+def _composed_vector(vector: Vector, control: VectorControl, rest: Symbol | None) -> list[ComposedControl]:
     """The vector, and the stated expression if it is not the vector itself."""
     if len(vector.stated) == 1 and rest is None:
         return [control]
@@ -361,13 +370,13 @@ def _composed(vector: Vector, control: VectorControl, rest: Symbol | None) -> li
     return [
         control,
         *(
-            AssembledControl(v, parts, tuple(order.index(i) for i in _range(layout, v.name)))
+            AssembledControl(v, parts, tuple(order.index(i) for i in _norm_range(layout, v.name)))
             for v in vector.stated
         ),
     ]
 
 
-def _value(old: Model, control: ComposedControl, product: Any) -> Any:
+def _composed_value(old: Model, control: ComposedControl, product: Any) -> Any:
     """Return a composed control, in terms of the old controls if it was one of them."""
     return old.symbol(control.name) if control.name in old.controls else product
 
@@ -385,7 +394,7 @@ def _new_controls(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Sy
     return controls
 
 
-def _values(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol | None) -> Any:
+def _vector_values(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol | None) -> Any:
     """Return the new controls in terms of the old ones; a direction of nothing is NaN."""
     old = vector.model
     kept = magnitude.variable.name in old.controls
@@ -418,7 +427,7 @@ class _Limits:
         size = ca.SX.sym("size")
         least, most, gone, kept = 0.0, np.inf, [], []
         by: dict[str, tuple[int, Row]] = {}
-        for row in _rows(leg):
+        for row in _path_rows(leg):
             of_size = norms.replaced(row.expression, size, {})
             own = limits_of(of_size, size, row.limits)
             place = None if own else limiting_control(leg, of_size, size, row.limits)
@@ -434,13 +443,15 @@ class _Limits:
         )
         used = gone or ca.depends_on(norms.replaced(elsewhere, size, {}), size)
         if len(by) != 1 or used:
-            return cls(kept + [row for _, row in by.values()], (least, most), None, False, _which(gone))
+            return cls(
+                kept + [row for _, row in by.values()], (least, most), None, False, _chosen_vector(gone)
+            )
         ((label, (place, row)),) = by.items()
         symbol = leg.model.symbol(leg.model.controls.labels[place])
-        return cls(kept, (0.0, np.inf), symbol, not row.limits.fixed[0], _which([label]))
+        return cls(kept, (0.0, np.inf), symbol, not row.limits.fixed[0], _chosen_vector([label]))
 
 
-def _which(labels: list[str]) -> str:
+def _chosen_vector(labels: list[str]) -> str:
     return (
         f", whose magnitude {' and '.join(repr(n) for n in labels)} limit{'s' * (len(labels) == 1)}"
         if labels
@@ -448,7 +459,7 @@ def _which(labels: list[str]) -> str:
     )
 
 
-def _rows(leg: Phase) -> Iterable[Row]:
+def _path_rows(leg: Phase) -> Iterable[Row]:
     """Yield the rows of the user's path constraints."""
     lengths = {v.length for v in leg.vectors}
     for name, c in leg.paths.items():
