@@ -29,7 +29,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
 from gnc_opt.planning.problem.guess.perturbation import angular_states, is_plain, with_random_guess
-from gnc_opt.planning.study.multistart import Refining, _task_answer, _Coarse
+from gnc_opt.planning.study.multistart import Refining, _Coarse, _task_answer
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
 
@@ -300,7 +300,7 @@ def test_ctrl_c_keeps_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: A
 
         yield show
 
-    monkeypatch.setattr(sys.modules[multistart.__module__], "_meter", impatient_meter)
+    monkeypatch.setattr(sys.modules[multistart.__module__], "_progress_meter", impatient_meter)
     found = search(wells(), n=400, executor=executor)
     assert found.interrupted
     assert 5 <= found.finished < 400
