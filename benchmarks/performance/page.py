@@ -29,7 +29,6 @@ from typing import Any
 
 from benchmarks.performance.peers.compare import ACCURACIES, best
 from benchmarks.performance.profile import compare as profile
-from gnc_opt.problem_file import example
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "docs" / "benchmarks.md", ROOT / "benchmarks" / "validation" / "README.md")
@@ -64,23 +63,6 @@ def _certified(results: Any) -> Cells:
     for row in results:
         parts = (f"{row['mean_s'][part]:.2f}" for part in ("solve", "refine", "verify", "all"))
         yield row["mesh"], *parts, _error(row["largest_error"]), f"{row['minima']} of {len(row['cases'])}"
-
-
-def _problem_files(results: Any) -> Cells:
-    for row in results:
-        place = example(row["problem"]).path.relative_to(ROOT / "problems").as_posix()
-        name = f"[`{row['problem']}`](../../problems/{place})" + (
-            f", {row['variant']}" if row["variant"] else ""
-        )
-        word = row["verdict"].partition(":")[0]
-        yield (
-            name,
-            f"{row['first_s']:.2f}",
-            f"{row['cpu_s']:.1f}",
-            _error(row["off"]),
-            row["status"].replace("_", " "),
-            word,
-        )
 
 
 def _resolve(results: Any) -> Cells:
@@ -172,11 +154,6 @@ BENCHMARKS = {
             "most memory (MB)",
         ),
         _scale,
-    ),
-    "problem_files": Benchmark(
-        (),
-        ("problem", "first solve (s)", "refined and checked (s)", "off the reference", "ended", "verdict"),
-        _problem_files,
     ),
     "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
     "peers": Benchmark(
