@@ -81,7 +81,13 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    cut = {} if _fits(figure) else {"bbox_inches": "tight", "pad_inches": 0.05}
+    cut: dict[str, Any] = {}
+    if not _fits(figure):
+        labels = [
+            axis.label for ax in figure.axes if ax.name == "3d" for axis in (ax.xaxis, ax.yaxis, ax.zaxis)
+        ]
+        drawn = [*figure.get_default_bbox_extra_artists(), *labels]
+        cut = {"bbox_inches": "tight", "pad_inches": 0.1, "bbox_extra_artists": drawn}
     with style():
         figure.savefig(target, dpi=dpi, **cut)
     return target

@@ -120,5 +120,5 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 @media print { body { padding: 0; font-size: 10.5pt; max-width: none; } nav, #motion { display: none; }
   section:nth-of-type(2) { break-before: page; } figure, tr { break-inside: avoid; } .wide { overflow: visible; }
   h2, h3, h4 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 23cm; margin: 0 auto; }
-  #overview img { max-height: 12cm; } #overview figure:first-of-type img { max-height: 8.4cm; } }
+  #overview img { max-height: 12cm; } #overview figure:first-of-type img { max-height: 7.2cm; } }
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import casadi as ca
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from testing.internals import name_text, number_text, per_unit, unit_text
 from testing.models import dynamics, one_phase
 
@@ -188,3 +190,29 @@ def test_controls_of_a_problem_without_any_are_refused() -> None:
     problem.minimize(leg.final_state("x"))
     with pytest.raises(go.GncOptError, match="'free fall' has no controls to draw"):
         plot_controls(go.solve(problem, mesh="1x3", tol=None))
+
+
+def test_the_label_of_a_vertical_axis_in_space_is_inside_the_picture(tmp_path: Path) -> None:
+    heights = []
+    for label in ("z", "z " * 60):
+        figure = Figure(figsize=(6.0, 3.0), layout="constrained")
+        figure.add_subplot(projection="3d").set_zlabel(label)
+        svg = save_figure(figure, tmp_path / "space.svg").read_text(encoding="utf-8")
+        heights.append(float(re.findall(r'height="([\d.]+)pt"', svg)[0]))
+    assert heights[1] > heights[0] + 50.0
+
+
+def test_many_controls_share_two_columns() -> None:
+    model = go.Model("six jets")
+    q, jets = model.state("q", 5), model.control("jets", 5)
+    model.ode({q: jets})
+    problem = go.Problem("hold")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=np.zeros(5))
+    leg.final(q=np.ones(5))
+    problem.minimize(leg.integral(jets.T @ jets))
+    figure = plot_controls(go.solve(problem, mesh="1x3", tol=None))
+    columns = [ax.get_subplotspec().colspan.start for ax in figure.axes]
+    assert len(figure.axes) == 10 and [columns.count(k) for k in range(4)] == [3, 3, 2, 2]
+    assert sum(ax.get_xlabel() == "time (s)" for ax in figure.axes) == 4

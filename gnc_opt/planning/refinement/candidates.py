@@ -225,7 +225,7 @@ def _status(
 def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None, tol: float) -> str:
     """Say how it ended: local error, estimated error of the objective, stage, and what is open."""
     error = best.error
-    text = f"{status.value}: error {error:.1e} (wanted {tol:.1e})"
+    text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
         return f"{text}, verdict ok"
     if error > tol:

@@ -310,7 +310,7 @@ def cost(
 ) -> Condition:
     """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
     yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective), TINY)
-    place = f"objective = {stored.objective:.10g}, not {ends.cost:.10g}"
+    place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in judged:
         leg, kept = s.leg, stored.phases[s.leg.name]

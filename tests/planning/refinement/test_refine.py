@@ -133,7 +133,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     monkeypatch.setattr(module, "optimise_switches", coarse)
     refined = go.refine(cart, tol=1e-8)
     assert told(refined).status is RefinementStatus.STALLED and go.verify(refined).ok
-    assert "error 3.0e-08 (wanted 1.0e-08)" in told(refined).message
+    assert "error 3.0e-08 (tolerance 1.0e-08)" in told(refined).message
     assert go.refine(cart, tol=1e-7).converged
 
 

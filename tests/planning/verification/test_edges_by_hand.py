@@ -309,7 +309,7 @@ def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: fl
             replace(solution, objective=stored), samples, ends, True, given_scales(samples, cost=amount), 1e-6
         )
         assert off.value == pytest.approx(0.25 / amount, rel=1e-6)
-        assert off.where == f"objective = {stored:g}, not 6"
+        assert off.where == f"objective = {stored:g}, recomputed 6"
 
 
 @pytest.mark.parametrize(

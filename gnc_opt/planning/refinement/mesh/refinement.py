@@ -212,7 +212,7 @@ class _Refinement:
     def result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the record."""
         best = self._best.record
-        message = f"{status.value}: error {best.error:.1e} (wanted {self._tol:.1e})"
+        message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
         seconds = time.perf_counter() - self._begin
         history = History(status, self._tol, tuple(self._records), self._chosen, message, seconds)
