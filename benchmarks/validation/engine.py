@@ -200,7 +200,7 @@ def measure(case: Case, set_file: Path, limit_s: float) -> Row:
     try:
         if case.group == "set":
             return _from_set(row, case, set_file, begin)
-        problem, reference = _stated(case)
+        problem, reference = stated(case)
         row = replace(row, **_reference_fields(reference))
         solution = go.solve(problem, tol=TOLERANCES[case.group], throw=False)
         return _checked(row, solution, begin)
@@ -209,7 +209,7 @@ def measure(case: Case, set_file: Path, limit_s: float) -> Row:
         return replace(row, cpu_s=cpu_s, note=f"{type(error).__name__}: {error}".split("\n")[0])
 
 
-def _stated(case: Case) -> tuple[go.Problem, Reference | None]:
+def stated(case: Case) -> tuple[go.Problem, Reference | None]:
     if case.group == "rendezvous":
         module = importlib.import_module("problems.rendezvous")
         number, equation = case.variant.split()
@@ -382,12 +382,12 @@ def read_rows(path: Path) -> list[Row]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write the rows as JSON; null stands for numbers that are not finite."""
-    results = [{key: _finite(value) for key, value in asdict(row).items()} for row in rows]
+    results = [{key: finite(value) for key, value in asdict(row).items()} for row in rows]
     text = json.dumps({"rows": results}, indent=1, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -19,7 +19,8 @@ add their own columns. Displacements d count as :math:`|C^{-1/2}(d/r)|`, gradien
 :math:`r_i = \sqrt{W_{ii}}` and the correlation matrix C of W.
 
 **Cost scale**: :math:`\int \sum_k |H_{u_k}| q_k + \tfrac12 \sum_{kl} |H_{u_k u_l}| q_k q_l\,dt` over all phases, the
-second difference of the end cost over the reach, and the duration times cost rates if it is free.
+second difference of the end cost over the reach, the duration times cost rates if it is free, and, without controls,
+:math:`\tfrac12 \sum_i |J_{p_i p_i}| p_i^2` of the free parameters.
 
 Measures do not depend on units, origins, moving frames, mixtures of states or declared ranges, nor on constants or
 total derivatives in the cost (`test_reference_scales.py`).
@@ -156,8 +157,11 @@ class Scales:
             # Along singular arcs controls change the cost by way of the states only.
             cost = changed + sum(_cost_of_each_state(s, reach[s.leg.name][1]) for s in lasting)
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
+        curvatures = _parameter_curvatures(problem, solution, samples)
+        if not controlled:
+            cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, LEAST_COST_SHARE * abs(solution.objective), least)
-        parameters = _parameter_deviations(problem, solution, samples, cost)
+        parameters = _parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _parameter_columns(s) * parameters for s in lasting}
             gramians = reach_gramians(links, order, deviations, columns)
@@ -230,24 +234,28 @@ def _cost_of_time(s: PhaseSamples, slope: float) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _parameter_deviations(
-    problem: Problem, solution: Solution, samples: list[PhaseSamples], cost: float
-) -> Array:
+def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): what costs as much as the controls, else their size."""
-    values, box = solution.parameter_values, problem.parameter_interval()
-    if not values.size:
-        return np.zeros(0)
-    extent = width(box)
-    size = np.where(np.abs(values) > 0, np.abs(values), np.where(extent > 0, extent, 1.0))
+    size, found = _parameter_sizes(problem, solution), np.full(curvatures.size, np.inf)
+    equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
+    return np.asarray(np.where(np.isfinite(equal), equal, size))
+
+
+def _parameter_sizes(problem: Problem, solution: Solution) -> Array:
+    size, extent = np.abs(solution.parameter_values), width(problem.parameter_interval())
+    return np.asarray(np.where(size > 0, size, np.where(extent > 0, extent, 1.0)))
+
+
+def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
+    """Return the second derivatives of the Lagrangian by the free parameters (n,), by differences of slopes."""
+    values, size = solution.parameter_values, _parameter_sizes(problem, solution)
     bends = np.zeros(values.size)
     for i in range(values.size):
         step = np.zeros(values.size)
         step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
         slopes = [_parameter_slope(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
-    bends = np.where(np.isfinite(bends), bends, 0.0)
-    equal = np.sqrt(np.divide(2 * cost, bends, out=np.full(values.size, np.inf), where=bends > 0))
-    return np.asarray(np.where(np.isfinite(equal), equal, size))
+    return np.asarray(np.where(np.isfinite(bends), bends, 0.0))
 
 
 def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:

@@ -1,8 +1,9 @@
 """Accuracy of an answer in the user's units: objective, limits, ends.
 
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
-collocation. Along that trajectory limits are evaluated at the samples, and a peak between them is that of the
-polynomial through five of them. The error of the objective is an estimate (module `objective_error`).
+collocation. Limits are evaluated along that trajectory at Chebyshev's points between the jumps of the control; a peak
+between them is that of the polynomial through the points of its piece. The error of the objective is an estimate
+(module `objective_error`).
 """
 
 from __future__ import annotations
@@ -20,8 +21,11 @@ from gnc_opt.planning.solution.propagation import integrate_to
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import ROUNDING
 
-PEAK_SEARCH_TIMES = 201
-"""Times between neighbouring samples at which a peak is looked for."""
+POINTS_PER_PIECE = 12
+"""Points between two jumps of the control, ends included."""
+
+PEAK_SEARCH_TIMES = 401
+"""Times between two jumps at which a peak is looked for."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +80,10 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     """Measure all phases of a solution."""
     worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
     for s in samples:
-        x = integrate_to(s.leg, s.functions, s.times)
+        pieces = _pieces(s)
+        x = integrate_to(s.leg, s.functions, pieces.ravel())
         missed = max(missed, _largest_miss(s, x), key=_accuracy_share)
-        values = s.functions.paths(s.times, x, s.u)
+        values = s.functions.paths(pieces.ravel(), x, _applied(s, pieces))
         units = s.leg.states.units
         for rows, box, scale, labels in (
             (
@@ -89,7 +94,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
             ),
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
-            worst = max(worst, _largest_violation(s, rows, box, scale, labels), key=_accuracy_share)
+            worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=_accuracy_share)
     return Accuracy(objective, objective_error, worst[1], worst[2], missed[1], missed[2])
 
 
@@ -112,10 +117,26 @@ def _largest_miss(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     return float(error[i] / s.end_scale[i]), float(error[i]), label
 
 
+def _pieces(s: PhaseSamples) -> Array:
+    """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
+    edges = s.leg.flown.jumps
+    shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
+    times = edges[:-1, None] + shares * np.diff(edges)[:, None]
+    times[:, -1] = edges[1:]  # without rounding
+    return np.asarray(times)
+
+
+def _applied(s: PhaseSamples, pieces: Array) -> Array:
+    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the last point of a piece its value before it."""
+    u = s.leg.flown(pieces.ravel())
+    u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.flown(pieces[:, -1], "left")
+    return np.asarray(u)
+
+
 def _largest_violation(
-    s: PhaseSamples, values: Array, box: Interval, scale: Array, labels: list[str]
+    s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
 ) -> tuple[float, float, str]:
-    """Return share, size and place of the largest violation of limits on values (n, n_samples)."""
+    """Return share, size and place of the largest violation of limits on values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
         return 0.0, 0.0, ""
     with np.errstate(invalid="ignore"):
@@ -123,22 +144,20 @@ def _largest_violation(
     excess = np.where(np.isfinite(values), excess, -np.inf)
     limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
-    peak = _parabola_peak(s, excess[i], int(j))
+    piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
+    peak = max(_peak(box.lower[i] - piece), _peak(piece - box.upper[i]))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
         return 0.0, 0.0, ""
-    return peak / float(scale[i]), peak, s.place(int(j), labels[i])
+    return peak / float(scale[i]), peak, s.place_at(float(pieces.ravel()[j]), labels[i])
 
 
-def _parabola_peak(s: PhaseSamples, excess: Array, j: int) -> float:
-    """Return the peak of the polynomial through a sample and its neighbours in the same segment, up to two a side."""
-    around = np.arange(max(j - 2, 0), min(j + 3, excess.size))
-    around = around[(s.segments[around] == s.segments[j]) & np.isfinite(excess[around])]
-    t = s.times[around] - s.times[j]
-    if around.size < 3 or np.any(np.diff(t) <= 0):
-        return float(excess[j])
-    fine = np.linspace(t[0], t[-1], PEAK_SEARCH_TIMES)
-    shape = scipy.interpolate.BarycentricInterpolator(t / t[-1] if t[-1] else t, excess[around])
-    return float(max(excess[j], np.max(shape(fine / t[-1] if t[-1] else fine))))
+def _peak(excess: Array) -> float:
+    """Return the largest value of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
+    if not np.all(np.isfinite(excess)):
+        return float(np.max(excess, where=np.isfinite(excess), initial=-np.inf))
+    places = np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1))
+    polynomial = scipy.interpolate.BarycentricInterpolator(places, excess)
+    return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
 
 
 def _unit_of(where: str) -> str:

@@ -7,7 +7,8 @@ With the costates :math:`\lambda = \partial J / \partial x` of the minimised fun
 
     d &= \int \lambda^T (f(x_h, u_h) - \dot x_h) \, dt
          + \sum_i w_i \Big( \int L_i \, dt - Q_i \Big), \\
-    o &= \sum_j \int \mu_j^+ (c_j - c_{j,\max})^+ \, dt, \\
+    o &= \sum_j \int \mu_j^+ (c_j - c_{j,\max})^+ \, dt \quad
+         (\text{of an equation } c_j = c_{j,0}: \big|\int \mu_j (c_j - c_{j,0}) \, dt\big|), \\
     g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
 
 d is the value of the defects between the points and of the difference between the integrals and the program's own
@@ -101,9 +102,9 @@ def _finite(value: float) -> float:
 
 
 def _segment_integrals(s: PhaseSamples, values: Array) -> Array:
-    """Integrate values (n_samples,) over each segment (K,)."""
+    """Integrate values (..., n_samples) over each segment (..., K)."""
     starts = np.searchsorted(s.segments, np.arange(s.leg.mesh.segments))
-    return np.asarray(np.add.reduceat(np.where(s.weights > 0, values, 0.0) * s.weights, starts))
+    return np.asarray(np.add.reduceat(np.where(s.weights > 0, values, 0.0) * s.weights, starts, axis=-1))
 
 
 def _defects(s: PhaseSamples) -> Array:
@@ -135,18 +136,24 @@ def _quadrature_values(leg: PhaseSolution, s: PhaseSamples) -> Array:
 def _exceeded(s: PhaseSamples) -> Array:
     """o of each segment (K,)."""
     leg = s.leg
-    total = _segment_integrals(s, _priced_excess(s.x, leg.state_bounds, s.state_multiplier))
+    total = _priced_excess(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
         paths = defined(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
-        total = total + _segment_integrals(s, _priced_excess(paths, leg.path_bounds, s.mu))
+        total = total + _priced_excess(s, paths, leg.path_bounds, s.mu)
     return total
 
 
-def _priced_excess(values: Array, bounds: Interval, multipliers: Array) -> Array:
-    """Return how far limits are exceeded times their multipliers, where these have the right sign (n_samples,)."""
+def _priced_excess(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+    """Return how far limits are exceeded times their multipliers, where these have the right sign (K,).
+
+    Errors of equations have both signs: absolute values are taken after integrating over a segment.
+    """
     above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
     below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
-    return np.asarray(np.sum(np.abs(multipliers) * (above + below), axis=0))
+    priced = np.abs(multipliers) * (above + below)
+    equations = bounds.fixed
+    priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
+    return np.asarray(np.sum(np.abs(_segment_integrals(s, priced)), axis=0))
 
 
 def _suboptimal(s: PhaseSamples) -> Array:

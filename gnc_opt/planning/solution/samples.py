@@ -153,13 +153,19 @@ class PhaseSamples:
     def idle(self) -> Mask:
         """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
         layout, bounds = self.leg.controls, self.leg.control_bounds
-        idle = without_effect(self.functions, bounds, self.times, self.x, self.u, self.control_scale)
-        for vector in self.leg.composed_controls:
-            if isinstance(vector, VectorControl):
-                magnitude = self.u[layout.slice(vector.magnitude)]
-                idle[layout.slice(vector.direction)] = (
-                    magnitude <= AT_LIMIT * self.control_scale[layout.slice(vector.magnitude), None]
-                )
+        vectors = [c for c in self.leg.composed_controls if isinstance(c, VectorControl)]
+        rows = {label: row for row, label in enumerate(self.leg.path_labels)}
+        norms = {
+            i: rows[vector.length]
+            for vector in vectors
+            if vector.length in rows
+            for i in range(*layout.slice(vector.direction).indices(layout.size))
+        }
+        idle = without_effect(self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms)
+        for vector in vectors:
+            magnitude = self.u[layout.slice(vector.magnitude)]
+            scale = self.control_scale[layout.slice(vector.magnitude), None]
+            idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
         return idle
 
     @cached_property

@@ -12,6 +12,7 @@ H keeps the curvature of a smoothed kink, such as :math:`\sqrt{u^2 + e^2}`, over
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,11 +74,18 @@ turns."""
 
 
 def without_effect(
-    functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array, scale: Array
+    functions: PhaseFunctions,
+    bounds: Interval,
+    t: Array,
+    x: Array,
+    u: Array,
+    scale: Array,
+    norms: Mapping[int, int] | None = None,
 ) -> Mask:
     """Return where controls (m, N) change no rates, paths or integrands while others are on their bounds.
 
-    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls.
+    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls, ``norms``
+    the path constraint that gives a component of a direction its length: no effect.
     """
     idle = np.zeros(u.shape, dtype=bool)
     coupled = np.flatnonzero(~functions.separable_controls)
@@ -93,6 +101,9 @@ def without_effect(
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
+        if norms and int(i) in norms:
+            for change in changes:
+                change[x.shape[0] + norms[int(i)]] = 0.0
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
         idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
     return idle

@@ -35,8 +35,9 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import aimed_gradient
+from gnc_opt.planning.verification.feasibility import decided
 from gnc_opt.planning.verification.goh import straight
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK
 
 OWN = 1e-4
 """Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
@@ -64,13 +65,7 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
-    result = (
-        ConditionResult.FAIL
-        if worst.wrong
-        else ConditionResult.PASS
-        if least > GRAZES
-        else ConditionResult.INCONCLUSIVE
-    )
+    result = decided(least > GRAZES, worst.wrong)
     return Condition(name, result, -least, -GRAZES, worst.where, meaning, sufficient=True)
 
 
@@ -176,10 +171,7 @@ class SecondOrder:
     @property
     def result(self) -> ConditionResult:
         """Whether the form is positive definite."""
-        if self.least > self.error:
-            return ConditionResult.PASS
-        fails = self.least < -self.error and self.attained
-        return ConditionResult.FAIL if fails else ConditionResult.INCONCLUSIVE
+        return decided(self.least > self.error, self.least < -self.error and self.attained)
 
 
 def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
@@ -253,7 +245,7 @@ def _of_order(
     sided = np.vstack(
         [-sides[~strong, None] * rows[~strong], precedences[precedence_multipliers <= AT_LIMIT * cost]]
     )
-    null = _null_space(kept)
+    null = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(kept.shape[1])
     if not null.shape[1]:
         return SecondOrder(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
@@ -319,13 +311,6 @@ def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
         return residual, np.zeros(precedences.shape[0])
     precedence_multipliers = scipy.optimize.nnls(precedences.T, residual)[0]
     return residual - precedences.T @ precedence_multipliers, precedence_multipliers
-
-
-def _null_space(rows: Array) -> Array:
-    """An orthonormal basis (n, d) of the directions that change none of the rows."""
-    _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), TINY)))
-    return np.asarray(basis[rank:].T)
 
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:

@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
-from gnc_opt.planning.verification.feasibility import condition_of
+from gnc_opt.planning.verification.feasibility import condition_of, decided
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -58,7 +58,7 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
     """
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _losses(s, scales)
+        loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
         loss = np.where(loss * s.span > RESOLVED_GAIN_SHARE * scales.cost, loss, 0.0)
         share = loss / control_worth(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
@@ -92,17 +92,20 @@ def control_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     """Return what controls on a bound would gain in H to first order if they left it."""
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _losses(s, scales)
+        loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
         gain = lasting(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
         worst = worst.or_worse(_worst_control(s, gain, "switching function of "))
     return worst
 
 
-def _losses(s: PhaseSamples, scales: Scales) -> tuple[Array, Mask]:
-    """First-order gain in H of each control over its deviation, cost per second, and whether it is on a bound."""
-    bounds, scale = s.leg.control_bounds, scales.phases[s.leg.name].deviation
-    gradient = s.control_gradient
-    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * np.max(scale, axis=1, initial=0.0))
+def _losses(s: PhaseSamples, scale: Array, size: Array | None = None) -> tuple[Array, Mask]:
+    """First-order gain in H of each control over a scale (m, n_samples), cost per second, and whether it is on a bound.
+
+    ``size`` (m,) is what the distance to a bound is compared with; by default the largest scale.
+    """
+    bounds, gradient = s.leg.control_bounds, s.control_gradient
+    size = np.max(scale, axis=1, initial=0.0) if size is None else size
+    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * size)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale))
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale))
     loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
@@ -211,13 +214,7 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Se
         nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = (
-        ConditionResult.PASS
-        if least >= tolerance
-        else ConditionResult.INCONCLUSIVE
-        if least > -tolerance
-        else ConditionResult.FAIL
-    )
+    result = decided(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
@@ -271,22 +268,12 @@ def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     inside : bool array (m, n_samples)
         Between the bounds, and active constraints leave all directions free.
     """
-    loss, unit = _range_losses(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
+    loss = _losses(s, s.control_span[:, None], s.control_scale)[0] / s.control_worth[:, None]
+    unit = s.control_span / np.sqrt(s.control_worth)
     inside = _inside(s)
     some, whole = left(s, inside, unit, tolerance)
     singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
     return without_switches(s.times, singular), inside & whole
-
-
-def _range_losses(s: PhaseSamples) -> tuple[Array, Mask]:
-    """First-order loss in H of each control, cost per second, and whether it sits on a bound."""
-    bounds, scale = s.leg.control_bounds, s.control_span
-    gradient = s.control_gradient
-    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * s.control_scale)
-    room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale[:, None]))
-    room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
-    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
-    return loss, at_lower | at_upper
 
 
 def _curvature(s: PhaseSamples) -> Array:

@@ -159,9 +159,10 @@ class CriticalCone:
         limit is held if it shares a segment with one that is pushed there.
         """
         strong, weak = [], []
+        of_variables, of_rows = _lines(point)
         for limits, values, multipliers, lines in (
-            (point.variables, point.x, point.multiplier_densities[0], _variable_lines(point)),
-            (point.rows, point.values, point.multiplier_densities[1], _path_lines(point)),
+            (point.variables, point.x, point.multiplier_densities[0], of_variables),
+            (point.rows, point.values, point.multiplier_densities[1], of_rows),
         ):
             told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
             doubtful = told.weak(values, multipliers)
@@ -209,29 +210,15 @@ class CriticalCone:
         return np.concatenate(worst)
 
 
-def _variable_lines(point: ProgramPoint) -> list[Indices]:
-    """Variables of each state along each segment, start and end included, and of each control at its points."""
-    parts: list[PhasePart] = list(point.transcription.parts.values())
-    return [
-        row
-        for part in parts
-        for k in range(part.collocation.mesh.segments)
-        for row in (
-            *_nodes(part.collocation, k),
-            *_at_points(part.collocation, part.collocation.point_controls, k),
-        )
-    ]
-
-
-def _path_lines(point: ProgramPoint) -> list[Indices]:
-    """Rows of each path constraint along each segment."""
-    parts: list[PhasePart] = list(point.transcription.parts.values())
-    return [
-        row
-        for part in parts
-        for k in range(part.collocation.mesh.segments)
-        for row in _at_points(part.collocation, part.collocation.path_rows, k)
-    ]
+def _lines(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
+    """Variables of each state along each segment, ends included, and of each control; rows of each path constraint."""
+    variables, rows = [], []
+    for part in point.transcription.parts.values():
+        collocation = part.collocation
+        for k in range(collocation.mesh.segments):
+            variables += [*_nodes(collocation, k), *_at_points(collocation, collocation.point_controls, k)]
+            rows += [*_at_points(collocation, collocation.path_rows, k)]
+    return variables, rows
 
 
 def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask) -> None:

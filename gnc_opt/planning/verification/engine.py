@@ -18,18 +18,10 @@ from gnc_opt.planning.solution.quality import NOTHING
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
-from gnc_opt.planning.verification import (
-    bang_bang_second_order as second_order,
-)
-from gnc_opt.planning.verification import (
-    control_conditions as controls,
-)
-from gnc_opt.planning.verification import (
-    costate_conditions as costates,
-)
-from gnc_opt.planning.verification import (
-    feasibility,
-)
+from gnc_opt.planning.verification import bang_bang_second_order as second_order
+from gnc_opt.planning.verification import control_conditions as controls
+from gnc_opt.planning.verification import costate_conditions as costates
+from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.costate_conditions import with_end_limits
 from gnc_opt.planning.verification.feasibility import condition_of
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE

@@ -48,6 +48,13 @@ def condition_of(name: str, worst: Worst, tolerance: float, meaning: str) -> Con
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
+def decided(passes: bool, fails: bool) -> ConditionResult:
+    """Return FAIL, PASS, or INCONCLUSIVE where neither is certain."""
+    if fails:
+        return ConditionResult.FAIL
+    return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
+
+
 def dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
@@ -85,7 +92,13 @@ def _worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: 
     shares = np.where(np.isnan(missed), np.inf, shares)
     k = int(np.argmax(shares))
     i = int(np.argmax(np.abs(total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
-    worst = Worst(float(shares[k]), s.segment_place(k, leg.states.labels[i]))
+    what = leg.states.labels[i]
+    if k in held:
+        jumping = [
+            name for name, jumps in zip(leg.controls.labels, leg.flown.held[:, k], strict=True) if jumps
+        ]
+        what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
+    worst = Worst(float(shares[k]), s.segment_place(k, what))
     weighted = np.add.reduceat(np.sum(s.lam * residual, axis=0) * at.weights, starts) if at is s else None
     if s.has_length and worst.value <= tolerance and weighted is not None and np.all(np.isfinite(weighted)):
         ends = leg.lam(leg.breaks[1:], "left")
@@ -211,13 +224,7 @@ def tables(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = (
-        ConditionResult.FAIL
-        if refused
-        else ConditionResult.INCONCLUSIVE
-        if worst.value
-        else ConditionResult.PASS
-    )
+    result = decided(not worst.value, refused)
     meaning = (
         "Models must be used where their tables have data (value: how far outside, in shares of the axis). FAIL if the "
         "table refuses values outside."
@@ -317,12 +324,12 @@ def cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        narrow = _integrals(s.finer(SCANNED))
+        narrow = integrals_of(s.finer(SCANNED))
         if (
             np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
             > tolerance * yardstick
         ):
-            narrow = _integrals(s.finer(SCANNED, LAYER_STEPS))  # of layers, the scan itself may be in error
+            narrow = integrals_of(s.finer(SCANNED, LAYER_STEPS))  # of layers, the scan itself may be in error
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
             ("narrow part of integral", leg.integral_weights * (narrow - leg.integrals)),
@@ -343,7 +350,7 @@ def cost(
     )
 
 
-def _integrals(s: PhaseSamples) -> Array:
+def integrals_of(s: PhaseSamples) -> Array:
     """Return the integrals (n_integrals,) by the quadrature of the samples."""
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 

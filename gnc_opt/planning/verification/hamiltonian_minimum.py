@@ -258,19 +258,12 @@ class _Search:
 
     def anywhere(self) -> Array:
         """Return the controls (group, n_times) of least H that descents from all points tried reach."""
-        shares, at = self._points()
-        per_time = at.size // self.chosen.size
-        best = np.arange(self.chosen.size) * per_time
-        best = best + np.argmin(self.value(shares, at).reshape(-1, per_time), axis=1)
+        shares, _, _, _, best = self._points()
         return self._followed(np.zeros((self.group.size, 0)), shares[:, best])
 
     def everywhere(self, tolerance: float) -> Gain:
         """Search among all controls; what gains is followed to all times."""
-        shares, at = self._points()
-        value = self.value(shares, at)
-        per_time = at.size // self.chosen.size
-        first = np.arange(self.chosen.size) * per_time
-        best = first + np.argmin(value.reshape(-1, per_time), axis=1)
+        shares, at, value, first, best = self._points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first of a time's points is any
         lowest, low = self.descend(
@@ -290,8 +283,11 @@ class _Search:
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
         return self.lasting(self._followed(kept, shares[:, best]))
 
-    def _points(self) -> tuple[Array, Indices]:
-        """Half of the points anywhere in the range, the others at log-uniform distances from the applied control."""
+    def _points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
+        """Return points, their times, H, and which are the first and the best of each time.
+
+        Half of them are anywhere in the range, the others at log-uniform distances from the applied control.
+        """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), max(1, POINTS // n))
         points, flown = lattice(at.size, k), self._flown[:, at]
@@ -306,7 +302,8 @@ class _Search:
             line = flown[:, single]
             line[moved, np.arange(single.size)] = shares[moved, single]
             shares[:, single] = line
-        return shares, at
+        value, first = self.value(shares, at), np.arange(n) * (at.size // n)
+        return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
     def _followed(self, kept: Array, best: Array) -> Array:
         """Return the minima that descents reach from the least, at every time, of some controls."""

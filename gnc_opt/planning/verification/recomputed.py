@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Condition
-from gnc_opt.planning.verification.feasibility import condition_of
+from gnc_opt.planning.verification.feasibility import condition_of, integrals_of
 from gnc_opt.tolerances import TINY
 
 _EXACT = (
@@ -59,7 +59,7 @@ def from_problem(solution: Solution) -> Solution:
         constraint_labels=problem.constraint_labels(),
     )
     measured = {
-        name: replace(leg, integrals=_integrals(PhaseSamples.of(leg, judged.functions(name))))
+        name: replace(leg, integrals=integrals_of(PhaseSamples.of(leg, judged.functions(name))))
         for name, leg in stated.items()
     }
     weights = ends_of(replace(judged, phases=measured)).integrals
@@ -214,12 +214,6 @@ def _refuse_other_sizes(problem: Problem, solution: Solution) -> None:
                 f"the solution of '{solution.problem_name}' does not fit problem '{problem.name}': {what} are "
                 f"{found[what]} instead of {value}; check it with the problem that was solved."
             )
-
-
-def _integrals(s: PhaseSamples) -> Array:
-    if not s.leg.integrals.size:
-        return s.leg.integrals
-    return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
 def _missing(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:

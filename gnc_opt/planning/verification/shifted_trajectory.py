@@ -109,23 +109,19 @@ class ShiftedTrajectory:
             return None
         full = np.vstack([free, -inverse @ shifts @ free])  # (n + m, d)
         d = full.shape[1]
-        pairs = [_unit(d, i) for i in range(d)] + [
-            _unit(d, i) + _unit(d, j) for i, j in itertools.combinations(range(d), 2)
-        ]
+        unit, couples = np.eye(d), list(itertools.combinations(range(d), 2))
+        pairs = [*unit, *(unit[i] + unit[j] for i, j in couples)]
         both = np.array([*pairs, *(-p for p in pairs)]).T
         values, _ = self.integrate(full @ both)
         half = 0.5 * (values[: len(pairs)] + values[len(pairs) :])
         hessian = np.diag(2 * half[:d])
-        for k, (i, j) in enumerate(itertools.combinations(range(d), 2)):
+        for k, (i, j) in enumerate(couples):
             hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
         single = np.abs(np.diag(hessian))
         least = 1e-3 * np.max(single, initial=0.0)
         scale = 1 / np.sqrt(np.maximum(single, max(float(least), TINY)))
         scale = scale / np.max(scale) if np.max(single) > 0 else np.ones(d)
-        directions = [_unit(d, i) for i in range(d)]
-        directions += [
-            _unit(d, i) + s * _unit(d, j) for i, j in itertools.combinations(range(d), 2) for s in (1, -1)
-        ]
+        directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
         if d > 1:
             vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
             directions.append(vector / np.max(np.abs(vector)))
@@ -447,7 +443,3 @@ def _null_space(rows: Array, least: float) -> Array:
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > max(least, TINY)))
     return np.asarray(basis[rank:].T)
-
-
-def _unit(n: int, i: int) -> Array:
-    return np.asarray(np.eye(n)[i])

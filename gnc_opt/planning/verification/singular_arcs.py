@@ -31,6 +31,7 @@ from gnc_opt.planning.optimality.cost_scale import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
+from gnc_opt.planning.verification.feasibility import decided
 from gnc_opt.tolerances import TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -91,12 +92,7 @@ def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) 
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
-    if worst.least < -tolerance:
-        result = ConditionResult.FAIL
-    else:
-        result = (
-            ConditionResult.INCONCLUSIVE if worst.why or not worst.least > tolerance else ConditionResult.PASS
-        )
+    result = decided(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     return Condition(
         name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True

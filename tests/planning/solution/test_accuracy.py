@@ -26,14 +26,19 @@ def cart(limit: float | None = None) -> go.Problem:
     return problem
 
 
-def minimum_time() -> go.Problem:
-    """Rest to rest over 1 m at 1 m/s^2 at most: 2 s, switching at 1 s."""
-    problem = cart()
-    model = problem.phases["leg"].model
-    timed, leg = one_phase("minimum time", model, 0.0, (0.1, 10.0))
+def minimum_time(load: float | None = None) -> go.Problem:
+    """Rest to rest over 1 m at 1 m/s^2 at most: 2 s, switching at 1 s; perhaps with a limit of a + v / 5."""
+    model = go.Model("cart")
+    q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    timed = go.Problem("minimum time")
+    leg = timed.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
+    if load is not None:
+        leg.path("load", a + 0.2 * v, upper=load)
     timed.minimize(leg.final_time)
     return timed
 
@@ -86,3 +91,39 @@ def test_the_objective_is_within_its_estimated_error() -> None:
     for mesh in ("5x3", "11x3"):
         solution = go.solve(minimum_time(), mesh=mesh, tol=None)
         assert abs(solution.objective - 2.0) < 2 * solution.accuracy.objective_error
+
+
+def turning() -> go.Problem:
+    """A direction (c, s) on the unit circle, as a norm constraint of two controls."""
+    model = go.Model("direction")
+    x, y = model.state("x"), model.state("y")
+    c, s = model.control("c"), model.control("s")
+    model.ode({x: c * (1 + x), y: s})
+    problem = go.Problem("direction")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.final(y=0.5)
+    leg.bounds(c=(-1.0, 1.0), s=(-1.0, 1.0))
+    leg.path("unit", c**2 + s**2, equals=1.0)
+    leg.guess(c=1.0, s=0.0)
+    problem.minimize(-leg.final_state("x"))
+    return problem
+
+
+def test_a_violation_within_a_held_cell_is_found() -> None:
+    """The control is constant over cells of a segment, so that a limit of a + v / 5 is exceeded most at their edges."""
+    solution = go.solve(minimum_time(load=1.1), mesh="5x3", tol=None)
+    edges = solution.phase().flown.jumps
+    assert edges.size > 6, "no cells"
+    inside = np.concatenate([np.linspace(a, b, 202)[1:-1] for a, b in itertools.pairwise(edges)])
+    loads = solution.phase().flown(inside)[0] + 0.2 * flown(solution, inside)[1]
+    assert solution.accuracy.violation == pytest.approx(np.max(loads) - 1.1, rel=2e-2)
+
+
+def test_errors_of_equations_cancel_within_a_segment() -> None:
+    """A norm of interpolated directions is off in both directions; the objective is off by far less."""
+    best = go.solve(turning(), tol=1e-9).objective
+    solution = go.solve(turning(), mesh="6x3", tol=None)
+    true = abs(solution.objective - best)
+    assert 0.5 * true <= solution.objective_error.value <= 3 * true

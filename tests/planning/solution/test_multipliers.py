@@ -14,7 +14,7 @@ from testing.internals import SCHEMES, Attempt, Scheme, transcribe
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
+from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt as saddle
 from gnc_opt.planning.optimality.kkt import FREE, SaddlePoint
 from gnc_opt.planning.optimality.program_point import (
@@ -327,3 +327,11 @@ def test_small_ones_are_left_alone() -> None:
     transcription, point, result, _ = solved(2)
     assert np.max(np.abs(result.lam_g)) < 1e2
     assert minimum_norm_multipliers(transcription, point, result) is result
+
+
+def test_a_limit_that_another_one_implies_has_no_multiplier() -> None:
+    """Two rows that a free variable leaves open together, and two states on arcs of their limits."""
+    free = scipy.sparse.csc_array(np.array([[1.0], [-1.0]]))
+    along = scipy.sparse.csc_array(np.eye(2))
+    r = _null_space_part(free, along, np.array([60.0, 51.0]), np.array([-50.0, -50.0]))
+    assert r == pytest.approx([50.0, 50.0], rel=1e-5)

@@ -29,7 +29,7 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import least_squares
 from gnc_opt.planning.verification.control_conditions import undetermined
 from gnc_opt.planning.verification.costate_conditions import _unexplained
-from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
+from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _lines, _nodes
 from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
 from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
@@ -356,7 +356,7 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
-    lines = [list(map(int, line)) for line in _variable_lines(SimpleNamespace(transcription=transcription))]
+    lines = [list(map(int, line)) for line in _lines(SimpleNamespace(transcription=transcription))[0]]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
     states = [list(map(int, row)) for k in range(2) for row in _nodes(collocation, k)]
     assert sorted(lines) == sorted(states + controls)

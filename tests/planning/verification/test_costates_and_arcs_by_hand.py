@@ -364,7 +364,7 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span."""
     s = flown(u=(value, value), lam=(slope, slope))
-    loss, on_bound = controls._range_losses(s)
+    loss, on_bound = controls._losses(s, s.control_span[:, None], s.control_scale)
     np.testing.assert_allclose(loss[0], 2.0 * min(room, s.control_span[0]), atol=1e-9)
     assert np.all(on_bound[0] == (abs(value) == 1.0)) and not np.any(on_bound[1])
 

@@ -17,7 +17,7 @@ from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
 from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _sort_out
 from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.verification.bang_bang_second_order import _explained, _extrapolated, _null_space
+from gnc_opt.planning.verification.bang_bang_second_order import _explained, _extrapolated
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.reduced_hessian import least_curvature
 
@@ -111,15 +111,6 @@ def test_lanczos_takes_no_more_steps_than_it_is_told_and_than_settle_the_ends() 
 
 
 # --- the induced problem's ------------------------------------------------------------------------------------
-
-
-def test_null_space_of_dependent_rows() -> None:
-    rows = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
-    basis = _null_space(rows)
-    assert basis.shape == (3, 2)
-    np.testing.assert_allclose(rows @ basis, 0.0, atol=1e-12)
-    np.testing.assert_allclose(basis.T @ basis, np.eye(2), atol=1e-12)
-    assert _null_space(np.zeros((0, 3))).shape == (3, 3) and _null_space(np.eye(3)).shape == (3, 0)
 
 
 def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:

@@ -816,3 +816,22 @@ def test_no_row_of_the_stretched_matrix_is_dense(monkeypatch: pytest.MonkeyPatch
     (stretched,) = seen
     assert np.max(np.diff(stretched.indptr)) < DENSE
     assert abs(stretched - stretched.T).max() == 0.0
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-4])
+def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
+    """Without controls, rounding of the states costs nothing beside what the parameters cost, in any unit."""
+    model = go.Model("coast")
+    q, v = model.state("q"), model.state("v")
+    model.ode({q: v, v: 0 * q})
+    problem = go.Problem("one impulse")
+    speed = problem.parameter("speed", lower=-9.0, upper=9.0)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0)
+    leg.final(q=unit)
+    problem.constrain("impulse", leg.initial_state("v") / unit - speed, equals=0.0)
+    problem.minimize(1e6 * speed**2)
+    solution = from_problem(go.solve(problem, mesh="3x4", tol=None))
+    scales = Scales.of(solution, list(solution.samples().values()))
+    assert 0.5e6 <= scales.cost <= 2e6

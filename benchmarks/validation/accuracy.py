@@ -1,0 +1,266 @@
+"""Validate the stated accuracy of answers: the objective's error, the miss at the ends, exceeded limits.
+
+    python -m benchmarks.validation.accuracy [--quick] [--only NAME ...] [--json OUT] [--set FILE] [--limit CPU_S]
+
+Problems: those of the groups "set", "gallery" and "rendezvous" of `benchmarks.validation.engine` whose optimum is known
+to `REFERENCE_MAX_ERROR`. Each is solved on the meshes of `MESHES` as they are, and once refined.
+
+Two questions. Is the estimated error of the objective near the true one? The ratio is taken where the true error
+exceeds `KNOWN_RATIO` times the error of the reference. An answer that a fine mesh confirms is another local
+minimum, of which the estimate says nothing; it is counted. Are misses and violations those of SciPy's integration
+of the applied control, within `AGREEMENT`?
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import resource
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+from benchmarks.validation import engine
+from benchmarks.validation.problem_set.reader import build_problem, read_documents
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+GROUPS = ("set", "gallery", "rendezvous")
+
+MESHES = ("5x3", "10x3", "20x4", "60x4", "refined")
+
+FINE_MESH = "120x4"
+
+REFERENCE_MAX_ERROR = 1e-7
+"""Largest relative error of a reference."""
+
+KNOWN_RATIO = 10.0
+"""True errors below this many times the error of the reference, or of rounding, are not compared."""
+
+ROUNDING = 1e-12
+"""Relative error of an objective by rounding, in hundreds of steps of an interior-point method."""
+
+LARGE_RELATIVE_ERROR = 1e-9
+"""The smallest ratio is that of answers whose relative error exceeds this."""
+
+AGREEMENT = 1e-2
+"""Relative difference of a miss or violation from SciPy's that agrees."""
+
+INTEGRATION_ERROR = 1e-7
+"""Misses and violations below this share of the quantity's size are not compared: unstable flows amplify SciPy's own
+errors."""
+
+CPU_LIMIT_S = 120.0
+QUICK = 6
+"""With ``--quick`` every sixth problem."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One answer; errors of the objective are absolute, misses and violations relative to the quantity's size."""
+
+    problem: str
+    mesh: str
+    error: float | None = None
+    estimate: float | None = None
+    ratio: float | None = None
+    relative_error: float | None = None
+    other_minimum: bool = False
+    miss_difference: float | None = None
+    violation_difference: float | None = None
+    note: str = ""
+
+    def __str__(self) -> str:
+        numbers = (self.relative_error, self.ratio, self.miss_difference, self.violation_difference)
+        shown = " ".join(f"{'-' if v is None else format(v, '.1e'):>9}" for v in numbers)
+        return f"{self.problem:34} {self.mesh:8} {shown}  {self.note}".rstrip()
+
+
+HEADING = f"{'problem':34} {'mesh':8} {'error':>9} {'est/true':>9} {'miss':>9} {'violation':>9}"
+
+
+def known_cases(set_file: Path) -> Iterator[tuple[engine.Case, float, float]]:
+    """Yield the problems whose optimum is known, each once: case, reference, its absolute error."""
+    documents = {d["name"]: d for d in read_documents(set_file)} if set_file.is_file() else {}
+    known: list[float] = []
+    for case in engine.cases(GROUPS, (), set_file):
+        if case.group == "set":
+            document = documents[case.name]
+            value, error = document.get("reference"), document.get("reference_uncertainty")
+            if document.get("expect") or value is None:
+                continue
+        else:
+            reference = engine.stated(case)[1]
+            if reference is None:
+                continue
+            value, error = reference.value, reference.tolerance
+        size = abs(value) or 1.0
+        if error <= REFERENCE_MAX_ERROR * size and all(
+            abs(value - v) > REFERENCE_MAX_ERROR * size for v in known
+        ):
+            known.append(value)
+            yield case, float(value), float(error)
+
+
+def measure(case: engine.Case, value: float, error: float, set_file: Path, limit_s: float) -> list[Row]:
+    """Return the rows of one problem."""
+    warnings.simplefilter("ignore")
+    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    end = time.process_time() + limit_s
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(end), hard))
+    problem = (
+        build_problem(next(d for d in read_documents(set_file) if d["name"] == case.name))
+        if case.group == "set"
+        else engine.stated(case)[0]
+    )
+    return [_row(Row(case.label, mesh), problem, value, error) for mesh in MESHES]
+
+
+def _row(row: Row, problem: go.Problem, value: float, error: float) -> Row:
+    mesh = None if row.mesh == "refined" else row.mesh
+    try:
+        solution = go.solve(
+            problem, mesh=mesh, tol=None if mesh else engine.TOLERANCES["set"], check=False, throw=False
+        )
+    except go.GncOptError as why:
+        return replace(row, note=str(why).partition("\n")[0])
+    if not solution.status.solved:
+        return replace(row, note=solution.status.value)
+    size = abs(value) or 1.0
+    true = abs(solution.objective - value)
+    estimate = solution.objective_error.value
+    row = replace(row, error=true, estimate=estimate, relative_error=true / size)
+    if true > KNOWN_RATIO * max(error, ROUNDING * size):
+        row = replace(row, ratio=estimate / true)
+        if estimate < 0.5 * true and _is_other_minimum(solution, problem, true):
+            row = replace(row, ratio=None, other_minimum=True, note="another minimum")
+    return replace(row, **compare_trajectory(solution))
+
+
+def _is_other_minimum(solution: go.Solution, problem: go.Problem, true: float) -> bool:
+    """Whether a fine mesh, started from an answer, stays at its objective."""
+    fine = go.solve(problem, mesh=FINE_MESH, guess=solution, tol=None, throw=False)
+    return fine.status.solved and abs(fine.objective - solution.objective) < 0.5 * true
+
+
+def compare_trajectory(solution: go.Solution) -> dict[str, float | None]:
+    """Return the differences of the miss and the violation from those of SciPy's integration, relative."""
+    accuracy = solution.accuracy
+    misses, violations = [], []
+    for s in solution.samples().values():
+        fine = integrated(s)
+        if fine is None:
+            return {}
+        times, x, u = fine
+        miss = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
+        misses.append((miss, np.max(np.abs(x), axis=1), s.end_scale))
+        rows = [(x, s.leg.state_bounds, s.state_scale)]
+        if s.leg.path_labels:
+            rows.append((s.functions.paths(times, x, u), s.leg.path_bounds, s.path_scale))
+        for values, box, scale in rows:
+            excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
+            violations.append((np.max(excess, axis=1), np.max(np.abs(values), axis=1), scale))
+    return {
+        "miss_difference": _difference(accuracy.miss, misses),
+        "violation_difference": _difference(accuracy.violation, violations),
+    }
+
+
+def _difference(stated: float, found: Sequence[tuple[Array, Array, Array]]) -> float | None:
+    """Compare with the largest in shares of the scale; None if that is within the error of the integration."""
+    amount, size, scale = (np.concatenate(part) for part in zip(*found, strict=True))
+    i = int(np.argmax(amount / scale))
+    if not amount[i] > INTEGRATION_ERROR * max(size[i], scale[i]):
+        return None
+    return abs(stated - float(amount[i])) / float(amount[i])
+
+
+def integrated(s: PhaseSamples) -> tuple[Array, Array, Array] | None:
+    """Integrate the applied control from the initial state by SciPy: times, states and controls, finely; or None."""
+    leg, pieces = s.leg, []
+    x = leg.x(leg.breaks[0])
+    absolute = 1e-13 * np.maximum(np.max(np.abs(s.x), axis=1), 1e-30)
+    for left, right in itertools.pairwise(leg.flown.jumps):
+        inside = np.linspace(left, right, 65)
+        if not right - left > 1e-12 * s.span:
+            continue
+
+        def rate(t: float, x: Array, left: float = left, right: float = right) -> Array:
+            at = np.clip([t], left + 1e-12 * (right - left), right - 1e-12 * (right - left))
+            return s.functions.rates(at, x[:, None], leg.flown(at))[:, 0]
+
+        run = solve_ivp(rate, (left, right), x, "DOP853", inside, rtol=1e-12, atol=absolute)
+        if not run.success or not np.all(np.isfinite(run.y)):
+            return None
+        u = leg.flown(np.clip(inside, left, right - 1e-12 * (right - left)))
+        pieces.append((inside, run.y, u))
+        x = run.y[:, -1]
+    times, states, controls = (np.concatenate(part, axis=-1) for part in zip(*pieces, strict=True))
+    return times, states, controls
+
+
+def summary(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the shares that the acceptance asks for."""
+    for mesh in (*MESHES, "all"):
+        some = [row for row in rows if mesh in (row.mesh, "all")]
+        ratios = np.array([row.ratio for row in some if row.ratio is not None])
+        if not ratios.size:
+            continue
+        large = [
+            row for row in some if row.ratio is not None and (row.relative_error or 0) > LARGE_RELATIVE_ERROR
+        ]
+        least = min(large, key=lambda row: row.ratio or 0.0, default=None)
+        others = sum(row.other_minimum for row in some)
+        yield (
+            f"{mesh:8} {len(some)} answers, {ratios.size} compared, {others} another minimum: "
+            f"ratio at least 0.5 in {np.mean(ratios >= 0.5):.1%}, median {np.median(ratios):.2g}, "
+            f"95 % {np.quantile(ratios, 0.95):.2g}"
+            + (f", smallest {least.ratio:.2g} ({least.problem}, {least.mesh})" if least else "")
+        )
+    for what in ("miss", "violation"):
+        found = [v for row in rows if (v := getattr(row, f"{what}_difference")) is not None]
+        agreeing = sum(v <= AGREEMENT for v in found)
+        yield f"{what}: {agreeing} of {len(found)} within {AGREEMENT:.0%} of SciPy, largest {max(found, default=0):.1e}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the rows and the shares."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.validation.accuracy")
+    parser.add_argument("--quick", action="store_true", help=f"every {QUICK}th problem")
+    parser.add_argument("--only", nargs="+", default=(), metavar="NAME")
+    parser.add_argument(
+        "--set", type=Path, default=engine.SET_FILE, metavar="FILE", help="default: %(default)s"
+    )
+    parser.add_argument("--limit", type=float, default=CPU_LIMIT_S, metavar="S", help="CPU time of a problem")
+    parser.add_argument("--json", type=Path, metavar="OUT")
+    given = parser.parse_args(arguments)
+    chosen = [c for c in known_cases(given.set) if not given.only or c[0].name in given.only]
+    rows: list[Row] = []
+    print(HEADING)
+    for case, value, error in chosen[:: QUICK if given.quick else 1]:
+        with ProcessPoolExecutor(1) as pool:  # ends with the problem: a limit on CPU time kills it
+            try:
+                found = pool.submit(measure, case, value, error, given.set, given.limit).result()
+            except BrokenProcessPool:
+                found = [Row(case.label, "all", note="stopped at the limit of CPU time")]
+        print(*found, sep="\n", flush=True)
+        rows += found
+        if given.json is not None:
+            results = [{k: engine.finite(v) for k, v in asdict(row).items()} for row in rows]
+            given.json.write_text(json.dumps({"rows": results}, indent=1) + "\n", encoding="utf-8")
+    print(f"{len(chosen)} problems", *summary(rows), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
