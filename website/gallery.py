@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
-from benchmarks.performance.page import numbers
 from gnc_opt.plot import plot_controls, plot_run, plot_states
 from gnc_opt.problem_file import Example, examples
 from problems._example import Reference
@@ -67,7 +66,6 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     if known is not None:
         told = f"{known.value:.10g} {known.unit} ({known.source})"
         yield f"**Known answer**: {told}; to be met within {known.tolerance:.0e}.\n"
-    yield from _solved(example)
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
     yield f"Run it: `gnc-opt examples {example.name}`, or `python -m {example.import_name}` in the repository.\n"
@@ -84,20 +82,6 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
             yield f'??? example "{place}"\n\n    ```python\n{body}\n    ```\n'
         else:
             yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
-
-
-def _solved(example: Example) -> Iterator[str]:
-    """What `benchmarks.performance.problem_files` has measured."""
-    kept = numbers("problem_files")
-    rows = [row for row in kept["results"] if row["problem"] == example.name]
-    for row in rows:
-        which = f" {row['variant']}" if row["variant"] else ""
-        yield (
-            f"**Solved{which}**: {row['objective']:.10g}, {row['status'].replace('_', ' ')} after {row['cpu_s']:.1f} s "
-            f"of processor time, verdict included; the verdict: {row['verdict'].replace('NOT ok', 'fails')}.\n"
-        )
-    if rows:
-        yield f"Measured {kept['date']} on {kept['machine']}; more in [Performance](../benchmarks.md).\n"
 
 
 def _without_docstring(code: str) -> str:

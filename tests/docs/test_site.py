@@ -57,11 +57,6 @@ def test_every_problem_has_its_exhibit() -> None:
         assert f"[{picture}<br>{gallery.heading(each)}]({each.name}.md)" in overview
     assert "**Known answer**: 5.457865264 s" in pages["gallery/zermelo.md"]
     assert "def headings()" in pages["gallery/zermelo.md"]
-    assert re.search(
-        r"\*\*Solved\*\*: 5\.457865264, converged after \d.* the verdict: minimum",
-        pages["gallery/zermelo.md"],
-    )
-    assert "**Solved past a cone**" in pages["gallery/reorientation.md"]
     assert "problems/rendezvous/model.py" in pages["gallery/rendezvous.md"]
 
 
