@@ -172,8 +172,7 @@ def answer_of(
     best = candidates[chosen]
     interrupted = ended is RefinementStatus.INTERRUPTED
     verdict = best.checked if interrupted or not check or not best.solved else best.verdict
-    failed = any(c.history.status is RefinementStatus.FAILED for c in candidates)
-    status = _status(best, verdict, ended, failed, tol)
+    status = _status(best, verdict, ended, {c.history.status for c in candidates}, tol)
     passes = [replace(p, stage=c.stage) for c in candidates for p in c.history.passes]
     history = History(
         status,
@@ -200,7 +199,11 @@ def _better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> di
 
 
 def _status(
-    best: Candidate, verdict: Verdict | None, ended: RefinementStatus | None, failed: bool, tol: float
+    best: Candidate,
+    verdict: Verdict | None,
+    ended: RefinementStatus | None,
+    found: set[RefinementStatus],
+    tol: float,
 ) -> RefinementStatus:
     if ended is RefinementStatus.INTERRUPTED:
         return ended
@@ -217,8 +220,9 @@ def _status(
         return ended
     if (
         best.history.status is RefinementStatus.BUDGET_LIMIT
-    ):  # no limit ended the sequence: nothing improved the mesh
-        return RefinementStatus.FAILED if failed else RefinementStatus.STALLED
+    ):  # of the sequence none: nothing improved the mesh
+        reasons = (RefinementStatus.POINT_LIMIT, RefinementStatus.FAILED)
+        return next((reason for reason in reasons if reason in found), RefinementStatus.STALLED)
     return RefinementStatus.STALLED if best.history.converged else best.history.status
 
 

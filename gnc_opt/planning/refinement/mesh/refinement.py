@@ -192,12 +192,15 @@ class _Refinement:
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._refined_meshes(stage)
+        limited = self._too_many(plan[0])
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
             plan = self._refined_meshes(stage)
-        return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
+        if not self._stalled(plan[0]):
+            return plan
+        return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
 
     def _refined_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
