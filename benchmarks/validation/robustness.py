@@ -8,7 +8,8 @@ and checked by the default call. A problem is lost where its objective was right
 as they are, and is not with the scaled ones. ``--single`` halves and doubles one constant at a time instead; ``all``
 stands for all of them.
 
-Constants that are default values of parameters are read when a module is imported: they keep their values.
+Constants that are default values of parameters are read when a module is imported: they keep their values. So do
+those of formulas (`FORMULAS`).
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ PACKAGES = (
 MAX_FACTOR = 2.0
 """Constants are multiplied by up to this, and divided by it."""
 
+FORMULAS = ("STEP_PARTS", "ORDER", "DEGREE")
+"""Constants that belong to a formula: the nodes of an interpolation, the order of a method."""
+
 QUICK_CPU_S = 4.0
 """Problems that take longer with the constants as they are do not take part."""
 
@@ -76,7 +80,8 @@ def constants() -> list[Constant]:
         module = importlib.import_module(name)
         for target, expression in _assigned(module):
             value = getattr(module, target)
-            if isinstance(expression, ast.Constant) and type(value) in (int, float):
+            literal = isinstance(expression, ast.Constant) and type(value) in (int, float)
+            if literal and target not in FORMULAS:
                 found.append(Constant(name, target, value))
     return found
 
