@@ -18,8 +18,8 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
 from gnc_opt.planning.refinement.arc_warm_start import (
     ARC_WARM_START_MAX_ITERATIONS,
-    Judged,
     KnownArcs,
+    WhenChecked,
     first_meshes,
 )
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
@@ -314,9 +314,11 @@ def solve_by_switching_times(problem: Problem, known: KnownFlight | None) -> Sol
     return None if found is None else said(found, SolveMethod.SWITCH_TIMES)
 
 
-def solve_by_known_arcs(problem: Problem, known: KnownArcs, tol: float, judged: Judged) -> Solution | None:
+def solve_by_known_arcs(
+    problem: Problem, known: KnownArcs, tol: float, checked: WhenChecked
+) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
-    found = known.vary(problem, tol, judged)
+    found = known.vary(problem, tol, checked)
     return None if found is None else said(found, SolveMethod.WARM)
 
 

@@ -45,7 +45,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
     Raises
     ------
     ArgumentError
-        Another kind, or more instants than lines can be told apart.
+        Another kind, or more instants than lines can show.
 
     Examples
     --------

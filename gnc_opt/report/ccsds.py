@@ -57,8 +57,8 @@ def write_oem(
     """
     stamps = _stamps(times, epoch)
     rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / 1e3
-    told = _told(metadata, "center_name", "ref_frame") | _span(metadata, stamps)
-    return _written(path, ("OEM", "2.0", metadata["originator"]), told, _data(stamps, rows))
+    entries = _metadata_entries(metadata, "center_name", "ref_frame") | _span(metadata, stamps)
+    return _written(path, ("OEM", "2.0", metadata["originator"]), entries, _data(stamps, rows))
 
 
 def write_aem(path: str | Path, times: ArrayLike, q_BA: ArrayLike, *, epoch: str, **metadata: str) -> Path:
@@ -98,13 +98,17 @@ def write_aem(path: str | Path, times: ArrayLike, q_BA: ArrayLike, *, epoch: str
         raise ArgumentError(
             f"q_BA has a column of length {size[np.argmax(np.abs(size - 1.0))]:.6g}: give unit quaternions."
         )
-    told = _told(metadata, "ref_frame_a", "ref_frame_b") | {"ATTITUDE_DIR": "A2B"} | _span(metadata, stamps)
-    told |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
+    entries = (
+        _metadata_entries(metadata, "ref_frame_a", "ref_frame_b")
+        | {"ATTITUDE_DIR": "A2B"}
+        | _span(metadata, stamps)
+    )
+    entries |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
     data = ["DATA_START", *_data(stamps, np.roll(q / size, -1, axis=0)), "DATA_STOP"]
-    return _written(path, ("AEM", "1.0", metadata["originator"]), told, data)
+    return _written(path, ("AEM", "1.0", metadata["originator"]), entries, data)
 
 
-def _told(metadata: dict[str, str], *frames: str) -> dict[str, str]:
+def _metadata_entries(metadata: dict[str, str], *frames: str) -> dict[str, str]:
     """Return the lines of the object and its frames; refuse metadata that are missing, unknown or no line of text."""
     names = ("originator", "object_name", "object_id", "time_system", *frames)
     for name in sorted({*names} ^ {*metadata}):
@@ -157,12 +161,12 @@ def _data(stamps: Any, rows: Array) -> list[str]:
     return [" ".join([stamp, *map(repr, column)]) for stamp, column in columns]
 
 
-def _written(path: str | Path, about: tuple[str, str, str], told: dict[str, str], data: list[str]) -> Path:
+def _written(path: str | Path, about: tuple[str, str, str], entries: dict[str, str], data: list[str]) -> Path:
     """Write a message; ``about`` is its kind, version and originator."""
     kind, version, originator = about
     head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": originator}
     lines = [f"CCSDS_{kind}_VERS = {version}", *(f"{key} = {text}" for key, text in head.items())]
-    lines += ["", "META_START", *(f"{key} = {text}" for key, text in told.items()), "META_STOP", "", *data]
+    lines += ["", "META_START", *(f"{key} = {text}" for key, text in entries.items()), "META_STOP", "", *data]
     target = Path(path)
     target.write_text("\n".join(lines) + "\n", encoding="ascii", errors="strict")
     return target

@@ -429,11 +429,11 @@ class CompiledLoop:
         """Return how runs have ended, from the kernels' states of them and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
         parts = self.kernel.state.split(final)
-        errors, judged = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
+        errors, assessed = integration_errors(self.kernel.state, final, companions, float(self.times[-1]))
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
-            else self.classifier.outcome(parts, i, judged[i])
+            else self.classifier.outcome(parts, i, assessed[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
@@ -447,7 +447,7 @@ class CompiledLoop:
             parts["saturation"],
             parts["variation"],
             errors,
-            judged,
+            assessed,
             outcomes,
             counts,
             firsts,

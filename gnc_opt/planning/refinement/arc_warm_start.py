@@ -42,7 +42,7 @@ WARM_START_MIN_WORK = 1e4
 KNOWN_ARCS_MAX_ERROR = 0.1
 """Arcs with a larger error are not those of the variation (of 30, those that settled began below 2e-3)."""
 
-Judged: TypeAlias = Literal["always", "changed"]
+WhenChecked: TypeAlias = Literal["always", "changed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class KnownArcs:
         found = structures_of(replace(solution, structure=()))
         return cls(solution, {name: _without_slivers(s, solution, name) for name, s in found.items()})
 
-    def vary(self, problem: Problem, tol: float, judged: Judged) -> Solution | None:
+    def vary(self, problem: Problem, tol: float, checked: WhenChecked) -> Solution | None:
         """Return the solution of a variation within a tolerance, or None if it is not found nearby.
 
         Parameters
@@ -69,7 +69,7 @@ class KnownArcs:
             One that passes its `check`.
         tol : float
             On the error between the nodes.
-        judged : {"always", "changed"}
+        checked : {"always", "changed"}
             Whether it has to pass the verdict, which it carries then: in any case, or if it has other arcs than the
             known one or its mesh had to be refined.
 
@@ -88,7 +88,7 @@ class KnownArcs:
             raise KeyboardInterrupt
         if not candidate.history.converged:
             return None
-        if judged == "changed" and self._stands(candidate):
+        if checked == "changed" and self._stands(candidate):
             return answer_of([candidate], None, tol, begin, check=False)
         return answer_of([candidate], None, tol, begin, check=True) if candidate.verdict.ok else None
 

@@ -177,8 +177,8 @@ class Verdict:
     @property
     def minimum(self) -> bool:
         """Whether sufficient conditions hold too, every one of them: a strict local minimum, within the tolerance."""
-        judged = any(c.sufficient for c in self.conditions)
-        return self.ok and judged and not self.inconclusive
+        checked = any(c.sufficient for c in self.conditions)
+        return self.ok and checked and not self.inconclusive
 
     @property
     def level(self) -> float:

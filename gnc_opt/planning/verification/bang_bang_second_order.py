@@ -40,7 +40,7 @@ from gnc_opt.planning.verification.goh import straight
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, RANK
 
 OWN = 1e-4
-"""Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
+"""Up to this share of the phase beside a control's own switch its switching function is checked by its slope alone."""
 
 ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
 """Multipliers above these, in shares of H and of the cost, are those of active constraints."""

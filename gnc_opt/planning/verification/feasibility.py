@@ -309,7 +309,7 @@ def _worst_constraint(solution: Solution, ends: EndGradients, scales: Scales) ->
 
 def cost(
     stored: Solution,
-    judged: list[PhaseSamples],
+    checked: list[PhaseSamples],
     ends: EndGradients,
     told: bool,
     scales: Scales,
@@ -319,7 +319,7 @@ def cost(
     yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective), TINY)
     place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
-    for s in judged:
+    for s in checked:
         leg, kept = s.leg, stored.phases[s.leg.name]
         if not leg.integral_labels:
             continue

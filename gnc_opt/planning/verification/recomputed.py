@@ -1,4 +1,4 @@
-"""What is judged: the trajectory and multipliers of a solution, and every other number from its problem."""
+"""What is checked: the trajectory and multipliers of a solution, and every other number from its problem."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def from_problem(solution: Solution) -> Solution:
     problem = solution.need_problem("verify")
     _refuse_other_sizes(problem, solution)
     stated = {name: _stated(problem, solution, name) for name in problem.phases}
-    judged = replace(
+    checked = replace(
         solution,
         maximised=problem.sense < 0,
         phases=stated,
@@ -59,12 +59,12 @@ def from_problem(solution: Solution) -> Solution:
         constraint_labels=problem.constraint_labels(),
     )
     measured = {
-        name: replace(leg, integrals=integrals_of(PhaseSamples.of(leg, judged.functions(name))))
+        name: replace(leg, integrals=integrals_of(PhaseSamples.of(leg, checked.functions(name))))
         for name, leg in stated.items()
     }
-    weights = ends_of(replace(judged, phases=measured)).integrals
+    weights = ends_of(replace(checked, phases=measured)).integrals
     weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
-    return replace(judged, phases=weighed)
+    return replace(checked, phases=weighed)
 
 
 def ends_of(solution: Solution) -> EndGradients:
@@ -91,20 +91,20 @@ def missing_number(stored: Solution, told: bool) -> Worst:
     return worst
 
 
-def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance: float) -> Condition:
+def stored_numbers(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
     """What the solution keeps of its problem is the problem's, and no number is missing.
 
     Parameters
     ----------
-    stored, judged : Solution
+    stored, checked : Solution
         As it is, and by `from_problem`.
     missing : Worst
         By `missing_number`, or `costates_kept_twice` where that is worse.
     """
     worst = missing
-    if stored.maximised != (judged.need_problem("verify").sense < 0):
+    if stored.maximised != (checked.need_problem("verify").sense < 0):
         worst = worst.or_worse(Worst(np.inf, "whether the objective is maximised"))
-    for name, leg in judged.phases.items():
+    for name, leg in checked.phases.items():
         for what in _EXACT:
             for a, b in zip(_vectors(stored.phases[name], what), _vectors(leg, what), strict=True):
                 off = float(np.max(_difference(a, b), initial=0.0))

@@ -60,7 +60,7 @@ PHASE_MIN_POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
 
 UPWARDS, DOWNWARDS = 1e-6, 1e-4
-"""Curvature, in shares of the Hessian's middle row, from which it is told from none: above what is left of first-order
+"""Curvature, in shares of the Hessian's middle row, that counts: above what is left of first-order
 errors, those of the mesh between active limits included."""
 
 DOWNWARDS_SINGULAR = 1e-2
@@ -78,7 +78,7 @@ LANCZOS_STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
 
 GAIN_STEP_SHARE = 0.1
-"""Step, in shares of the magnitudes, for which the gain is told."""
+"""Step, in shares of the magnitudes, for which the gain is given."""
 
 LEAST_GAIN = 1e-7
 """Gain of such a step, in shares of the cost, below which it is rounding, whatever it is in shares of the middle row:
@@ -111,11 +111,11 @@ class Curvature:
 
     @property
     def upwards(self) -> bool:
-        """Whether it is told to be positive."""
+        """Whether it is shown to be positive."""
         return self.value > UPWARDS and self.share > AT_LIMIT
 
     def downwards(self, steep: float) -> bool:
-        """Whether it is told to be negative, by more than ``steep`` and by what gains something."""
+        """Whether it is shown to be negative, by more than ``steep`` and by what gains something."""
         return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
@@ -172,31 +172,35 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
     )
 
-    def judged(result: ConditionResult, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
+    def result_with(
+        result: ConditionResult, value: float, where: str, tolerance: float = -UPWARDS
+    ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
     beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
     if least < -DOWNWARDS:
-        return judged(ConditionResult.FAIL, -least, beyond)
+        return result_with(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = least_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
         jumping = "" if solution.structure else _jumping_control(samples)
         beyond = jumping or beyond
-        told = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
+        result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
-            return judged(told, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0)
-        return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
+            return result_with(
+                result, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0
+            )
+        return result_with(result, -free.value, beyond or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
     bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
             place = _place(cone.point, solution, found.direction)
-            return judged(ConditionResult.FAIL, -found.value, place + _gained(found))
+            return result_with(ConditionResult.FAIL, -found.value, place + _gained(found))
     place = _place(cone.point, solution, free.direction)
-    return judged(ConditionResult.INCONCLUSIVE, -free.value, place + _doubt(free, steep))
+    return result_with(ConditionResult.INCONCLUSIVE, -free.value, place + _doubt(free, steep))
 
 
 def _gained(curvature: Curvature) -> str:

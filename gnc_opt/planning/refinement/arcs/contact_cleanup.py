@@ -78,7 +78,7 @@ def _is_left_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bo
 
 
 def _joined_to_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
-    """Return the structure in which a piece is as the arc beside it."""
+    """Return the structure in which a piece has the kinds of a neighbouring arc."""
     kinds = list(structure.kinds)
     kinds[piece] = kinds[arc]
     return replace(structure, kinds=tuple(kinds)).merged()
@@ -90,7 +90,7 @@ def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
 
 
 def _left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
-    """Rows of first order that one control holds along an arc, and leaves, or comes from, by a bang beside it."""
+    """Rows of first order that one control holds along an arc, and leaves, or comes from, by a neighbouring bang."""
     if not 0 <= arc < structure.pieces:
         return []
     return [
@@ -105,7 +105,7 @@ def _left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
 def _leaves_limit_outward(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
 ) -> bool:
-    """Whether a bang would lead a row beyond the limit along the arc beside it."""
+    """Whether a bang would lead a row beyond the limit along the neighbouring arc."""
     way = 1 if piece > arc else -1
     time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
     return way * _outward_rate(structure, constraints, row, piece, time, kind) > CONSTRAINT_RATE_MIN_SHARE

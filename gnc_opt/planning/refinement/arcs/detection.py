@@ -74,7 +74,7 @@ def detect(
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
     constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
-    judged by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
+    checked by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
     leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
     strictly = regular_channels(samples)

@@ -262,12 +262,14 @@ def _structure_violations(
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
     curved = np.append(curved_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
-    judged = (affine | regular | curved) & (signs != 0)
+    checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
-    violation = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
     opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return violation, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
+    return violation, choose(
+        checked, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
+    )
 
 
 def _with_saturated_arc(
