@@ -88,7 +88,6 @@ if TYPE_CHECKING:  # the same names for type checkers
         refine,
         sensitivity,
         solve,
-        solve_indirect,
         sweep,
         verify,
         verify_trajectory,
@@ -174,7 +173,6 @@ __all__ = [
     "sensitivity",
     "smooth_abs",
     "solve",
-    "solve_indirect",
     "sweep",
     "table",
     "table_from_csv",
@@ -202,7 +200,7 @@ _NAMES_OF_MODULES = {
         "Arc ArcKind Condition Continuation ContinuationStatus History LowerBound Mesh Minimum "
         "Multistart Phase PhaseSolution Problem RefinementLimits RefinementStatus Resolver ConditionResult "
         "Sensitivity Solution SolveError SolverOptions Status Sweep Verdict lower_bound continuation "
-        "guess_from_data guess_from_solution load multistart solve_indirect refine sensitivity "
+        "guess_from_data guess_from_solution load multistart refine sensitivity "
         "guess_from_simulation solve sweep verify verify_trajectory"
     ),
     "simulation": "Campaign ClosedLoop Outcome Run RunStatus monte_carlo",

@@ -27,7 +27,6 @@ RENAMED = {
     "gnc_opt.control.design_ukf": "gnc_opt.estimation.design_ukf",
     "gnc_opt.control.first_memory": "gnc_opt.control.initial_state_function",
     "gnc_opt.control.output_feedback": "gnc_opt.estimation.output_feedback",
-    "gnc_opt.polish": "gnc_opt.solve_indirect",
     "gnc_opt.simulate_guess": "gnc_opt.guess_from_simulation",
     "gnc_opt.simulation.Ball": "gnc_opt.simulation.UniformInBall",
     "gnc_opt.simulation.Consistency": "gnc_opt.analysis.Consistency",

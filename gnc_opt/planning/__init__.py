@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.refinement import (
         RefinementLimits,
         refine,
-        solve_indirect,
     )
     from gnc_opt.planning.solution import (
         PhaseSolution,
@@ -112,7 +111,6 @@ __all__ = [
     "refine",
     "sensitivity",
     "solve",
-    "solve_indirect",
     "sweep",
     "verify",
     "verify_trajectory",
@@ -125,7 +123,7 @@ _NAMES_OF_MODULES = {
     "planning.problem.arcs": "Arc ArcKind",
     "planning.problem.guess.data": "guess_from_data",
     "planning.problem.guess.simulation": "guess_from_simulation",
-    "planning.refinement": "RefinementLimits solve_indirect refine",
+    "planning.refinement": "RefinementLimits refine",
     "planning.solution": "PhaseSolution Solution load",
     "planning.solution.history": "History RefinementStatus",
     "planning.solution.verdict": "Condition LowerBound ConditionResult Verdict",

@@ -33,7 +33,7 @@ EXPECTED = {
         design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         linear_covariance load
-        monte_carlo multistart output_feedback solve_indirect refine sensitivity guess_from_simulation
+        monte_carlo multistart output_feedback refine sensitivity guess_from_simulation
         smooth_abs solve sweep
         table table_from_csv verify verify_trajectory
     """,

@@ -2,7 +2,6 @@
 
 from gnc_opt.planning.refinement.budget import RefinementLimits
 from gnc_opt.planning.refinement.engine import refine
-from gnc_opt.planning.refinement.indirect.indirect_solution import solve_indirect
 from gnc_opt.planning.solution.history import History, RefinementStatus
 
 __all__ = [
@@ -10,5 +9,4 @@ __all__ = [
     "RefinementLimits",
     "RefinementStatus",
     "refine",
-    "solve_indirect",
 ]

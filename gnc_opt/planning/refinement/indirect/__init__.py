@@ -1,1 +1,0 @@
-"""The Hamiltonian boundary-value problem of a solution."""
