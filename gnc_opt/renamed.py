@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 from gnc_opt.errors import GncOptError
 
 RENAMED = {
@@ -52,8 +54,29 @@ RENAMED = {
 }
 """From the full former name to the full present one."""
 
+RENAMED_STATUS_WORDS = {
+    "alarm": "controller_alarm",
+    "inaccurate": "integration_error",
+    "not finite": "not_finite",
+    "pass_limit": "iteration_limit",
+    "refused": "invalid_parameters",
+    "stopped": "terminated_by_event",
+    "vanished": "branch_ended",
+    "verdict_fails": "conditions_fail",
+    "work_limit": "budget_limit",
+}
+"""From the former printed word of a status to the present one: the name of the member in lower case."""
+
 RENAMED_PARAMETERS = {"experiment": "scenario", "judge": "measures"}
 """From the former name of a parameter to the present one."""
+
+
+class StatusWord(Enum):
+    """An enumeration of statuses that also accepts former words, so that files with them can be loaded."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Enum | None:
+        return cls._value2member_map_.get(RENAMED_STATUS_WORDS.get(str(value)))
 
 
 class RenamedError(GncOptError, ImportError):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gnc_opt.renamed import RENAMED_STATUS_WORDS
+
 _SECTIONS = {
     "howto/status": (
         "reference/statuses",
@@ -56,9 +58,8 @@ def targets() -> dict[str, str]:
     """Return the new address, with its anchor, of each old one; both relative to the root of the site."""
     found = {f"{old}.html": f"{new}.html" for old, new in _PAGES.items()}
     for folder, (page, prefix, names) in _SECTIONS.items():
-        dash = "_" if page.endswith("statuses") else "-"
         for name in names.split():
-            found[f"{folder}/{name}.html"] = f"{page}.html#{prefix}{name.replace('_', dash)}"
+            found[f"{folder}/{name}.html"] = f"{page}.html#{prefix}{RENAMED_STATUS_WORDS.get(name, name)}"
     for section, names in _CONDITIONS.items():
         for name in names.split():
             found[f"howto/conditions/{name}.html"] = f"reference/conditions.html#{section}"

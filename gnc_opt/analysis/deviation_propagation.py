@@ -28,7 +28,7 @@ class Sources:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How a column (n,) scatters: derivatives by the dispersed parameters, covariances by block."""
+    """How a column (n,) scatters: derivatives with respect to the dispersed parameters, covariances by block."""
 
     sources: Sources
     by_parameters: Array

@@ -37,7 +37,7 @@ _CARRIED = ("plant", "sensor", "actuator", "push", "memory")
 
 @dataclass(frozen=True, eq=False)
 class LinearStep:
-    """One control step: nominal X_next (n_X,) and y (n_y,), and their derivatives by X, noise, parameters."""
+    """One control step: nominal X_next (n_X,), y (n_y,); derivatives with respect to X, noise, parameters."""
 
     X_next: Array
     y: Array
@@ -105,7 +105,7 @@ class Linearization:
         return found
 
     def start(self) -> tuple[Array, Array, Array]:
-        """Return the nominal first column X (n_X,) and its derivatives by the first step's noise and the parameters."""
+        """Return the nominal first column X (n_X,); its derivatives with respect to first noise and parameters."""
         kernel, P = self.flight.kernel, self.flight.nominal
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
@@ -190,7 +190,7 @@ class Linearization:
 
     @cached_property
     def _by_constants(self) -> Array:
-        """Derivatives of the constants C by the chosen columns of P."""
+        """Derivatives of the constants C with respect to the chosen columns of P."""
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])

@@ -308,7 +308,7 @@ class Model(Strict):
         Raises
         ------
         ModelError
-            As in `state`, or g has another size or a derivative by z that is singular for all values.
+            As in `state`, or g has another size or a derivative with respect to z that is singular for all values.
 
         Examples
         --------

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.variables import Layout
+from gnc_opt.renamed import StatusWord
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
 
 _LOST = ": no digit is right"
@@ -78,28 +78,28 @@ class OutcomeClassifier:
         return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)
 
 
-class RunStatus(Enum):
+class RunStatus(StatusWord):
     """Status of a run; each run has exactly one, the most severe.
 
     Members
     -------
     OK : everything stayed finite, no alarm, the integration within the required accuracy.
-    INACCURATE : the error estimate of the integration exceeds the required accuracy.
-    ALARM : the controller could not meet its guarantees.
+    INTEGRATION_ERROR : the error estimate of the integration exceeds the required accuracy.
+    CONTROLLER_ALARM : the controller could not meet its guarantees.
     DIVERGED : a state left its plausible size, see ``divergence_limits`` of `ClosedLoop`.
     NOT_FINITE : a signal, state or quantity is not finite, or an event is NaN.
-    STOPPED : an event that is a failure ended the run, events accumulated (Zeno), or a reset left its event at zero.
-    REFUSED : a parameter is outside its permitted range; the run was not simulated.
+    TERMINATED_BY_EVENT : a failure event ended the run, events accumulated (Zeno), or a reset left its event at zero.
+    INVALID_PARAMETERS : a parameter is outside its permitted range; the run was not simulated.
     LOST : its process died, or the run raised an exception.
     """
 
     OK = "ok"
-    INTEGRATION_ERROR = "inaccurate"
-    CONTROLLER_ALARM = "alarm"
+    INTEGRATION_ERROR = "integration_error"
+    CONTROLLER_ALARM = "controller_alarm"
     DIVERGED = "diverged"
-    NOT_FINITE = "not finite"
-    TERMINATED_BY_EVENT = "stopped"
-    INVALID_PARAMETERS = "refused"
+    NOT_FINITE = "not_finite"
+    TERMINATED_BY_EVENT = "terminated_by_event"
+    INVALID_PARAMETERS = "invalid_parameters"
     LOST = "lost"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gnc_opt
-from gnc_opt.renamed import RENAMED, RENAMED_PARAMETERS, RenamedError
+from gnc_opt.renamed import RENAMED, RENAMED_PARAMETERS, RENAMED_STATUS_WORDS, RenamedError, StatusWord
 
 
 @pytest.mark.parametrize("former", RENAMED)
@@ -34,6 +34,22 @@ def test_an_import_of_a_former_name_reports_the_present_one() -> None:
 def test_a_former_parameter_reports_the_present_one(function: str, former: str) -> None:
     with pytest.raises(TypeError, match=f"'{former}': it is now '{RENAMED_PARAMETERS[former]}'"):
         operator.attrgetter(function)(gnc_opt)(**{former: None})
+
+
+@pytest.mark.parametrize(
+    "kind", [*StatusWord.__subclasses__(), gnc_opt.Status], ids=lambda kind: kind.__name__
+)
+def test_the_word_of_a_status_is_the_name_of_its_member(kind: type) -> None:
+    assert [status.value for status in kind] == [status.name.lower() for status in kind]
+
+
+def test_a_former_status_word_is_read_as_the_present_one() -> None:
+    """Files of earlier releases contain it."""
+    for former, present in RENAMED_STATUS_WORDS.items():
+        kinds = [kind for kind in StatusWord.__subclasses__() if present in [status.value for status in kind]]
+        assert kinds and all(kind(former).value == present for kind in kinds)
+    with pytest.raises(ValueError, match="no_such_word"):
+        gnc_opt.RunStatus("no_such_word")
 
 
 def test_sources_use_no_former_name() -> None:

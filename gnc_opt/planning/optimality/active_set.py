@@ -87,7 +87,7 @@ def _uncurved(basis: Array, hessian: Array, flat: float) -> Array:
 
 
 def _rows(s: PhaseSamples) -> Array:
-    """Gradients by the controls of what active constraints keep at zero (n, m, n_samples); zero where inactive."""
+    """Control gradients of the quantities that active constraints keep at zero (n, m, n_samples); else zero."""
     leg = s.leg
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
@@ -121,7 +121,7 @@ def _near(values: Array, box: Any, scale: Array) -> Mask:
 
 
 def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
-    """Gradients by u of the first time derivatives, of states and paths, in which it appears (n * m, row by row)."""
+    """Gradients, with respect to u, of the first time derivatives that contain u: states, paths (n * m, by rows)."""
     rates = functions.functions["rates"]
     t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
     numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]

@@ -69,7 +69,7 @@ class BangBangFlow:
     initial, final : array (n_states + n_integrals + 1 + n_parameters,)
         States, integrals, time and free parameters at the start and at the end.
     initial_sensitivity, final_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
-        Derivatives of these by the unknowns.
+        Derivatives of these with respect to the unknowns.
     states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
         Before every step and at the end.
     controls : array (n_controls, n_steps)
@@ -93,7 +93,7 @@ class BangBangFlow:
         return self._sensitivities[1]
 
     def adjoints(self, adjoint: Array) -> Array:
-        """Derivatives of ``adjoint @ final`` by the states before every step and at the end, (n, n_steps + 1)."""
+        """Gradient of ``adjoint @ final`` with respect to the states at all ends of steps (n, n_steps + 1)."""
         return self._worths(adjoint)[:-1]
 
     def gradient(self, adjoint: Array) -> Array:
@@ -126,7 +126,7 @@ class BangBangFlow:
 
     @cached_property
     def _sensitivities(self) -> tuple[Array, Array]:
-        """Derivatives of (state, width) of every step by the unknowns, and of the final state."""
+        """Derivatives of (state, width) of every step with respect to the unknowns, and of the final state."""
         (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
         directions[:, -1, :n_times] = self._widths
@@ -306,7 +306,7 @@ _SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Derivatives of steps by w = (z, h); n_stages, then n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
+    """Derivatives of steps with respect to w = (z, h): n_stages, n_steps first; ``jacobians`` (n_steps, n, n + 1)."""
 
     jacobians: Array
     _rates: _Rates

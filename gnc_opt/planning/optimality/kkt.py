@@ -248,7 +248,7 @@ class NullSpace:
         return int(self.unit.shape[1])
 
     def in_shares(self, hessian: Any) -> Any:
-        """Return a Hessian by all scaled variables as one by the variations."""
+        """Return a Hessian with respect to all scaled variables as one with respect to the variations."""
         return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
     def variables(self, variation: Array) -> Array:

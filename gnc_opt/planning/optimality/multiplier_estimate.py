@@ -106,7 +106,7 @@ class PointMultipliers:
 def path_gradients_at_boundaries(
     transcription: Transcription, part: PhasePart, functions: PhaseFunctions, at: tuple[Array, Array, Array]
 ) -> tuple[Indices, Array]:
-    """Gradients of path constraints at the boundaries of a phase's segments, by the program's variables.
+    """Gradients of path constraints at segment boundaries of a phase, with respect to the variables of the program.
 
     Parameters
     ----------

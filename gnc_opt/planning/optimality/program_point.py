@@ -209,7 +209,7 @@ class ProgramPoint:
 
     @property
     def residual(self) -> Array:
-        """Of the first-order conditions: gradient by the free variables, then held rows."""
+        """Of the first-order conditions: gradient with respect to the free variables, then held rows."""
         held = self.rows.active
         return np.concatenate([self.gradient[~self.variables.active], (self.values - self.rows.at)[held]])
 

@@ -180,7 +180,7 @@ def cells_of(breaks: Array) -> Array:
 
 
 def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
-    """Return derivatives of an integrand by states and controls (n_times, n) and (n_times, m)."""
+    """Return derivatives of an integrand with respect to states and controls (n_times, n) and (n_times, m)."""
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching(times, x, u, none[0]).T
@@ -258,7 +258,7 @@ def start_links(
 
 
 def link_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
-    """Return derivatives of the boundary constraints by initial and final states (n_constraints, n), by phase."""
+    """Return boundary Jacobians with respect to initial and final states (n_constraints, n), by phase."""
     function = problem.once("end jacobians", lambda: _end_jacobians(problem))
     arguments: list[Any] = []
     for leg in solution.phases.values():

@@ -110,7 +110,7 @@ class Scales:
     parameters : array (n_free_parameters,)
         Deviations of the free parameters.
     links : mapping from phase to mapping from phase to array
-        Derivatives of the start of a phase by ends of earlier ones; under "" the projection on what is free there.
+        Derivatives of a phase's start with respect to earlier ends; under "" the projection on what is free there.
     constraints : tuple of array (n_constraints,)
         First and second differences of the boundary constraints over the reach of the ends, and their terms.
     """
@@ -247,7 +247,7 @@ def _parameter_sizes(problem: Problem, solution: Solution) -> Array:
 
 
 def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
-    """Return the second derivatives of the Lagrangian by the free parameters (n,), by differences of slopes."""
+    """Return the second derivatives of the Lagrangian with respect to the free parameters (n,), by differences."""
     values, size = solution.parameter_values, _parameter_sizes(problem, solution)
     bends = np.zeros(values.size)
     for i in range(values.size):
@@ -259,7 +259,7 @@ def _parameter_curvatures(problem: Problem, solution: Solution, samples: list[Ph
 
 
 def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
-    """Return the derivative of the Lagrangian by the parameters at other values of them (n,)."""
+    """Return the derivative of the Lagrangian with respect to the parameters at other values of them (n,)."""
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
@@ -271,7 +271,7 @@ def _parameter_slope(problem: Problem, solution: Solution, samples: list[PhaseSa
 
 
 def _parameter_columns(s: PhaseSamples) -> Array:
-    """Return derivatives of the rates by the free parameters at the middles of cells (n_cells, n_states, n)."""
+    """Return rate derivatives with respect to the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
     edges = cells_of(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])

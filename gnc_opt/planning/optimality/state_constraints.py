@@ -128,7 +128,7 @@ class StateConstraints:
         return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
 
     def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
-        """Return the derivative of a row by the states, (n_states,)."""
+        """Return the derivative of a row with respect to the states, (n_states,)."""
         n_paths = len(self.samples.leg.path_labels)
         if row < n_paths:
             return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])

@@ -234,7 +234,7 @@ def _ends_of(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array,
 
 
 def _changes(samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]) -> Array:
-    """Derivatives of all starts and ends, and of the free parameters, by the unknowns."""
+    """Derivatives of all starts and ends, and of the free parameters, with respect to the unknowns."""
     rows = []
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
@@ -314,7 +314,8 @@ def _stacked(boxes: list[Interval]) -> Interval:
 def end_derivatives(problem: Problem) -> Any:
     """Gradient of cost and constraints with multipliers, the constraints' Jacobian, and the Hessian.
 
-    A CasADi Function of starts and ends of every phase, model parameters, q and nu; derivatives by the ends, then q.
+    A CasADi Function of starts and ends of every phase, model parameters, q and nu; derivatives with respect to the
+    ends, then q.
     """
     ends = end_function(problem)
     starts, finals, arguments, parameters = [], [], [], []

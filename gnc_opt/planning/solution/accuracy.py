@@ -24,6 +24,9 @@ from gnc_opt.tolerances import ROUNDING
 POINTS_PER_PIECE = 12
 """Points between two jumps of the control, ends included."""
 
+OBJECTIVE_MIN_ERROR_SHARE = 1e-15
+"""Smallest stated error of an objective, in shares of it: about five units in its last binary place."""
+
 PEAK_SEARCH_TIMES = 401
 """Times between two jumps at which a peak is looked for."""
 
@@ -36,7 +39,8 @@ class Accuracy:
     ----------
     objective : float
     objective_error : float
-        Estimated, in the unit of the objective; infinite if it has no value.
+        Estimate, not a bound, in the unit of the objective: at least 1e-15 of the objective (rounding); infinite if
+        it has no value.
     violation : float
         Largest violation of a state limit or path constraint by the trajectory of the applied control, in the
         limit's own unit; 0 if none exceeds rounding. Of several, the largest in shares of what the quantity moves.
@@ -95,7 +99,8 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
             worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=_accuracy_share)
-    return Accuracy(objective, objective_error, worst[1], worst[2], missed[1], missed[2])
+    error = max(objective_error, OBJECTIVE_MIN_ERROR_SHARE * abs(objective))
+    return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
 
 
 def _named_quantity(leg: PhaseSolution, units: Iterable[str]) -> list[tuple[str, str]]:

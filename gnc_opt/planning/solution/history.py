@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.renamed import StatusWord
 from gnc_opt.text import Printed
 
 
@@ -63,7 +63,7 @@ class Statistics:
         )
 
 
-class RefinementStatus(Enum):
+class RefinementStatus(StatusWord):
     """How a refinement ended; `remedy` says what it means and what to do.
 
     Examples
@@ -73,11 +73,11 @@ class RefinementStatus(Enum):
     """
 
     CONVERGED = "converged"
-    CONDITIONS_FAIL = "verdict_fails"
+    CONDITIONS_FAIL = "conditions_fail"
     UNCHECKED = "unchecked"
     POINT_LIMIT = "point_limit"
-    ITERATION_LIMIT = "pass_limit"
-    BUDGET_LIMIT = "work_limit"
+    ITERATION_LIMIT = "iteration_limit"
+    BUDGET_LIMIT = "budget_limit"
     STALLED = "stalled"
     FAILED = "failed"
     INTERRUPTED = "interrupted"

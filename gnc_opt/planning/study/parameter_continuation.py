@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +22,7 @@ from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
+from gnc_opt.renamed import StatusWord
 from gnc_opt.text import Printed
 
 Family: TypeAlias = Callable[[float], Problem]
@@ -40,11 +40,11 @@ CONTINUATION_MAX_ITERATIONS = 300
 """Of a step's solve; one that needs more is taken again in halves."""
 
 
-class ContinuationStatus(Enum):
+class ContinuationStatus(StatusWord):
     """How a continuation ended."""
 
     COMPLETE = "complete"
-    BRANCH_ENDED = "vanished"
+    BRANCH_ENDED = "branch_ended"
     INTERRUPTED = "interrupted"
 
 

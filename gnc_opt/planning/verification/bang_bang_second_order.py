@@ -269,7 +269,7 @@ def least_squares(
     active : int array (k,)
         Conditions that are at a limit and that unknowns can change.
     rows : array (k, n_free)
-        Their gradients by the free unknowns, of length 1.
+        Their gradients with respect to the free unknowns, of length 1.
     norms : array (k,)
         What these have been divided by.
     multipliers : array (k,)

@@ -215,7 +215,7 @@ def _felt(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
 
 
 def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
-    """Derivatives of H by controls and states, and those of the integrands alone."""
+    """Derivatives of H with respect to controls and states, and those of the integrands alone."""
 
     def build() -> Any:
         slope = s.functions.functions["switching"]

@@ -198,7 +198,7 @@ class _Search:
         return shares
 
     def _path_slopes(self, shares: Array, at: Indices) -> Array:
-        """Derivatives of the path constraints by shares of the range (n, n_paths, group)."""
+        """Derivatives of the path constraints with respect to shares of the range (n, n_paths, group)."""
         jacobian = self.s.functions.path_control_jacobian(*self._at(shares, at))[:, self.group] * self._box[1]
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
 

@@ -221,7 +221,7 @@ class Derivatives:
             self._along = ca.vertcat(self._along, determined)
 
     def by_controls(self, j: int) -> Callable[..., Any] | None:
-        """The derivative of the j-th time derivative by the controls, row by row; None if it has become too large."""
+        """Derivative of the j-th time derivative with respect to the controls, by rows; None if it is too large."""
         if j not in self._functions:
             matrix = ca.vec(ca.densify(ca.jacobian(self._derivative(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])

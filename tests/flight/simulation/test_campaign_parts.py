@@ -105,7 +105,7 @@ def test_a_run_in_words():
     ("outcome", "text"),
     [
         (Outcome(RunStatus.OK), "ok"),
-        (Outcome(RunStatus.CONTROLLER_ALARM, "guard", 1.5), "alarm: guard at 1.5 s"),
+        (Outcome(RunStatus.CONTROLLER_ALARM, "guard", 1.5), "controller_alarm: guard at 1.5 s"),
         (Outcome(RunStatus.LOST, "died"), "lost: died"),
     ],
 )

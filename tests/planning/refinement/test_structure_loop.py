@@ -524,7 +524,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     [
         ([(Status.OPTIMAL, "")], 40, "converged", ["structure stands"]),
         ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "structure stands"]),
-        ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "pass_limit", ["a", "b"]),
+        ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "iteration_limit", ["a", "b"]),
         ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
         ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),
         ([(Status.OPTIMAL, s.KINKS_MOVED)] * 5, 40, "stalled", [s.KINKS_MOVED] * 5),

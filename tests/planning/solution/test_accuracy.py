@@ -66,6 +66,13 @@ def test_a_refined_answer_is_accurate_to_rounding() -> None:
     assert str(accuracy).endswith("limits satisfied")
 
 
+def test_the_stated_error_of_the_objective_is_not_below_rounding() -> None:
+    solution = go.solve(minimum_time())
+    assert solution.objective_error.value < 1e-15 * solution.objective
+    assert solution.accuracy.objective_error == 1e-15 * solution.objective
+    assert "objective 2 s ± 2e-15 (minimised)" in str(solution)
+
+
 @pytest.mark.parametrize("mesh", ["5x3", "9x3"])
 def test_the_miss_is_that_of_another_integrator(mesh: str) -> None:
     """A mesh boundary is not at the switch: the applied control misses the end."""

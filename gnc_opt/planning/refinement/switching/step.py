@@ -34,13 +34,13 @@ class SwitchStep:
     flow : BangBangFlow
         Before the step.
     adjoint : array
-        Derivative of the cost by the final values of the flow.
+        Derivative of the cost with respect to the final values of the flow.
     multipliers : array
         Of the given end values, then of the boundary constraints.
     cost, gain : float
         Before the step, and its first-order change, relative to the cost's size.
     hessian, rows : array (n_free, n_free), (n_conditions, n_free)
-        Of the Lagrangian, and gradients of the conditions, by the free unknowns.
+        Of the Lagrangian, and gradients of the conditions, with respect to the free unknowns.
     steps : int
         Of the flow's grid.
     """
@@ -136,7 +136,7 @@ def simplified_newton_step(
 
 
 def final_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
-    """Return the derivative of the cost by the final values of a flow, with the multipliers of a step."""
+    """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
     return _Ends.of(problem, s, flow).worth(multipliers)[0]
 
 
@@ -178,14 +178,14 @@ class _Ends:
         return self.s.leg.states.size + self.s.leg.integrals.size + 1
 
     def derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
-        """Derivatives of cost and constraints by both ends: gradient of their sum, Jacobian, Hessian."""
+        """Derivatives of cost and constraints with respect to both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.once("end derivatives", lambda: end_derivatives(self.problem))
         both = self.flow.initial[: self.size], self.flow.final[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
     def worth(self, multipliers: Array) -> tuple[Array, Array, Array]:
-        """Derivative of the cost by the final values; gradient and Hessian of the Lagrangian by both ends."""
+        """Cost gradient (final values); the Lagrangian's gradient and Hessian with respect to both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.derivatives(nu)
         adjoint = np.zeros(self.flow.final.size)
