@@ -1,5 +1,4 @@
-"""Statements about a closed loop: covariance, frequency response, sensitivity, rare events, worst case,
-filter consistency."""
+"""Statements about a closed loop: covariance, frequency response, sensitivity, filter consistency."""
 
 from typing import Any
 
@@ -12,27 +11,21 @@ from gnc_opt.analysis.global_sensitivity import (
 from gnc_opt.analysis.linear_covariance import CovarianceCheck, LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_response import LoopResponse, loop_response
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.analysis.subset_simulation import FailureProbability, failure_probability
-from gnc_opt.analysis.worst_case import WorstCase, worst_case
 from gnc_opt.renamed import check_renamed
 
 __all__ = [
     "Consistency",
     "CovarianceCheck",
-    "FailureProbability",
     "InnovationTest",
     "IntervalEstimate",
     "LinearCovariance",
     "LoopResponse",
     "Scenario",
     "SobolIndices",
-    "WorstCase",
     "consistency",
-    "failure_probability",
     "linear_covariance",
     "loop_response",
     "sobol_indices",
-    "worst_case",
 ]
 
 

@@ -1,7 +1,4 @@
-"""Scenario: runs of a loop with chosen random numbers, and their measures.
-
-All that a run draws is made of standard normal numbers: those of the dispersions, then those of the control steps.
-"""
+"""Scenario: a loop on one flight with the dispersions of its runs, and measures of runs with chosen parameters."""
 
 from __future__ import annotations
 
@@ -12,20 +9,18 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import Flown, gathered
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.dispersions import Dispersion, Dispersions, check_dispersions
+from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.simulation.monte_carlo import Criteria, MeasureFunction, read_criteria
 from gnc_opt.simulation.outcome import RunStatus
-from gnc_opt.tolerances import TINY
 from gnc_opt.workers import Shared, WorkerPool
 
 _FLOWN = (RunStatus.OK, RunStatus.INTEGRATION_ERROR)
@@ -61,8 +56,8 @@ class Scenario:
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> print(scenario.size, scenario.noise_size)  # random numbers of a run, and of each of its control steps
-    2 1
+    >>> print(tuple(scenario.dispersions), scenario.noise_size)  # random numbers of a control step
+    ('initial.q', 'initial.v') 1
     """
 
     loop: ClosedLoop
@@ -103,51 +98,15 @@ class Scenario:
         if measure not in self.criteria.measures:
             self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
 
-    # --- numbers ------------------------------------------------------------------------------------------
-
-    @cached_property
-    def counts(self) -> dict[str, int]:
-        """How many numbers each dispersion takes."""
-        return {name: self._count(name, dispersion) for name, dispersion in self.dispersions.items()}
-
-    @property
-    def size(self) -> int:
-        """Number of numbers that the dispersions take."""
-        return sum(self.counts.values())
-
     @property
     def noise_size(self) -> int:
-        """Number of numbers of a control step."""
+        """Number of standard normal numbers that a control step draws."""
         return int(self.flight.kernel.known.size - 1 - self.flight.schedule.shape[0])
-
-    def columns(self, z: Array) -> Array:
-        """Return the columns P (n_parameters, n) of standard normal numbers (size, n)."""
-        columns = []
-        for numbers in z.T:
-            P, at = self.flight.nominal.copy(), 0
-            for name, dispersion in self.dispersions.items():
-                place, count = self.flight.layout.slice(name), self.counts[name]
-                generator = GivenNumbers(numbers[at : at + count])
-                P[place] = dispersion.draw(generator, self.flight.nominal[place])  # type: ignore[arg-type]
-                at += count
-            columns.append(P)
-        return np.reshape(columns, (z.shape[1], self.flight.layout.size)).T
-
-    def _count(self, name: str, dispersion: Dispersion) -> int:
-        counter = GivenNumbers(None)
-        try:
-            dispersion.draw(counter, self.flight.nominal[self.flight.layout.slice(name)])  # type: ignore[arg-type]
-        except AttributeError as error:
-            raise ArgumentError(
-                f"the dispersion of '{name}' draws otherwise than by standard_normal(), random() and integers(): use "
-                "these."
-            ) from error
-        return counter.taken
 
     # --- runs ---------------------------------------------------------------------------------------------
 
     def campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
-        """Fly runs with these columns P (n_parameters, n) and seeds, or numbers, and return them as a campaign."""
+        """Fly runs with these columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
         flown = [Flown(runs, P, self.flight.final(P, seeds))] if runs else []
         goal = self.criteria.goal(self.flight)
@@ -179,31 +138,3 @@ def all_answers(
             f"{name} could not fly all its runs: {errors[0] if errors else 'it was interrupted'}."
         )
     return [each.answer for each in done]
-
-
-class GivenNumbers:
-    """A random generator's methods on given standard normal numbers (n,); ``None``: counts the draws."""
-
-    def __init__(self, numbers: Array | None) -> None:
-        self._numbers, self.taken = numbers, 0
-
-    def standard_normal(self, size: int | None = None) -> Any:
-        """Return the next numbers."""
-        count = 1 if size is None else int(np.prod(size))
-        first, self.taken = self.taken, self.taken + count
-        # counting, any numbers will do that are no limit of anything
-        found = np.full(count, 0.5) if self._numbers is None else self._numbers[first : self.taken]
-        return float(found[0]) if size is None else found.reshape(size)
-
-    def random(self, size: int | None = None) -> Any:
-        """Return uniform numbers in [0, 1)."""
-        return np.minimum(scipy.special.ndtr(self.standard_normal(size)), 1 - np.finfo(float).epsneg)
-
-    def integers(self, high: int) -> int:
-        """Return one of the integers from 0 to below ``high``."""
-        return int(self.random() * high)
-
-
-def normal_numbers(uniform: Array) -> Array:
-    """Return the standard normal numbers at which uniform ones are the quantiles."""
-    return np.asarray(scipy.special.ndtri(np.clip(uniform, TINY, 1 - np.finfo(float).epsneg)))

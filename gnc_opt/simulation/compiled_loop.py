@@ -153,7 +153,7 @@ class CompiledLoop:
         P : array (n_parameters, n)
             One column per run, in the order of `layout`.
         seeds : sequence of n seeds
-            Each an int, a list of ints, a ``SeedSequence``, or the standard normal numbers (n_steps, n_numbers).
+            Each an int, a list of ints or a ``SeedSequence``.
         """
         P = np.asarray(P, dtype=float)
         if P.shape != (self.layout.size, len(seeds)):
@@ -299,12 +299,6 @@ class CompiledLoop:
 
     def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
-        if isinstance(seed, np.ndarray) and seed.ndim == 2:
-            if seed.shape != (self.n_steps, size):
-                raise ArgumentError(
-                    f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
-                )
-            return lambda first, last: seed[first:last]
         generator = np.random.Generator(np.random.Philox(_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 

@@ -63,9 +63,9 @@ EXPECTED = {
         monte_carlo
     """,
     "gnc_opt.analysis": """
-        CovarianceCheck Consistency  Scenario FailureProbability InnovationTest
-        LinearCovariance LoopResponse IntervalEstimate SobolIndices WorstCase consistency
-        failure_probability linear_covariance loop_response sobol_indices worst_case
+        CovarianceCheck Consistency  Scenario InnovationTest
+        LinearCovariance LoopResponse IntervalEstimate SobolIndices consistency
+        linear_covariance loop_response sobol_indices
     """,
     "gnc_opt.spacecraft": """
         J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody

@@ -29,7 +29,7 @@ def test_an_import_of_a_former_name_reports_the_present_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("function", "former"), [("analysis.worst_case", "experiment"), ("monte_carlo", "judge")]
+    ("function", "former"), [("analysis.sobol_indices", "experiment"), ("monte_carlo", "judge")]
 )
 def test_a_former_parameter_reports_the_present_one(function: str, former: str) -> None:
     with pytest.raises(TypeError, match=f"'{former}': it is now '{RENAMED_PARAMETERS[former]}'"):
