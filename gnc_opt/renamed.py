@@ -10,7 +10,6 @@ RENAMED = {
     "gnc_opt.Experiment": "gnc_opt.Scenario",
     "gnc_opt.Explanation": "gnc_opt.DesignReport",
     "gnc_opt.Result": "gnc_opt.ConditionResult",
-    "gnc_opt.analysis.Agreement": "gnc_opt.analysis.CovarianceCheck",
     "gnc_opt.analysis.Experiment": "gnc_opt.analysis.Scenario",
     "gnc_opt.analysis.Share": "gnc_opt.analysis.IntervalEstimate",
     "gnc_opt.bound_below": "gnc_opt.lower_bound",

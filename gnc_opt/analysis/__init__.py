@@ -8,14 +8,13 @@ from gnc_opt.analysis.global_sensitivity import (
     SobolIndices,
     sobol_indices,
 )
-from gnc_opt.analysis.linear_covariance import CovarianceCheck, LinearCovariance, linear_covariance
+from gnc_opt.analysis.linear_covariance import LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_response import LoopResponse, loop_response
 from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.renamed import check_renamed
 
 __all__ = [
     "Consistency",
-    "CovarianceCheck",
     "InnovationTest",
     "IntervalEstimate",
     "LinearCovariance",

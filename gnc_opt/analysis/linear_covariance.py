@@ -5,8 +5,7 @@ With the derivatives of `Linearization`, the deviations due to a dispersion with
 
 .. math:: \Phi_{k+1} = A_k \Phi_k + H_k, \qquad S_{k+1} = A_k S_k A_k^T + G_k G_k^T,
 
-so that each source has its own share of every covariance. `LinearCovariance.compare`
-tests the result against a campaign.
+so that each source has its own share of every covariance.
 
 Source: D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous
 onboard mission planning, Journal of Guidance, Control, and Dynamics 29 (2006), section III.
@@ -21,84 +20,20 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
 from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
 from gnc_opt.analysis.scenario import Scenario
-from gnc_opt.arguments import Strict, expect, read_integer, read_probability, suggesting_keywords
+from gnc_opt.arguments import Strict, expect, read_integer, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
-from gnc_opt.errors import ArgumentError, unknown_name, warn_user
+from gnc_opt.errors import unknown_name, warn_user
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import Dispersions
 from gnc_opt.simulation.step_selection import steps_for_modes
 from gnc_opt.text import Printed
-from gnc_opt.tolerances import ROUNDING, TINY
-
-
-@dataclass(frozen=True, eq=False)
-class CovarianceCheck(Printed):
-    """Variances of the runs of a campaign over those of a linear covariance; arrays have an entry per component.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        The components that scatter.
-    runs : int
-        That ended with finite numbers.
-    ratio : array (n,)
-        Variance of the runs over that predicted.
-    band : array (2, n)
-        Of the ratio: chi-square with 2 / (kurtosis - 1) degrees of freedom per run.
-    confidence : float
-        Of all bands together (Bonferroni).
-
-    Examples
-    --------
-    >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
-    >>> result = go.linear_covariance(scenario)
-    >>> agreement = result.compare(campaign)
-    >>> print(agreement.labels, agreement.runs, agreement.ok)
-    ('q', 'v') 20 True
-    """
-
-    labels: tuple[str, ...]
-    runs: int
-    ratio: Array
-    band: Array
-    confidence: float
-
-    @property
-    def within(self) -> Array:
-        """Whether each ratio is in its band, bool array (n,)."""
-        return np.asarray((self.band[0] <= self.ratio) & (self.ratio <= self.band[1]))
-
-    @property
-    def ok(self) -> bool:
-        """Whether all are."""
-        return bool(np.all(self.within))
-
-    def __str__(self) -> str:
-        width = max([9, *map(len, self.labels)])
-        title = f"variance of {self.runs} runs over the predicted one"
-        lines = [f"{title} ({100 * self.confidence:g} % for all bands together)"]
-        for label, ratio, (low, high), inside in zip(
-            self.labels, self.ratio, self.band.T, self.within, strict=True
-        ):
-            verdict = "within" if inside else "OUTSIDE"
-            lines.append(f"  {label:{width}}  {ratio:<8.4f}  {low:.4f} to {high:.4f}  {verdict}")
-        return "\n".join(lines)
-
-
-def error_sizes(flight: CompiledLoop, nominal: Array) -> Array:
-    """Return the scale of the integration error of each component of the errors, (n_errors,): 1 or the state's size."""
-    sizes, places = np.maximum(1.0, np.abs(nominal)), flight.states
-    errors = flight.error_layout.variables
-    return np.concatenate([np.full(e.size, np.max(sizes[places.slice(e.name)])) for e in errors])
+from gnc_opt.tolerances import TINY
 
 
 def covariance_table(found: LinearCovariance) -> str:
@@ -222,47 +157,6 @@ class LinearCovariance(Strict, Printed):
         shares = traces / max(float(traces.sum()), TINY)
         order = np.argsort(-shares, kind="stable")
         return {self.sources[i]: float(shares[i]) for i in order}
-
-    def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> CovarianceCheck:
-        """Return the variances of a campaign's errors at the end over those predicted, with bands.
-
-        Parameters
-        ----------
-        campaign : Campaign
-            Of the same loop, nominal run and dispersions.
-        confidence : float
-            Of all bands together, in (0, 1).
-
-        Raises
-        ------
-        ArgumentError
-            The campaign flew another loop or span, or fewer than two runs ended.
-        """
-        expect(campaign, Campaign, "what compare() got", "give what monte_carlo() returned")
-        level = read_probability(confidence, "the confidence of compare()")
-        flight, nominal = self.flight, self.nominal[:, -1]
-        if campaign.fingerprint != flight.fingerprint:
-            raise ArgumentError(
-                "the campaign flew another loop or span than the linear covariance is of: fly the same."
-            )
-        ends = campaign.states[:, np.isfinite(campaign.states).all(axis=0)]
-        runs = ends.shape[1]
-        if runs < 2:
-            raise ArgumentError(f"{runs} runs of the campaign ended with finite numbers: fly at least two.")
-        variance = np.diag(self.parts["error"][:, -1].sum(axis=0))
-        erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
-        scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal)) ** 2)
-        errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())[scatters]
-        kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), 1 + ROUNDING)
-        freedom = 2 * (runs - 1) / (kurtosis - 1)
-        tail = (1 - level) / (2 * max(scatters.size, 1))
-        return CovarianceCheck(
-            labels=tuple(flight.error_layout.labels[i] for i in scatters),
-            runs=runs,
-            ratio=errors.var(axis=1, ddof=1) / variance[scatters],
-            band=np.stack([scipy.stats.chi2.ppf(p, freedom) / freedom for p in (tail, 1 - tail)]),
-            confidence=level,
-        )
 
     def _parse(self, signal: str) -> tuple[str, str]:
         kind, _, rest = signal.partition("(") if isinstance(signal, str) else ("", "", "")

@@ -63,7 +63,7 @@ EXPECTED = {
         monte_carlo
     """,
     "gnc_opt.analysis": """
-        CovarianceCheck Consistency  Scenario InnovationTest
+        Consistency Scenario InnovationTest
         LinearCovariance LoopResponse IntervalEstimate SobolIndices consistency
         linear_covariance loop_response sobol_indices
     """,

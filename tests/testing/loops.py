@@ -7,7 +7,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 
+import gnc_opt as go
 from gnc_opt.control import Controller, DesignReport, initial_state_function, law
 from gnc_opt.model import Layout, Model, Variable
 
@@ -82,3 +84,17 @@ def feedback(plant: Model, gain: Any) -> Controller:
     """Return u = -gain x."""
     matrix = np.atleast_2d(np.asarray(gain, dtype=float))
     return controller(plant, lambda t, x, r, z: (-(matrix @ x), z))
+
+
+def agrees(found: go.LinearCovariance, campaign: go.Campaign) -> bool:
+    """Whether the variances of the runs are those predicted, within the bands of chi-square with 99 % for all.
+
+    Degrees of freedom are by the kurtosis of the runs.
+    """
+    errors, predicted = campaign.errors, np.diagonal(found.parts["error"][:, -1].sum(axis=0))
+    kurtosis = scipy.stats.kurtosis(errors, axis=1, fisher=False)
+    freedom = 2 * (errors.shape[1] - 1) / (kurtosis - 1)
+    tail = 0.005 / len(errors)
+    low, high = (scipy.stats.chi2.ppf(p, freedom) / freedom for p in (tail, 1 - tail))
+    ratio = errors.var(axis=1, ddof=1) / predicted
+    return bool(np.all((low <= ratio) & (ratio <= high)))
