@@ -10,7 +10,6 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.fmu_export import Fmu, export_fmu
-from gnc_opt.control.gain_schedule import design_gain_schedule
 from gnc_opt.control.input_output_linearization import (
     lie_derivative,
     output_errors,
@@ -51,7 +50,6 @@ __all__ = [
     "TanhLayer",
     "bryson",
     "design_feedback_linearization",
-    "design_gain_schedule",
     "design_integral_sliding_mode",
     "design_lqr",
     "design_mpc",

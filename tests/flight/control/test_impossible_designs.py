@@ -15,7 +15,6 @@ from gnc_opt.control import (
     Sign,
     SuperTwisting,
     bryson,
-    design_gain_schedule,
     design_integral_sliding_mode,
     design_lqr,
     design_mpc,
@@ -156,18 +155,6 @@ SEEN = [Measurement("q", 0.1)]
             "plant of design_mpc()",
         ),
         (
-            lambda: design_gain_schedule(
-                "cart", [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
-            ),
-            "plant of design_gain_schedule()",
-        ),
-        (
-            lambda: design_gain_schedule(
-                cart(), REST, over=["v"], at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
-            ),
-            "over of design_gain_schedule()",
-        ),
-        (
             lambda: design_lqr(cart(), [0.0, 0.0], **WEIGHTS, dt=0.1, integral=np.ones(2)),
             "integral of design_lqr()",
         ),
@@ -201,7 +188,6 @@ def test_what_a_function_cannot_take_is_named_with_what_it_takes(asked, words, t
 
 
 SLIDING = {"outputs": "q", "reaching": ConstantRate(1.0), "boundary": SaturationLayer(0.1)}
-GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
 
 
 @pytest.mark.parametrize(
@@ -229,8 +215,6 @@ GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
             lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes=1.0, guard=-1.0),
             "guard of a design is -1",
         ),
-        (lambda: design_gain_schedule(cart(), REST, at=3, **GRID), "at of design_gain_schedule() is 3"),
-        (lambda: design_gain_schedule(cart(), REST, at=lambda v: [0, v], **GRID), "write (state, control)"),
         (lambda: Reference.from_functions(cart(), 3, lambda t: [0], 0, 1), "the states of a reference are 3"),
         (
             lambda: Reference.from_functions(cart(), lambda t: [0], lambda t: [0], 0, 1),
