@@ -1,7 +1,6 @@
-"""Reports: the summary, its JSON, progress, the report folder, CCSDS messages."""
+"""Reports: the summary, its JSON, progress, the report folder."""
 
 from gnc_opt.planning.solution.summary import summary
-from gnc_opt.report.ccsds import write_aem, write_oem
 from gnc_opt.report.flight_report import write_campaign_report, write_run_report
 from gnc_opt.report.json_output import search_dict, summary_dict, write_json
 from gnc_opt.report.report import write_report
@@ -10,10 +9,8 @@ __all__ = [
     "search_dict",
     "summary",
     "summary_dict",
-    "write_aem",
     "write_campaign_report",
     "write_json",
-    "write_oem",
     "write_report",
     "write_run_report",
 ]

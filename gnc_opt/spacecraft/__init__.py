@@ -1,12 +1,5 @@
 """Spacecraft dynamics, symbolic and numeric alike; each module begins with a page of equations and sources."""
 
-from gnc_opt.spacecraft.atmosphere import (
-    RATE_EARTH,
-    air_density,
-    air_temperature,
-    speed_of_sound,
-    us76,
-)
 from gnc_opt.spacecraft.attitude import (
     mrp_difference,
     mrp_from_axis_angle,
@@ -64,10 +57,7 @@ __all__ = [
     "MU_EARTH",
     "PYRAMID_ELEVATION",
     "RADIUS_EARTH",
-    "RATE_EARTH",
     "FlexibleBody",
-    "air_density",
-    "air_temperature",
     "angular_acceleration",
     "angular_momentum",
     "apply",
@@ -102,10 +92,8 @@ __all__ = [
     "relative_acceleration",
     "relative_angular_acceleration",
     "relative_from_inertial",
-    "speed_of_sound",
     "total_momentum",
     "transpose",
-    "us76",
     "wheel_body_acceleration",
     "wheel_pyramid",
 ]

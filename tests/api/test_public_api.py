@@ -68,8 +68,7 @@ EXPECTED = {
         linear_covariance loop_response sobol_indices
     """,
     "gnc_opt.spacecraft": """
-        J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
-        air_density air_temperature
+        J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH FlexibleBody
         angular_acceleration angular_momentum apply
         array_momentum cross differential_j2 divide_by_inertia
         gravity_gradient_torque hill_acceleration inertial_from_relative
@@ -78,8 +77,8 @@ EXPECTED = {
         point_mass_gravity quaternion_angle quaternion_conjugate quaternion_difference
         quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_retraction
         quaternion_to_dcm radial_frame radial_frame_rate relative_acceleration
-        relative_angular_acceleration relative_from_inertial speed_of_sound
-        total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
+        relative_angular_acceleration relative_from_inertial
+        total_momentum transpose wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
         View plot_controls plot_costates plot_dispersion plot_distributions
@@ -88,7 +87,7 @@ EXPECTED = {
         plot_verdict save_figure
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem
+        search_dict summary summary_dict write_campaign_report write_json
         write_report write_run_report
     """,
 }
