@@ -25,7 +25,6 @@ from gnc_opt.control.reaching_laws import (
     SaturationLayer,
     Sign,
     SuperTwisting,
-    TanhLayer,
 )
 from gnc_opt.control.reference import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
@@ -47,7 +46,6 @@ __all__ = [
     "Sign",
     "SuperTwisting",
     "SuperTwistingObserver",
-    "TanhLayer",
     "bryson",
     "design_feedback_linearization",
     "design_integral_sliding_mode",

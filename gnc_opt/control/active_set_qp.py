@@ -26,12 +26,11 @@ _ITERATIONS_PER_UNKNOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class ProgrammeCode:
-    """The C of a programme; if ``sliding``, the j-th step from row k takes table k + j, else k N + j."""
+    """The C of a programme; the j-th step from row k of the schedule takes the matrices k + j."""
 
     rows: Rows
     roots: Array
     matrices: tuple[Array, ...]
-    sliding: bool
     count: int
     n_states: int
 
@@ -99,12 +98,11 @@ class ProgrammeCode:
             for k in range(len(self.matrices[0]))
         ]
         lines += ["static const matrices steps[N_TABLES] = {", ",\n".join(steps), "};", ""]
-        place = "first + j" if self.sliding else "first * HORIZON + j"
         lines += [
             "static const matrices *matrices_of(long first, int j)",
             "{",
-            f"    const long k = {place};",
-            f"    return &steps[k < N_TABLES ? k : {'N_TABLES - 1' if self.sliding else 'N_TABLES - HORIZON + j'}];",
+            "    const long k = first + j;",
+            "    return &steps[k < N_TABLES ? k : N_TABLES - 1];",
             "}",
             "",
         ]

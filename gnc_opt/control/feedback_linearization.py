@@ -30,9 +30,7 @@ from gnc_opt.control.decoupling import (
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
 from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
-from gnc_opt.control.quadratic_cost import require_definite
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.riccati import steady
 from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
@@ -45,9 +43,7 @@ def design_feedback_linearization(
     reference: Reference | ArrayLike,
     *,
     outputs: Outputs,
-    poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None = None,
-    Q: ArrayLike | None = None,
-    R: ArrayLike | None = None,
+    poles: Sequence[complex] | Mapping[str, Sequence[complex]],
     guard: float = GUARD,
     growth: float = GROWTH,
     fallback: ArrayLike | None = None,
@@ -56,8 +52,6 @@ def design_feedback_linearization(
     name: str = "feedback linearisation",
 ) -> Controller:
     """Return a controller that makes output errors decay with chosen poles.
-
-    Give ``poles``, or ``Q`` and ``R``.
 
     Parameters
     ----------
@@ -68,8 +62,6 @@ def design_feedback_linearization(
         See `Outputs`. For attitudes prefer a state with a declared difference.
     poles : sequence (r,), or mapping from outputs to them
         1/s.
-    Q, R : float or array
-        Weights of eta, ordered by derivative (all e, then all rates, ...), and of v; numbers weigh all alike.
     guard : float
         Smallest determinant of E, relative to its largest on the reference, with which the law works.
     growth : float
@@ -102,7 +94,7 @@ def design_feedback_linearization(
     authority = read_limits(model, limits)
     inverse = guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
-    gain = _gain(errors, poles, Q, R)
+    gain = _gain(errors, poles)
     closed = _poles(errors, gain)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
@@ -155,18 +147,9 @@ def _chains(errors: OutputErrors) -> tuple[Array, Array]:
     return a, b
 
 
-def _gain(
-    errors: OutputErrors,
-    poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None,
-    q: ArrayLike | None,
-    r: ArrayLike | None,
-) -> Array:
+def _gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     """Return K (n_outputs, sum of the relative degrees)."""
-    if (poles is None) == (q is None and r is None):
-        raise DesignError("the errors need one choice of dynamics: give poles, or Q and R.")
     a, b = _chains(errors)
-    if poles is None:
-        return _optimal_gain(a, b, q, r)
     gain = np.zeros((errors.size, len(_places(errors))))
     for column, (i, k) in enumerate(_places(errors)):
         label, degree = errors.labels[i], errors.degrees[i]
@@ -197,23 +180,6 @@ def _polynomial(errors: OutputErrors, label: str, degree: int, poles: Any) -> Ar
             f"the poles {row} of output '{label}' are not in conjugate pairs: give the conjugate of each, too."
         )
     return polynomial[:0:-1]
-
-
-def _optimal_gain(a: Array, b: Array, q: ArrayLike | None, r: ArrayLike | None) -> Array:
-    if q is None or r is None:
-        raise DesignError("an optimal gain needs both weights: give Q and R.")
-    weights = []
-    for value, size, what in ((q, a.shape[0], "Q"), (r, b.shape[1], "R")):
-        matrix = read_numbers(value, f"the weight {what}", DesignError)
-        matrix = np.diag(np.full(size, matrix)) if matrix.ndim == 0 else matrix
-        if matrix.shape != (size, size):
-            raise DesignError(
-                f"the weight {what} has the shape {matrix.shape}: give a number, or {(size, size)}."
-            )
-        weights.append(matrix)
-    require_definite(weights[1], tuple(f"v[{i}]" for i in range(b.shape[1])), "the weight R")
-    labels = tuple(f"eta[{i}]" for i in range(a.shape[0]))
-    return steady(a, b, weights[0], weights[1], np.zeros_like(b), labels).gain
 
 
 def _poles(errors: OutputErrors, gain: Array) -> Array:

@@ -66,7 +66,7 @@ def design_integral_sliding_mode(
     nominal : Controller, or array (n_controls, n_errors)
         The law to be made robust: LQR, TVLQR, any in closed form; or the gain K of u = u_ref - K e.
     reaching : ConstantRate, ExponentialRate or SuperTwisting
-    boundary : Sign, SaturationLayer or TanhLayer
+    boundary : Sign or SaturationLayer
     dt : float
         Length of a control step, s.
     projection : {"pseudo-inverse", "transpose"}

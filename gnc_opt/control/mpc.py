@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,7 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
 from gnc_opt.control.horizon_qp import Horizon, Rows
 from gnc_opt.control.lqr import regulator_facts
-from gnc_opt.control.quadratic_cost import Weight, read_cost, read_weight, require_semidefinite
+from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.riccati import backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, riccati_gains
@@ -57,7 +57,7 @@ QP_TOLERANCE = 1e-6
 _HORIZON_MAX_STEPS = 2000
 """Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
-_PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
+_PIQP = {"eps_abs": 1e-11, "eps_rel": 1e-11, "eps_duality_gap_abs": 1e-11, "eps_duality_gap_rel": 1e-11}
 _PIQP |= {"delta_init": 1e-8}  # its own 1e-4 holds large multipliers back, until they pass for infeasible
 
 
@@ -76,7 +76,6 @@ def design_mpc(
     state_limits: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     hard: Sequence[str] = (),
     N: ArrayLike | None = None,
-    terminal: Weight | Literal["riccati"] = "riccati",
     state_penalty: float = 1e3,
     name: str = "MPC",
 ) -> Controller:
@@ -101,8 +100,6 @@ def design_mpc(
         ``{"v_L": (lower, upper)}``, at the steps; may be infinite. Soft, unless named in ``hard``.
     hard : sequence of str
         States whose limits are hard: if they cannot be kept, the alarm is raised.
-    terminal : weight or "riccati"
-        Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
     name : str
@@ -146,19 +143,13 @@ def design_mpc(
             f"the limits of design_mpc() are {shown(limits)}: give finite ones, beyond what is ever commanded where "
             "there is none."
         )
-    end = None
-    if not isinstance(terminal, str):
-        end = read_weight(terminal, model.errors, "the terminal weight")
-        require_semidefinite(end, model.errors.labels, "the terminal weight")
-    elif terminal != "riccati":
-        raise ArgumentError(f'terminal is {shown(terminal)}: write "riccati" or give a weight.')
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = authority_margin(reference, bounds, required=True)
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
     in_x, in_e, *of_states = _state_rows(deviation, limited, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
     beyond = reference_beyond(reference, rows.states, rows.state_lower, rows.state_upper)
-    windows = _Windows(gains, count, end)
+    windows = _Windows(gains, count)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
     law_ = _Law(deviation, schedule, rows, signals)
@@ -194,7 +185,6 @@ class _Windows:
 
     gains: SampledGains
     count: int
-    terminal: Array | None
 
     @property
     def constant(self) -> bool:
@@ -204,7 +194,7 @@ class _Windows:
 
     def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
         steps, costs = self.gains.steps, self.gains.costs
-        p = costs[min(first + self.count, len(costs) - 1)] if self.terminal is None else self.terminal
+        p = costs[min(first + self.count, len(costs) - 1)]
         found = []
         for k in reversed(range(first, first + self.count)):
             s = steps[min(k, len(steps) - 1)]
@@ -327,11 +317,11 @@ class _Law:
 
 def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
     """Return the programme for flight code, with the matrices of every step of the reference."""
-    last, sliding = len(windows.gains.steps) - 1, windows.terminal is None
+    last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.constant else range(last + 1)
     found = [windows(k) for k in firsts]
-    parts = [np.concatenate([w[i][:1] if sliding else w[i] for w in found]) for i in range(4)]
-    return ProgrammeCode(rows, rows.roots, tuple(parts), sliding, windows.count, model.states.size)
+    parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
+    return ProgrammeCode(rows, rows.roots, tuple(parts), windows.count, model.states.size)
 
 
 def _error_scale(windows: _Windows) -> Array:

@@ -31,7 +31,7 @@ from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import as_vector
 
 Law: TypeAlias = "ConstantRate | SuperTwisting"
-Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
+Boundary: TypeAlias = "Sign | SaturationLayer"
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,18 @@ class Sign:
 
 
 @dataclass(frozen=True)
-class _Layer:
-    """A soft sign in a boundary layer.
+class SaturationLayer:
+    """sat(s / phi): linear inside the boundary layer |s| <= phi.
 
     Parameters
     ----------
     phi : float
         Half width of the layer, unit of s, > 0.
+
+    Examples
+    --------
+    >>> print([float(SaturationLayer(0.1)(s)) for s in (-0.5, 0.05, 0.5)])
+    [-1.0, 0.5, 1.0]
     """
 
     phi: float
@@ -80,17 +85,6 @@ class _Layer:
         """Steepest slope, 1 / phi."""
         return 1 / self.phi
 
-
-@dataclass(frozen=True)
-class SaturationLayer(_Layer):
-    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s).
-
-    Examples
-    --------
-    >>> print([float(SaturationLayer(0.1)(s)) for s in (-0.5, 0.05, 0.5)])
-    [-1.0, 0.5, 1.0]
-    """
-
     def __call__(self, s: Any) -> Any:
         """Return the soft sign, SX."""
         return ca.fmax(-1, ca.fmin(1, s / self.phi))
@@ -98,25 +92,6 @@ class SaturationLayer(_Layer):
     def width(self, ratio: float) -> float:
         """Return |s| at which the soft sign equals ``ratio`` (0 to 1)."""
         return self.phi * ratio
-
-
-@dataclass(frozen=True)
-class TanhLayer(_Layer):
-    """tanh(s / phi): smooth, never quite at full gain.
-
-    Examples
-    --------
-    >>> print([f"{float(TanhLayer(0.1)(s)):.4f}" for s in (-0.5, 0.05, 0.5)])
-    ['-0.9999', '0.4621', '0.9999']
-    """
-
-    def __call__(self, s: Any) -> Any:
-        """Return the soft sign, SX."""
-        return ca.tanh(s / self.phi)
-
-    def width(self, ratio: float) -> float:
-        """Return |s| at which the soft sign equals ``ratio`` (0 to 1)."""
-        return self.phi * float(np.arctanh(ratio))
 
 
 @dataclass(frozen=True)

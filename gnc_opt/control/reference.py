@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import Strict, expect, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory import Trajectory, TrajectoryPhase
@@ -21,42 +21,26 @@ Signal: TypeAlias = Callable[[Array], Array]
 """Of times (n,), columns (size, n)."""
 
 _DYNAMICS_CHECK_TIMES = 24
-"""Times at which a reference is looked at, spread over its pieces."""
-_SPREAD = 0.618
-"""They are multiples of this, modulo one: regular to no period."""
-_STEPS = (1e-3, 1e-4, 1e-5)
-"""Steps over which states are compared, relative to the piece: the shortest resolve what changes fast."""
-_RESIDUAL_NODES = 4
-_ROUNDED = 8 * np.finfo(float).eps
+"""Times at which the rates of a reference are compared with the model, spread over its pieces."""
+_STEP_SHARE = 1e-4
+"""Of a piece: over which the rate of the states is taken."""
 _DYNAMICS_CHECK_TOLERANCE = 1e-3
 """Error of a rate, as a share of its terms, above which a warning is given."""
 
 
 def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return which state is furthest from obeying the model, when and by how much; "" if all do."""
-    times, longest = _looked_at(edges)
-    left = np.min([_defect(model, x, u, times, share * longest) for share in _STEPS], axis=0)
-    return _told(model, times, left, x(times), u(times))
-
-
-def _looked_at(edges: Array) -> tuple[Array, Array]:
-    """Return times between the edges, and the lengths of the pieces that they lie in (s)."""
     lengths = np.diff(edges)
     pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
     each = -(-_DYNAMICS_CHECK_TIMES // pieces.size)
-    share = 0.99 * (np.arange(1, each + 1) * _SPREAD % 1.0)  # the longest step ends within the piece
-    times = edges[pieces, None] + lengths[pieces, None] * share
-    return times.ravel(), np.repeat(lengths[pieces], each)
-
-
-def _defect(model: Model, x: Signal, u: Signal, times: Array, h: Array) -> Array:
-    """Return the mean of |dx/dt - f| over steps of h (s), less what rounding of the states may do to it."""
-    nodes, weights = leggauss(_RESIDUAL_NODES)
-    inner = (times[:, None] + 0.5 * h[:, None] * (1 + nodes)).ravel()
-    rates = model.f(inner, x(inner), u(inner)).reshape(model.states.size, times.size, _RESIDUAL_NODES)
+    share = 0.99 * (np.arange(1, each + 1) * GOLDEN_RATIO_FRACTION % 1.0)  # regular to no period
+    times = (edges[pieces, None] + lengths[pieces, None] * share).ravel()
+    h = _STEP_SHARE * np.repeat(lengths[pieces], each)
     first, last = x(times), x(times + h)
-    off = np.abs((last - first) / h - 0.5 * rates @ weights)
-    return np.asarray(np.maximum(off - _ROUNDED * (np.abs(first) + np.abs(last)) / h, 0.0))
+    rates = [model.f(t, x(t), u(t)) for t in (times, times + h / 2, times + h)]
+    left = np.abs((last - first) / h - (rates[0] + 4 * rates[1] + rates[2]) / 6)  # Simpson's rule
+    rounded = 8 * np.finfo(float).eps * (np.abs(first) + np.abs(last)) / h
+    return _told(model, times, np.maximum(left - rounded, 0.0), first, u(times))
 
 
 def _told(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:

@@ -43,7 +43,6 @@ from gnc_opt.control.reaching_laws import (
     SaturationLayer,
     Sign,
     SuperTwisting,
-    TanhLayer,
     read_bounds,
 )
 from gnc_opt.control.reference import Reference, read_plant
@@ -117,10 +116,6 @@ def _surface_facts(
     return facts
 
 
-_FULL_GAIN_SHARE = 0.99
-"""Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
-
-
 @dataclass(frozen=True, eq=False)
 class Switching:
     """Switching part: bounds of the disturbances of ds/dt, control step (s), limits (n_controls,)."""
@@ -150,7 +145,7 @@ class Switching:
     def watch(self, s: Any, *, stays: bool = True) -> list[Memory]:
         """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_exceeded`."""
         first = s if stays else ca.SX.zeros(s.shape)
-        edge = self.boundary.width(_FULL_GAIN_SHARE)
+        edge = self.boundary.width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
         return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
@@ -202,10 +197,8 @@ def read_switching(
 
 def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
     """Return dt; `DesignError` if missing or, in the layer, dt slope >= 2 (s+ = (1 - dt slope) s)."""
-    if not isinstance(boundary, (Sign, SaturationLayer, TanhLayer)):
-        raise DesignError(
-            f"the boundary is {boundary!r}: give Sign(), SaturationLayer(phi) or TanhLayer(phi)."
-        )
+    if not isinstance(boundary, (Sign, SaturationLayer)):
+        raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")
     if dt is None:
         if needed or isinstance(reaching, SuperTwisting):
             raise DesignError("a law with memory is designed for one length of control steps: give dt, in s.")
@@ -281,7 +274,7 @@ def design_sliding_mode(
     slopes : float, sequence or mapping
         See `Slopes`; not needed for outputs of relative degree 1.
     reaching : ConstantRate, ExponentialRate or SuperTwisting
-    boundary : Sign, SaturationLayer or TanhLayer
+    boundary : Sign or SaturationLayer
     bound : float or array (n_outputs,)
         Largest disturbance of the r-th derivatives of the outputs; for `SuperTwisting` its largest rate.
     observer : SuperTwistingObserver, optional

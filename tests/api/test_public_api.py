@@ -40,7 +40,7 @@ EXPECTED = {
     "gnc_opt.control": """
         ConstantRate Controller ErrorDynamics DesignReport ExponentialRate ReportEntry CCode
         Fmu Reference SaturationLayer Sign SuperTwisting
-        SuperTwistingObserver TanhLayer with_dropout_handling bryson
+        SuperTwistingObserver with_dropout_handling bryson
         design_feedback_linearization design_integral_sliding_mode
         design_lqr design_mpc design_sliding_mode design_tvlqr export_c
         export_fmu feedforward initial_state_function law lie_derivative output_errors trim

@@ -58,20 +58,6 @@ def test_without_limits_it_is_the_time_varying_regulator_along_a_reference():
         assert controller(t, x)[0] == pytest.approx(regulator(t, x)[0], abs=1e-9)
 
 
-def test_terminal_weight_of_ones_own():
-    """One step ahead the optimum is a formula: v = -(r + B'SB)^-1 (B'SA + n') e."""
-    end = np.diag([3.0, 0.5])
-    controller = tracker(horizon=DT, terminal=end, limits=(-100, 100))
-    s = sample(
-        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
-    )
-    x = np.array([0.4, -0.3])
-    v = -np.linalg.solve(s.r + s.b.T @ end @ s.b, (s.b.T @ end @ s.a + s.n.T) @ x)
-    assert controller(0.0, x)[0] == pytest.approx(v, rel=1e-10)
-    limited = tracker(horizon=DT, rate_limits=2.0, state_limits={"v": (-1, 1)}, terminal=end)
-    assert limited(0.0, [2.0, 0.6])[0] == pytest.approx([-0.2], abs=1e-10)
-
-
 # --- with limits --------------------------------------------------------------------------------------
 
 
@@ -148,8 +134,6 @@ def test_refusals():
         tracker(rate_limits=0.0)
     with pytest.raises(DesignError, match="state 'v' leave no room"):
         tracker(state_limits={"v": (1, -1)})
-    with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
-        tracker(terminal="ricatti")
     for wrong, message in (
         ({"horizon": 1e4 * DT * 3}, "30000 steps of"),
         ({"limits": None}, "has no limits of the controls"),

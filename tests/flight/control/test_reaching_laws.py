@@ -17,7 +17,6 @@ from gnc_opt.control import (
     Sign,
     SuperTwisting,
     SuperTwistingObserver,
-    TanhLayer,
 )
 from gnc_opt.errors import ArgumentError, DesignError
 
@@ -28,7 +27,7 @@ LAWS = [
 ]
 
 
-LAYERS = [SaturationLayer(0.05), SaturationLayer(2.0), TanhLayer(0.05), TanhLayer(2.0)]
+LAYERS = [SaturationLayer(0.05), SaturationLayer(2.0)]
 
 
 def rates(law, boundary, values):
@@ -68,7 +67,7 @@ def designed(law, boundary, dt):
     return go.design_sliding_mode(model, rest, outputs="x", reaching=law, boundary=boundary, dt=dt)
 
 
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.5), TanhLayer(0.5)], ids=repr)
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.5)], ids=repr)
 def test_a_step_at_which_the_sampled_surface_no_longer_decays_is_refused(boundary):
     """s+ = (1 - dt slope) s: at dt slope = 2 it only changes its sign; the slope is 3 / 0.5 = 6."""
     law = ConstantRate(3.0)
@@ -85,7 +84,7 @@ def test_a_step_at_which_the_sampled_surface_no_longer_decays_is_refused(boundar
 INF = np.inf
 
 
-SIGN, SAT, TANH = Sign(), SaturationLayer(0.5), TanhLayer(0.5)
+SIGN, SAT = Sign(), SaturationLayer(0.5)
 
 
 def number(value):
@@ -98,7 +97,6 @@ def number(value):
         (ConstantRate(3.0), SIGN, -0.2, -3.0),
         (ConstantRate(3.0), SAT, 0.2, 1.2),
         (ConstantRate(3.0), SAT, -9.0, -3.0),
-        (ConstantRate(3.0), TANH, 0.2, 3 * np.tanh(0.4)),
         (ExponentialRate(3.0, 2.0), SIGN, -0.2, -3.4),
         (ExponentialRate(3.0, 2.0), SAT, 0.2, 1.6),
         (SuperTwisting(3.0, 2.0), SIGN, -0.25, -1.5),
@@ -140,7 +138,6 @@ def test_bands_without_a_layer():
         (lambda: SuperTwisting(0.0, 1.0), "k1"),
         (lambda: SuperTwisting(1.0, 0.0), "k2"),
         (lambda: SaturationLayer(0.0), "phi"),
-        (lambda: TanhLayer(-1.0), "phi"),
         (lambda: read_bounds(3.0, 0.0, ("a",)), "the reaching law is 3.0"),
         (lambda: read_bounds(ConstantRate(2.0), 2.0, ("a",)), "surface of 'a'"),
         (lambda: read_bounds(ConstantRate(2.0), [1.0, 2.1], ("a", "b")), "surface of 'b'"),

@@ -17,7 +17,6 @@ from gnc_opt.control import (
     Sign,
     SuperTwisting,
     SuperTwistingObserver,
-    TanhLayer,
     design_sliding_mode,
 )
 from gnc_opt.control.sliding_mode import Switching, _coefficients, read_switching
@@ -101,11 +100,10 @@ def test_there_is_no_invariance_above_the_gain():
     assert surface(run)[-1] == pytest.approx(0.5 * 3.0, rel=0.01)
 
 
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.05), TanhLayer(0.05)])
 @pytest.mark.parametrize("law", [ConstantRate(1.0), ExponentialRate(1.0, 0.01)])
-def test_boundary_layer_bounds_the_steady_error(boundary, law):
+def test_boundary_layer_bounds_the_steady_error(law):
     """A constant disturbance at its bound ends at the stated width; a smaller one stays inside."""
-    controller = design(law, boundary, bound=0.7)
+    controller = design(law, SaturationLayer(0.05), bound=0.7)
     stated = controller.explain()["steady error bound"][0]
     at_bound, inside = (
         step_through(controller, integrators(), 0.05 * START, dt=DT, tf=8.0, disturbance=constant(d)).x[0, -1]
@@ -114,13 +112,12 @@ def test_boundary_layer_bounds_the_steady_error(boundary, law):
     assert at_bound == pytest.approx(stated, rel=2e-3)
     assert at_bound <= stated * (1 + 1e-6)
     assert inside < 0.55 * stated
-    width = 0.05 * (0.7 if isinstance(boundary, SaturationLayer) else np.arctanh(0.7))
-    assert stated == pytest.approx(width / SLOPE)
+    assert stated == pytest.approx(0.05 * 0.7 / SLOPE)
 
 
 def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
     variation = {}
-    for boundary in (Sign(), SaturationLayer(0.02), TanhLayer(0.02)):
+    for boundary in (Sign(), SaturationLayer(0.02)):
         run = step_through(
             design(ConstantRate(1.0), boundary, bound=0.5),
             integrators(),
@@ -131,7 +128,6 @@ def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
         )
         variation[type(boundary)] = np.sum(np.abs(np.diff(run.u[0])))
     assert variation[Sign] > 100 * variation[SaturationLayer]
-    assert variation[Sign] > 100 * variation[TanhLayer]
 
 
 def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
@@ -288,7 +284,7 @@ def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
 # --- disturbances above the gain ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05), Sign()], ids=str)
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), Sign()], ids=str)
 @pytest.mark.parametrize(("level", "alarm"), [(0.95, 0.0), (1.05, 1.0), (-1.05, 1.0)])
 def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(boundary, level, alarm):
     """The gain is 1: what is below cannot drive s away, what is above does."""
@@ -312,7 +308,7 @@ def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(bou
     ) == bool(alarm)
 
 
-@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05)], ids=str)
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1)], ids=str)
 @pytest.mark.parametrize(("level", "alarm"), [(0.9, 0.0), (1.1, 1.0), (-0.9, 0.0), (-1.6, 1.0)])
 def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary, level, alarm):
     """From the beginning on, so that sliding never begins: s' = -sign(s) + d has the sign of s where |d| > 1."""
@@ -334,7 +330,7 @@ def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary
         assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two
 
 
-SIGN, SAT, TANH = Sign(), SaturationLayer(0.5), TanhLayer(0.5)
+SIGN, SAT = Sign(), SaturationLayer(0.5)
 
 
 def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
