@@ -142,9 +142,6 @@ class Replanner:
         Without arguments, returns the `gnc_opt.Resolver` of the plan; called once in every process.
     every : float
         Time between two re-plannings, s, a multiple of the control step.
-    when : callable, optional
-        ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and
-        those of the plan x_ref (n,) in the order of what the controller follows. Default: always.
     latency : float
         How long solving takes on board, s; it is rounded up to control steps.
     last : float
@@ -170,7 +167,6 @@ class Replanner:
 
     resolver: Callable[[], Solver]
     every: float
-    when: Callable[[float, Array, Array], bool] | None = field(default=None, kw_only=True)
     latency: float = field(default=0.0, kw_only=True)
     last: float = field(default=0.0, kw_only=True)
     follow: Callable[[Solution], Schedule] = field(default=follow_plan, kw_only=True)
@@ -178,10 +174,8 @@ class Replanner:
     def __post_init__(self) -> None:
         if not callable(self.resolver):
             raise ArgumentError("the resolver of a Replanner is no function: write lambda: Resolver(plan).")
-        for name in ("when", "follow"):
-            given = getattr(self, name)
-            if given is not None and not callable(given):
-                raise ArgumentError(f"{name} of a Replanner is no function: see its description.")
+        if not callable(self.follow):
+            raise ArgumentError("follow of a Replanner is no function: see its description.")
         set_ = object.__setattr__
         set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
         set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
@@ -227,9 +221,7 @@ class Replanner:
     def description(self) -> str:
         """The data that determine its plans, for the fingerprint of a flight."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join(
-            (*about, repr((self.every, self.latency, self.last)), _named(self.follow), _named(self.when))
-        )
+        return " ".join((*about, repr((self.every, self.latency, self.last)), _named(self.follow)))
 
     @property
     def model(self) -> Model:
@@ -283,23 +275,6 @@ class Replanner:
                     "the controller of the loop follows something else than the plan of its Replanner: design it for "
                     "this plan, and give follow= a function that makes its schedule of a plan."
                 )
-
-    def wanted(self, t: float, x: Array, x_ref: Array) -> bool:
-        """Whether to re-plan at t (s), the estimated states x (n,) and those of the plan x_ref (n,)."""
-        if self.when is None:
-            return True
-        try:
-            said = self.when(t, x, x_ref)
-        except Exception as error:
-            raise ArgumentError(
-                f"when= of the Replanner failed at {t:g} s, {in_words(error)}: let it take (t, x, x_ref) and return "
-                "True or False."
-            ) from error
-        if not isinstance(said, (bool, np.bool_)):
-            raise ArgumentError(
-                f"when= of the Replanner returned {shown(said)} at {t:g} s: let it return True or False."
-            )
-        return bool(said)
 
     def rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
         """Return what the controller follows (size, n_times) of a plan at times (s)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.style import QUIET, line_look, name_text
+from gnc_opt.plot.style import QUIET, line_look, name_text, per_unit
 from gnc_opt.tolerances import ROUNDING, magnitude
-
-Labels = Mapping[str, Sequence[str]]
-"""Component labels by variable name, e.g. ``{"omega": (r"$\\omega_x$", r"$\\omega_y$", r"$\\omega_z$")}``."""
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
 """Look of a bound's line."""
@@ -26,9 +23,20 @@ HAMILTONIAN_ROUNDING_SHARE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
 
-def component_labels(name: str, signal: Any, labels: Labels | None) -> Sequence[str]:
-    """Return what the legend calls each component of a signal: as given, or by its own names."""
-    return (labels or {}).get(name) or [name_text(label) for label in signal.labels]
+def component_labels(signal: Any) -> list[str]:
+    """Return what the legend calls each component of a signal."""
+    return [name_text(label) for label in signal.labels]
+
+
+def cost_unit(solution: Solution) -> str:
+    """Return the unit of the cost of a solution with its problem, else ""."""
+    return "" if solution.problem is None else solution.problem.cost_unit
+
+
+def hamiltonian_unit(solution: Solution) -> str:
+    """Return the unit of the cost per second; "" for a time or without a unit."""
+    unit = cost_unit(solution)
+    return "" if unit in ("", "s") else per_unit(unit, "s")
 
 
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:

@@ -18,11 +18,11 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
-    Labels,
     chosen_names,
     chosen_phases,
     component_labels,
     draw_components,
+    hamiltonian_unit,
     leave_room,
     sample,
     span_phases,
@@ -56,8 +56,6 @@ def plot_controls(
     names: Sequence[str] | None = None,
     *,
     phase: str | None = None,
-    labels: Labels | None = None,
-    hamiltonian_unit: str = "",
 ) -> Figure:
     """Return a figure that shows every control component and, next to it, its switching function.
 
@@ -72,10 +70,6 @@ def plot_controls(
         Controls; default all.
     phase : str, optional
         Default all, one after the other.
-    labels : mapping, optional
-        Component labels by control name.
-    hamiltonian_unit : str
-        Cost per second; none for minimum time.
 
     Raises
     ------
@@ -109,12 +103,12 @@ def plot_controls(
         for axes, (name, i) in zip(grid, parts, strict=False):
             for leg in legs:
                 if name in leg.controls:
-                    shown = component_labels(name, leg.control(name), labels)[i]
+                    shown = component_labels(leg.control(name))[i]
                     _draw_control(axes[0], leg, name, i, shown)
                     if columns == 2:
-                        _draw_switching(axes, solution, leg, name, i, shown, hamiltonian_unit)
+                        _draw_switching(axes, solution, leg, name, i, shown)
         for axes, control in zip(grid[len(parts) :], composed, strict=True):
-            _draw_composed(axes[0], legs, control, labels)
+            _draw_composed(axes[0], legs, control)
             for ax in axes[1:]:
                 ax.remove()
         for ax in figure.axes:
@@ -172,22 +166,19 @@ def _as_stated(control: ComposedControl, others: Iterable[ComposedControl]) -> b
     return not any(whole and isinstance(c, AssembledControl) and c.parts[:2] == control.parts for c in others)
 
 
-def _draw_composed(
-    ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl, labels: Labels | None
-) -> None:
+def _draw_composed(ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl) -> None:
     """Draw all components of a control that is made of two, as flown."""
     for leg in legs:
         if control in leg.composed_controls:
             signal = leg.saturated_control(control.name)
-            shown = component_labels(control.name, signal, labels)
-            draw_components(ax, *sample(signal, leg.flown.jumps), shown)
+            draw_components(ax, *sample(signal, leg.flown.jumps), component_labels(signal))
     ax.set_ylabel(axis_label(name_text(control.name), control.variable.unit))
     if control.variable.size > 1:
         legend_above(ax)
 
 
 def _draw_switching(
-    axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str, unit: str
+    axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str
 ) -> None:
     """Draw into the second axis; mark changes of sign in both."""
 
@@ -198,7 +189,7 @@ def _draw_switching(
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
-    per = per_unit(unit, leg.control(name).unit)
+    per = per_unit(hamiltonian_unit(solution), leg.control(name).unit)
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _negligible_switching(solution, leg, name, i)
     leave_room(axes[1], negligible)

@@ -16,12 +16,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
-    Labels,
     chosen_names,
     chosen_phases,
     component_labels,
+    cost_unit,
     data_range,
     draw_components,
+    hamiltonian_unit,
     leave_room,
     sample,
     span_phases,
@@ -40,7 +41,6 @@ from gnc_opt.plot.style import (
 
 _AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
 _ALONG_FLOWN: dict[str, Any] = {"color": COLORS[5], "linewidth": 0.9}
-_EXPECTED: dict[str, Any] = {"color": COLORS[1], "linestyle": "--", "linewidth": 1.0}
 
 
 def plot_states(
@@ -48,7 +48,6 @@ def plot_states(
     names: Sequence[str] | None = None,
     *,
     phase: str | None = None,
-    labels: Labels | None = None,
 ) -> Figure:
     """Return a figure that shows states over time, one axis per (vector) state; bounds in view are dashed.
 
@@ -59,8 +58,6 @@ def plot_states(
         States; default all.
     phase : str, optional
         Default all, one after the other.
-    labels : mapping, optional
-        Component labels for the legend, by name.
 
     Raises
     ------
@@ -76,7 +73,6 @@ def plot_states(
         solution,
         phase,
         names,
-        labels,
         lambda leg, name: leg.state(name),
         lambda name, unit: axis_label(name_text(name), unit),
         _draw_bounds_in_view,
@@ -88,8 +84,6 @@ def plot_costates(
     names: Sequence[str] | None = None,
     *,
     phase: str | None = None,
-    labels: Labels | None = None,
-    cost_unit: str = "",
 ) -> Figure:
     """Return a figure that shows the costates of states over time, one axis per (vector) state.
 
@@ -100,10 +94,6 @@ def plot_costates(
         States whose costates to draw; default all.
     phase : str, optional
         Default all, one after the other.
-    labels : mapping, optional
-        Component labels by state name.
-    cost_unit : str
-        Unit of the cost; a costate has the unit of the cost per unit of the state.
 
     Raises
     ------
@@ -119,15 +109,12 @@ def plot_costates(
         solution,
         phase,
         names,
-        labels,
         lambda leg, name: leg.costate(name),
-        lambda name, unit: axis_label(f"costate of {name_text(name)}", per_unit(cost_unit, unit)),
+        lambda name, unit: axis_label(f"costate of {name_text(name)}", per_unit(cost_unit(solution), unit)),
     )
 
 
-def plot_hamiltonian(
-    solution: Solution, *, phase: str | None = None, expected: float | None = None, unit: str = ""
-) -> Figure:
+def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     """Return a figure that shows the Hamiltonian over time with its range.
 
     Marks show it at the collocation points of the program; the line uses the applied controls.
@@ -138,10 +125,6 @@ def plot_hamiltonian(
         Joined to its problem.
     phase : str, optional
         Default all, one after the other.
-    expected : float, optional
-        Expected value, e.g. -1 for minimum time; drawn dashed.
-    unit : str
-        Cost per second; none for minimum time.
 
     Raises
     ------
@@ -164,13 +147,11 @@ def plot_hamiltonian(
         for leg, points, (t, values) in zip(legs, at_points, along, strict=True):
             ax.plot(t, values[0], zorder=2, **_ALONG_FLOWN)
             ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
-        if expected is not None:
-            ax.axhline(expected, zorder=2.5, **_EXPECTED)
         leave_room(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
         span_phases(ax, legs)
         ax.set_xlabel("time (s)")
-        ax.set_ylabel(axis_label("Hamiltonian", unit))
-        legend_on_top(figure, _hamiltonian_legend(low, high, expected), columns=2)
+        ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
+        legend_on_top(figure, _hamiltonian_legend(low, high), columns=2)
     return figure
 
 
@@ -178,7 +159,6 @@ def _draw_each(
     solution: Solution,
     phase: str | None,
     names: Sequence[str] | None,
-    labels: Labels | None,
     signal_of: Callable[[PhaseSolution, str], Signal],
     label_of: Callable[[str, str], str],
     decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
@@ -193,7 +173,7 @@ def _draw_each(
             for leg in legs:
                 if name in leg.states:
                     signal = signal_of(leg, name)
-                    draw_components(ax, *sample(signal, leg.breaks), component_labels(name, signal, labels))
+                    draw_components(ax, *sample(signal, leg.breaks), component_labels(signal))
                     ax.set_ylabel(label_of(name, leg.state(name).unit))
                     if decorate is not None:
                         decorate(ax, leg, name)
@@ -221,7 +201,7 @@ def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Callable[..., 
     return hamiltonian
 
 
-def _hamiltonian_legend(low: float, high: float, expected: float | None) -> list[Any]:
+def _hamiltonian_legend(low: float, high: float) -> list[Any]:
     ends = number_text(low), number_text(high)
     told = (
         f"{ends[0]} to {ends[1]}"
@@ -233,6 +213,4 @@ def _hamiltonian_legend(low: float, high: float, expected: float | None) -> list
         Line2D([], [], label=f"band of these, {told}", color=COLORS[0], alpha=0.25, linewidth=6),
         Line2D([], [], label="along the applied controls", **_ALONG_FLOWN),
     ]
-    if expected is not None:
-        handles.append(Line2D([], [], label=f"expected, {number_text(expected)}", **_EXPECTED))
     return handles

@@ -90,18 +90,15 @@ def _figures(solution: Solution, verdict: Verdict | None, view: View | None) -> 
     from gnc_opt.plot.controls import plot_controls
     from gnc_opt.plot.path import plot_motion
     from gnc_opt.plot.refinement import plot_refinement, plot_verdict
-    from gnc_opt.plot.style import per_unit
 
-    unit = "" if solution.problem is None else solution.problem.cost_unit
-    rate = "" if unit in ("", "s") else per_unit(unit, "s")
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)
     yield "states", trajectory.plot_states(solution)
     if any(leg.controls.size for leg in solution.phases.values()):
-        yield "controls", plot_controls(solution, hamiltonian_unit=rate)
-    yield "costates", trajectory.plot_costates(solution, cost_unit=unit)
+        yield "controls", plot_controls(solution)
+    yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
-        yield "hamiltonian", trajectory.plot_hamiltonian(solution, unit=rate)
+        yield "hamiltonian", trajectory.plot_hamiltonian(solution)
     if solution.history is not None:
         yield "refinement", plot_refinement(solution.history)
     if verdict is not None:

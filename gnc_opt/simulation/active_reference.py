@@ -86,9 +86,6 @@ class PlanUpdater(Protocol):
     def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
         """Raise `ArgumentError` if a controller does not follow the plan."""
 
-    def wanted(self, t: float, x: Array, x_ref: Array) -> bool:
-        """Whether to plan again at t (s) from the estimated states x (n,)."""
-
     def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) that the controls of a plan reach from x at t until a time (s)."""
 
@@ -138,9 +135,6 @@ class ActiveReference:
             return
         if self.replans and t < self.replans[-1].effective - self.dt / 2:
             return  # the one before is not ready yet
-        there = np.full(x.size, np.nan) if self.places is None else self.schedule[self.places, step]
-        if np.isfinite(x).all() and not planner.wanted(t, x, there):
-            return
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
         self.replans.append(self._replanned(planner, step, step + late, start))

@@ -42,8 +42,8 @@ def slew(q_target, *, difference: bool = False, **options):
     model = spacecraft(difference=difference)
     reference = Reference.constant(model, [*q_target, 0, 0, 0], np.zeros(3))
     outputs = "q" if difference else {"q_v": model.symbol("q")[1:]}
-    weights = {} if "poles" in options else {"Q": 0.1, "R": 100.0}
-    return model, design_feedback_linearization(model, reference, outputs=outputs, **weights, **options)
+    asked = {"poles": np.roots([1.0, K2, K1]), **options}
+    return model, design_feedback_linearization(model, reference, outputs=outputs, **asked)
 
 
 def about_z(angle_deg):

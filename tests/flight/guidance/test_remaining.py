@@ -215,16 +215,3 @@ def test_what_makes_no_resolver_or_schedule_is_refused() -> None:
     ):
         with pytest.raises(go.ArgumentError, match=what):
             made()
-
-
-@pytest.mark.parametrize(
-    ("when", "what"),
-    [
-        (lambda t, x: True, "when= of the Replanner failed at 0.25 s, TypeError"),
-        (lambda t, x, x_ref: x - x_ref > 1.0, r"when= of the Replanner returned array\(\[False"),
-        (lambda t, x, x_ref: np.nan, "returned nan at 0.25 s"),
-    ],
-)
-def test_a_condition_that_is_none_is_told(when: Any, what: str) -> None:
-    with pytest.raises(go.ArgumentError, match=what):
-        loop(when=when).simulate([-1.0, 0.0], tf=1.0)

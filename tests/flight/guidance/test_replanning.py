@@ -131,12 +131,6 @@ def test_errors_are_relative_to_what_is_flown() -> None:
     assert run.errors == pytest.approx(run.states - run.reference, abs=1e-12)
 
 
-def test_only_when_it_is_asked_for() -> None:
-    far = every(when=lambda t, x, x_ref: bool(np.abs(x - x_ref).max() > 0.05))
-    assert len(loop(far).simulate([-1.2, 0.3], tf=1.0).replans) == 1
-    assert loop(far).simulate([-1.0, 0.0], tf=1.0).replans == ()
-
-
 def test_no_new_one_while_one_is_made() -> None:
     run = loop(every(0.05, latency=0.12)).simulate([-1.0, 0.0], tf=1.0)
     begun = [r.time for r in run.replans]
@@ -209,7 +203,7 @@ def two_phases() -> Any:
         (lambda: every(-0.1), "between two re-plannings is"),
         (lambda: every(last=-1.0), "last part without"),
         (lambda: every(latency=-1.0), "latency of a Replanner"),
-        (lambda: every(when=3), "when of a Replanner is no function"),
+        (lambda: every(follow=3), "follow of a Replanner is no function"),
         (lambda: Replanner(resolver(), every=0.1), "write lambda"),  # type: ignore[arg-type]
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),
         (lambda: loop(every(0.015)), "multiple of the control step"),
