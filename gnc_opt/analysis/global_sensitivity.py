@@ -26,15 +26,13 @@ from gnc_opt.analysis.scenario import Scenario, all_answers
 from gnc_opt.arguments import expect, read_integer, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import dispersed
 from gnc_opt.text import Printed
 
 NOISE = "noise"
 """The factor that all random numbers of the control steps are."""
-
-_ROWS = 25
-"""Rows that a process simulates at a time."""
 
 _RESAMPLED = 1000
 """Samples of the bootstrap."""
@@ -151,7 +149,7 @@ def sobol_indices(
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
-    chunks = [range(first, min(first + _ROWS, count)) for first in range(0, count, _ROWS)]
+    chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
     f = np.hstack(all_answers(design, _Design.rows, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):

@@ -22,16 +22,15 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.analysis.deviation_propagation import Scatter, Sources
-from gnc_opt.analysis.loop_linearization import OUTPUTS, Linearization
+from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.analysis.scenario import Scenario
 from gnc_opt.arguments import Strict, expect, read_integer, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.environment import one_thread
-from gnc_opt.errors import unknown_name, warn_user
+from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.simulation.step_selection import steps_for_modes
 from gnc_opt.text import Printed
 from gnc_opt.tolerances import TINY
 
@@ -58,26 +57,8 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
-def steps_needed(linearization: Linearization, asked: float, t: float, X: Array, y: Array) -> int:
-    """Return the integration steps per minor step that the plant's modes need at a time (s) of the nominal run.
-
-    X and y are the loop's column and its `OUTPUTS`; ``asked`` is the relative error per minor step.
-    """
-    flight, plant = linearization.flight, linearization.wiring.plant
-    x, applied = flight.kernel.state.split(X)["plant"], linearization.output.split(y)[OUTPUTS[1]]
-    places = [flight.layout.slice(f"plant.{name}") for name in plant.parameters.names]
-    p = np.concatenate([np.empty(0), *[flight.nominal[place] for place in places]])
-    a, _ = plant.linearize(t, x, applied, p)
-    if not np.isfinite(a).all():
-        return 1  # the linearization itself names values that are not finite
-    return steps_for_modes(np.linalg.eigvals(a).astype(complex), flight.dt / flight.minor_steps, asked)
-
-
 FROZEN_GAINS_MAX_NIS = 1e-2
 """Sum of the normalised innovations squared of a filter over the nominal run, up to which its gains are frozen."""
-
-_FOLLOWED = 1e-3
-"""Relative error of a mode over the run above which a warning is given."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
 """Signals in addition to the errors, and their names in the log."""
@@ -234,30 +215,16 @@ class _Pass:
         """Return what the pass found."""
         X, g, h = self.linearization.start()
         scatter = Scatter.first(self.sources, g, h)
-        flown, needed = self.flight.n_steps, 1
-        looks = max(1, flown // 10)
-        asked = _FOLLOWED / (flown * self.flight.minor_steps)
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0
-            if k % looks == 0:
-                needed = max(needed, steps_needed(self.linearization, asked, self.flight.times[k], X, step.y))
             if k % self.every == 0:
                 self._keep_state(X, scatter)
                 self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, first=first))
             scatter, X = scatter.through(step.a, step.g, step.h, first=first), step.X_next
         self._keep_state(X, scatter)
-        self._warn_of_modes(needed)
         return self._collected()
 
     # --- internals ----------------------------------------------------------------------------------------
-
-    def _warn_of_modes(self, needed: int) -> None:
-        if needed > self.flight.substeps:
-            warn_user(
-                f"the nominal run of the covariance has so little in it that {self.flight.substeps} integration steps "
-                f"per minor step do; its modes ask for {needed}, and what is told of them is off: give the loop "
-                f"substeps={needed}, and the campaigns that are compared with it."
-            )
 
     def _keep_state(self, X: Array, scatter: Scatter) -> None:
         places = self.linearization.state.split(np.arange(scatter.size))["plant"]

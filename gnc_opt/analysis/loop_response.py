@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.analysis.linear_covariance import steps_needed
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
@@ -245,18 +244,7 @@ def loop_response(
                 "leave it out, or give the loop its period as dt."
             )
     opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
-    run: dict[str, Any] = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
-    response, needed = _along(opened, run, at)
-    if needed and loop.substeps is None:
-        response, _ = _along(replace(opened, substeps=needed), run, at)
-    return response
-
-
-def _along(
-    opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
-) -> tuple[LoopResponse, int]:
-    """Return the response of a loop with its probe, and the integration steps that its modes need."""
-    flight = opened.compile(**run)
+    flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
@@ -265,15 +253,13 @@ def _along(
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
-    found, needed = [], 0
+    found = []
     X = linearization.start()[0]
     for k, step in enumerate(linearization.steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
-            needed = max(needed, steps_needed(linearization, flight.accuracy, flight.times[k], X, step.y))
         if k == wanted[-1]:
             break
         X = step.X_next
     a, b, c = (np.stack(parts) for parts in zip(*found, strict=True))
-    response = LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)
-    return response, needed if needed > flight.substeps else 0
+    return LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)

@@ -46,13 +46,6 @@ from gnc_opt.tolerances import RANK, TINY
 _DIFFERENCE_STEP_SHARE = 4e-5
 """Step of the central differences, in shares of the duration: their errors are squares of it."""
 
-_PREDICTION_STEPS = 20
-_LARGEST = 0.02
-"""Of a step, in shares of the duration."""
-
-_NEWTON_STEP_TOLERANCE = 1e-8
-"""Step at which Newton's method has ended, in shares of the duration."""
-
 _MET = 1e-6
 """Largest miss of the end, as the move of switch times that corrects it, in shares of the duration."""
 
@@ -85,24 +78,23 @@ def find_optimum(prediction: Prediction) -> Optimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "such a plan cannot be corrected by them; follow it by design_tvlqr()."
         )
-    step = np.full(tau.size, np.inf)
-    for _ in range(_PREDICTION_STEPS):
-        optimum, gradient, psi = _derivatives(prediction, tau, _DIFFERENCE_STEP_SHARE * duration)
-        if not _steers(optimum.S) or np.max(np.abs(step)) <= _NEWTON_STEP_TOLERANCE * duration:
-            break
-        kkt = np.block([[optimum.H, optimum.S.T], [optimum.S, np.zeros((errors, errors))]])
-        step = np.linalg.lstsq(kkt, -np.concatenate([gradient, psi]), rcond=RANK)[0][: tau.size]
-        tau = tau + step * min(1.0, _LARGEST * duration / max(np.max(np.abs(step)), TINY))
-    if not _steers(optimum.S) and not np.isfinite(step).all():
+    d = _DIFFERENCE_STEP_SHARE * duration
+    first, _, _ = _derivatives(prediction, tau, d)
+    if not _steers(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
         )
-    missed = np.max(np.abs(psi) / _lengths(optimum.S))  # steps vanish where the end cannot be met, too
-    if (
-        np.max(np.abs(step)) > _NEWTON_STEP_TOLERANCE * duration
-        or missed > _MET * duration
-        or not _steers(optimum.S)
-    ):
+
+    def conditions(y: Array) -> Array:
+        """Return the gradient of L, and psi as the moves of switch times that correct it, in the duration."""
+        psi, slope = prediction.ends(plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :])
+        stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
+        return np.concatenate([stationary, psi.full()[:, 0] / _lengths(first.S) / duration])
+
+    found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
+    optimum, gradient, psi = _derivatives(prediction, found.x[: tau.size] * duration, d)
+    missed = np.max(np.abs(psi) / _lengths(optimum.S))
+    if not np.isfinite(missed) or missed > _MET * duration or not _steers(optimum.S):
         raise DesignError(
             f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
             "smaller reserve or a shorter last part."

@@ -17,7 +17,7 @@ from gnc_opt.simulation.actuators import (
     SchmittTrigger,
     ZeroOrderHold,
 )
-from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
+from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray, thruster_effects
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
@@ -45,7 +45,6 @@ from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
-from gnc_opt.simulation.thrusters import ThrusterSet
 
 __all__ = [
     "Allocation",
@@ -86,12 +85,12 @@ __all__ = [
     "SchmittTrigger",
     "SensorOutage",
     "SinusoidalDisturbance",
-    "ThrusterSet",
     "Uniform",
     "UniformInBall",
     "WheelArray",
     "ZeroOrderHold",
     "monte_carlo",
+    "thruster_effects",
 ]
 
 

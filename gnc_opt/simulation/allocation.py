@@ -228,6 +228,39 @@ class Mixer(Block):
         return Step(read_numbers(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
 
 
+def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
+    """Return force (3 rows) and torque (3 rows) of thrusters at unit thrust, (6, n), for `Allocation` and `Mixer`.
+
+    Parameters
+    ----------
+    positions, directions : array (3, n)
+        Where they push (m, relative to the centre of mass) and in which direction they push the body (normalised).
+
+    Raises
+    ------
+    DesignError
+        Shapes that do not fit, or a direction of zero length.
+
+    Examples
+    --------
+    Four thrusters in a plane that push a body along x and turn it about z:
+
+    >>> positions = [[0, 0, 0, 0], [1, -1, 1, -1], [0, 0, 0, 0]]
+    >>> print(thruster_effects(positions, [[1, 1, -1, -1], [0, 0, 0, 0], [0, 0, 0, 0]])[[0, 5]])
+    [[ 1.  1. -1. -1.]
+     [-1.  1.  1. -1.]]
+    """
+    r, d = np.asarray(positions, dtype=float), np.asarray(directions, dtype=float)
+    if r.ndim != 2 or r.shape != d.shape or r.shape[0] != 3:
+        raise DesignError(
+            f"thrusters have positions {r.shape} and directions {d.shape}: give (3, n) for both."
+        )
+    if not np.all(np.linalg.norm(d, axis=0) > 0):
+        raise DesignError("a thruster has a direction of zero length: give where it pushes.")
+    d = d / np.linalg.norm(d, axis=0)
+    return np.vstack([d, np.cross(r.T, d.T).T])
+
+
 @dataclass(frozen=True)
 class WheelArray(Block):
     r"""Reaction wheels: allocation, torque limits and momentum (speed) limits.

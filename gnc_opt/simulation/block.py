@@ -22,9 +22,6 @@ Parameters: TypeAlias = Mapping[str, Any]
 Defaults: TypeAlias = dict[str, tuple[Array, str]]
 """Values and units of a block's parameters by name."""
 
-POSITIVE = 1e-300
-"""Least permitted value of a parameter that has to be > 0."""
-
 
 @dataclass(frozen=True)
 class Tick:

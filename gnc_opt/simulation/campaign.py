@@ -230,13 +230,6 @@ class Campaign(Strict, Printed):
         order = np.argsort(-_or_infinite(self.measure(name)), kind="stable")
         return [int(i) for i in self.indices[order[:count]]]
 
-    def with_limits(self, **limits: float) -> Campaign:
-        """Return the same runs evaluated with other limits; names with brackets: ``**{"angle(sigma)": 0.01}``."""
-        changed = replace(self, limits=dict(limits))
-        for name in limits:
-            changed.measure(name)
-        return changed
-
     def rerun(self, index: int) -> Run:
         """Return one run again, with everything logged; it ends with the same bits.
 

@@ -58,7 +58,7 @@ EXPECTED = {
         FinalValues Envelope Event ExpressionDisturbance CompiledLoop ZeroOrderHold Lag Mixer Noise
         Normal EventOccurrence SensorOutage Outcome Pwm Pwpf Quantisation
         Quantity PiecewiseConstantNoise RandomWalk RateLimit Replan Run RunStatus Saturation
-        ScaleFactor SchmittTrigger SinusoidalDisturbance RandomDirection ThrusterSet
+        ScaleFactor SchmittTrigger SinusoidalDisturbance RandomDirection thruster_effects
         RandomRotation Uniform WheelArray
         monte_carlo
     """,

@@ -105,7 +105,7 @@ from gnc_opt.report.document import document
 from gnc_opt.report.formulas import Formulas, name_math, symbol_names
 from gnc_opt.report.problem_statement import problem_statement
 from gnc_opt.simulation.allocation import _within, effect_matrix, min_max_shift, null_vector, pseudo_inverse
-from gnc_opt.simulation.block import POSITIVE, Tick
+from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, dispersed
@@ -118,4 +118,4 @@ from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
 from gnc_opt.simulation.quantities import SAMPLES, sample_steps
 from gnc_opt.simulation.run import Logged, settling_time
 from gnc_opt.simulation.signals import Places, chain
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_modes, steps_for_run
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_run

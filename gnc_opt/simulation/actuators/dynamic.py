@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.control.sampled_data import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.simulation.block import (
-    POSITIVE,
     Block,
     Defaults,
     Parameters,
@@ -25,7 +24,7 @@ from gnc_opt.simulation.block import (
     values,
 )
 from gnc_opt.simulation.intersample_input import Wave
-from gnc_opt.tolerances import ROUNDING, SAME_TIME
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 MIN_TIME_CONSTANT_S = 1e-12
 """A time constant below this (s) is none."""
@@ -111,7 +110,7 @@ class RateLimit(_Following):
         return {"rate": (rate, f"{unit}/s"), **self._first(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"rate": (POSITIVE, math.inf)}
+        return {"rate": (TINY, math.inf)}
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         wanted, reach = signal - state, p["rate"] * tick.h

@@ -13,7 +13,8 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
-from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, scalar, values
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, scalar, values
+from gnc_opt.tolerances import TINY
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Pwm(Block):
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"thrust": (POSITIVE, math.inf), "minimum_on": (0.0, math.inf)}
+        return {"thrust": (TINY, math.inf), "minimum_on": (0.0, math.inf)}
 
     def check(self, size: int, h: float, dt: float) -> None:
         if self._steps(h, dt) < 2:

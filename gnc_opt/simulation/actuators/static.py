@@ -10,7 +10,8 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, differs, values
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
+from gnc_opt.tolerances import TINY
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ class Quantisation(Block):
         return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"step_size": (POSITIVE, math.inf)}
+        return {"step_size": (TINY, math.inf)}
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)

@@ -371,7 +371,7 @@ def test_a_limited_state_is_kept_by_a_soft_row():
 def test_operations_of_a_programme_by_hand():
     """One control over two errors and one step: a sweep, there and back, is 2 * 3^2 products and 6 for 1 + 3 rows."""
     limits = Rows(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
-    code = ProgrammeCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, True, 1, 2)
+    code = ProgrammeCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, 1, 2)
     assert code.unknowns == code.limits == 1
     sweep, tries = 2 * 3**2 + 6 * 4, programme_code._ITERATIONS_PER_UNKNOWN * 2
     row = 2 * sweep + 4

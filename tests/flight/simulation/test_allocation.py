@@ -9,7 +9,7 @@ from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Layout, Model, Variable
-from gnc_opt.simulation import Allocation, ClosedLoop, Mixer, ThrusterSet, WheelArray
+from gnc_opt.simulation import Allocation, ClosedLoop, Mixer, WheelArray, thruster_effects
 from gnc_opt.spacecraft import total_momentum, wheel_body_acceleration
 
 PYRAMID = np.array([[1, -1, -1, 1], [1, 1, -1, -1], [1, 1, 1, 1]]) / np.sqrt(3)
@@ -206,11 +206,11 @@ def twelve_thrusters():
             for side in (1.0, -1.0):
                 positions.append(side * np.eye(3)[(axis + 1) % 3])
                 directions.append(sign * np.eye(3)[axis])
-    return ThrusterSet(np.array(positions).T, np.array(directions).T)
+    return thruster_effects(np.array(positions).T, np.array(directions).T)
 
 
 def test_thrusters_push_only_and_give_the_command():
-    thrusters = twelve_thrusters()
+    effects, both = twelve_thrusters(), ("F_B", "T_B")
     command = np.random.default_rng(2).normal(size=(6, 10))
     plant = Model("body")
     force, torque = plant.control("F_B", 3, unit="N"), plant.control("T_B", 3, unit="N m")
@@ -218,25 +218,28 @@ def test_thrusters_push_only_and_give_the_command():
     plant.ode({v: force, h: torque})
     law = scheduled(plant, lambda t: command[:, np.round(t / 0.1).astype(int) % 10])
     blocks = [
-        thrusters.allocation("jets", force="F_B", torque="T_B"),
-        thrusters.mixer("body", force="F_B", torque="T_B"),
+        Allocation("jets", effects, "thrusts", "non-negative", unit="N", on=both),
+        Mixer("body", effects, dict.fromkeys(both, 3), on="thrusts"),
     ]
     run = ClosedLoop(plant, law, blocks, dt=0.1).simulate(np.zeros(6), tf=1.0)
     assert run.applied == pytest.approx(command, abs=1e-12)
     thrusts_plant = Model("thrusts")
     u = thrusts_plant.control("thrusts", 12, unit="N")
     thrusts_plant.ode({thrusts_plant.state("impulse", 12): u})
-    both = Layout("command", (Variable("F_B", 3), Variable("T_B", 3)))
-    law = scheduled(thrusts_plant, lambda t: command[:, np.round(t / 0.1).astype(int) % 10], commands=both)
+    commands = Layout("command", (Variable("F_B", 3), Variable("T_B", 3)))
+    law = scheduled(
+        thrusts_plant, lambda t: command[:, np.round(t / 0.1).astype(int) % 10], commands=commands
+    )
     thrusts = ClosedLoop(thrusts_plant, law, blocks[:1], dt=0.1).simulate(np.zeros(12), tf=1.0).applied
-    assert np.all(thrusts >= 0) and thrusters.effects @ thrusts == pytest.approx(command, abs=1e-12)
+    assert np.all(thrusts >= 0) and effects @ thrusts == pytest.approx(command, abs=1e-12)
 
 
 def test_thrusters_that_cannot_push_back_are_refused():
     with pytest.raises(DesignError, match=r"'jets' cannot produce component 0 of its command with sign -"):
-        ThrusterSet(
+        effects = thruster_effects(
             np.zeros((3, 5)), np.array([[1, 0, 0, 0, 0], [0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
-        ).allocation("jets", force="F_B")
+        )
+        Allocation("jets", effects[:3], method="non-negative")
 
 
 @pytest.mark.parametrize(("asked", "given"), [(3.0, 0.55), (0.5, 0.5), (-0.4, -0.4), (-3.0, -0.45)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import POSITIVE, Tick, Wave, chain, effect_matrix, pseudo_inverse
+from testing.internals import Tick, Wave, chain, effect_matrix, pseudo_inverse
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -29,10 +29,11 @@ from gnc_opt.simulation import (
     SchmittTrigger,
     SensorOutage,
     SinusoidalDisturbance,
-    ThrusterSet,
     WheelArray,
     ZeroOrderHold,
+    thruster_effects,
 )
+from gnc_opt.tolerances import TINY
 
 INF = np.inf
 H, DT = 0.1, 0.4
@@ -75,14 +76,14 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
         (Saturation("b", -1, [2, 3]), {"lower": ([-1, -1], "N"), "upper": ([2, 3], "N")}, {}),
         (ScaleFactor("b"), {"factor": ([1, 1], ""), "bias": ([0, 0], "N")}, {}),
         (Deadband("b", 0.3), {"width": ([0.3, 0.3], "N")}, {"width": (0.0, INF)}),
-        (Quantisation("b", 0.3), {"step_size": ([0.3, 0.3], "N")}, {"step_size": (POSITIVE, INF)}),
+        (Quantisation("b", 0.3), {"step_size": ([0.3, 0.3], "N")}, {"step_size": (TINY, INF)}),
         (Lag("b", 0.3), {"tau": ([0.3, 0.3], "s")}, {"tau": (0.0, INF)}),
         (Lag("b", 0.3, initial=2), {"tau": ([0.3, 0.3], "s"), "initial": ([2, 2], "N")}, {"tau": (0.0, INF)}),
-        (RateLimit("b", 0.3), {"rate": ([0.3, 0.3], "N/s")}, {"rate": (POSITIVE, INF)}),
+        (RateLimit("b", 0.3), {"rate": ([0.3, 0.3], "N/s")}, {"rate": (TINY, INF)}),
         (Delay("b", 0.25), {"delay": ([0.25], "s")}, {"delay": (0.0, pytest.approx(0.3, rel=1e-9))}),
         (Delay("b", 0.25, 0.4), {"delay": ([0.25], "s")}, {"delay": (0.0, pytest.approx(0.4, rel=1e-9))}),
         (Pwm("b", 2.0), {"thrust": ([2, 2], "N"), "minimum_on": ([0], "s")},
-         {"thrust": (POSITIVE, INF), "minimum_on": (0.0, INF)}),
+         {"thrust": (TINY, INF), "minimum_on": (0.0, INF)}),
         (SchmittTrigger("b", 2, 0.8, 0.3),
          {"thrust": ([2, 2], "N"), "on_level": ([0.8, 0.8], "N"), "off_level": ([0.3, 0.3], "N")}, {}),
         (Pwpf("b", 2, 0.8, 0.3, 0.2),
@@ -181,11 +182,10 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
         (lambda: effect_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),
         (lambda: effect_matrix(EYE, (-1,), "it"), "no actuator -1"),
         (lambda: pseudo_inverse([[1.0], [2.0]]), "1 actuators span 1 of 2 directions"),
-        (lambda: ThrusterSet(np.zeros((3, 2)), np.zeros((3, 2))), "zero length"),
-        (lambda: ThrusterSet(np.zeros((3, 2)), np.ones((3, 1))), r"give \(3, n\)"),
-        (lambda: ThrusterSet(np.zeros((2, 2)), np.ones((2, 2))), r"give \(3, n\)"),
-        (lambda: ThrusterSet(np.zeros(3), np.ones(3)), r"give \(3, n\)"),
-        (lambda: ThrusterSet(np.zeros((3, 1)), np.ones((3, 1))).allocation("b"), "name at least one control"),
+        (lambda: thruster_effects(np.zeros((3, 2)), np.zeros((3, 2))), "zero length"),
+        (lambda: thruster_effects(np.zeros((3, 2)), np.ones((3, 1))), r"give \(3, n\)"),
+        (lambda: thruster_effects(np.zeros((2, 2)), np.ones((2, 2))), r"give \(3, n\)"),
+        (lambda: thruster_effects(np.zeros(3), np.ones(3)), r"give \(3, n\)"),
     ],
 )  # fmt: skip
 def test_allocations_that_do_not_fit_are_refused(act, message):
