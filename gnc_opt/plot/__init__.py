@@ -4,7 +4,7 @@ from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_enve
 from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.frequency import plot_response
 from gnc_opt.plot.path import plot_motion
-from gnc_opt.plot.refinement import plot_refinement, plot_verdict
+from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
@@ -23,6 +23,5 @@ __all__ = [
     "plot_response",
     "plot_run",
     "plot_states",
-    "plot_verdict",
     "save_figure",
 ]

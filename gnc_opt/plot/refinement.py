@@ -1,4 +1,4 @@
-"""Figures of a refinement, its error and its meshes, and of how far each optimality condition is from its tolerance."""
+"""Figure of a refinement: its error and its meshes."""
 
 from __future__ import annotations
 
@@ -14,67 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from gnc_opt.planning.solution.history import History
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
-from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE
 from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
-
-_LOOKS = {
-    ConditionResult.PASS: (COLORS[2], "o", "PASS"),
-    ConditionResult.FAIL: (COLORS[1], "X", "FAIL"),
-    ConditionResult.INCONCLUSIVE: (COLORS[4], "D", "INCONCLUSIVE"),
-}
-_VERDICT_LEAST, _VERDICT_MOST = 1e-12, 1e12
-"""Ends of the axis, in tolerances."""
-
-
-def plot_verdict(verdict: Verdict) -> Figure:
-    """Return a figure of the violation of each condition as a share of its tolerance, on a logarithmic axis.
-
-    The violation of a condition with a margin (negative tolerance) is the missing part of the margin.
-
-    Parameters
-    ----------
-    verdict : Verdict
-
-    Examples
-    --------
-    >>> figure = plot_verdict(go.verify(solution))
-    """
-    with style():
-        figure = new_figure(1.2 + 0.27 * len(verdict.conditions))
-        axes = figure.subplots()
-        rows = np.arange(len(verdict.conditions))[::-1]
-        for result, (color, marker, label) in _LOOKS.items():
-            chosen = [k for k, c in enumerate(verdict.conditions) if c.result is result]
-            if chosen:
-                values = [_violation(verdict.conditions[k]) for k in chosen]
-                axes.hlines(rows[chosen], _VERDICT_LEAST, values, color=color, linewidth=2.5)
-                axes.plot(
-                    values, rows[chosen], marker, color=color, markersize=7, label=f"{label} ({len(chosen)})"
-                )
-        axes.axvline(1.0, color=QUIET, linestyle="--", linewidth=1.0, label="tolerance")
-        axes.set_xscale("log")
-        axes.set_xlim(
-            _VERDICT_LEAST,
-            10.0 ** np.ceil(np.log10(max(1.0, *map(_violation, verdict.conditions)) * 3)),
-        )
-        axes.set_yticks(rows, [c.name for c in verdict.conditions])
-        axes.tick_params(axis="y", length=0)
-        axes.set_xlabel("largest residual as a share of its tolerance")
-        axes.set_title(f"{verdict.problem_name}: {verdict.headline}")
-        legend_on_top(figure, axes.get_legend_handles_labels()[0])
-        return figure
-
-
-def _violation(condition: Condition) -> float:
-    """Violation to draw, in tolerances; 1 or more fails."""
-    value, tolerance = condition.value, condition.tolerance
-    if not np.isfinite(value):
-        return _VERDICT_MOST if condition.result is ConditionResult.FAIL else 1.0
-    missing = value if tolerance > 0 else value - tolerance
-    share = missing / (abs(tolerance) or CONDITION_TOLERANCE)
-    return float(np.clip(share, _VERDICT_LEAST, _VERDICT_MOST))
-
 
 _COLORMAP = "viridis_r"
 

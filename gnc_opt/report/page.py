@@ -36,7 +36,6 @@ CAPTIONS = {
         "Hamiltonian over time. It is constant if time does not occur in the problem, and -1 in minimum time."
     ),
     "refinement": "Mesh and estimated error of each refinement iteration.",
-    "verdict": "Residual of each condition as a share of its tolerance.",
 }
 """Captions of the figures that every report has, by file stem."""
 
@@ -62,7 +61,7 @@ def page(
         "Costates and Hamiltonian": shown("costates", "hamiltonian"),
         "Arcs": _arcs(solution),
         "Refinement": _refinement(solution.history) + shown("refinement"),
-        "Conditions": _conditions(verdict) + shown("verdict"),
+        "Conditions": _conditions(verdict),
         "Multipliers": _multipliers(solution),
         "Software": _software(solution, command),
     }

@@ -67,7 +67,7 @@ def write_report(
 
     folder = report_folder(directory)
     motion = "" if view is None else _motion(solution, view)
-    files = save_figures(folder, _figures(solution, verdict, view))
+    files = save_figures(folder, _figures(solution, view))
     text = page(solution, verdict, files, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
     return [
@@ -84,12 +84,12 @@ def _motion(solution: Solution, view: View) -> str:
     return scene_html({solution.problem_name: solution}, view)
 
 
-def _figures(solution: Solution, verdict: Verdict | None, view: View | None) -> Iterator[tuple[str, Figure]]:
+def _figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls
     from gnc_opt.plot.path import plot_motion
-    from gnc_opt.plot.refinement import plot_refinement, plot_verdict
+    from gnc_opt.plot.refinement import plot_refinement
 
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)
@@ -101,5 +101,3 @@ def _figures(solution: Solution, verdict: Verdict | None, view: View | None) -> 
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
     if solution.history is not None:
         yield "refinement", plot_refinement(solution.history)
-    if verdict is not None:
-        yield "verdict", plot_verdict(verdict)

@@ -15,7 +15,7 @@ from gnc_opt.simulation.intersample_input import Wave, stacked
 from gnc_opt.simulation.quantities import Extremes
 from gnc_opt.simulation.signals import Link, Places, put, put_wave, take
 from gnc_opt.simulation.wiring import Wiring
-from gnc_opt.tolerances import LARGEST, SAME_TIME
+from gnc_opt.tolerances import SAME_TIME
 
 
 class ControlStep:
@@ -261,7 +261,7 @@ class ControlStep:
         wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(seen.shape[0])):
-            fault = ca.if_else(ca.fabs(seen[i]) < LARGEST, fault, i + 1.0)
+            fault = ca.if_else(ca.fabs(seen[i]) < ca.inf, fault, i + 1.0)
         places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
         flags = [z[k] for place in places for k in range(place.start, place.stop)]
         alarm = ca.SX(0)

@@ -29,10 +29,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
 from gnc_opt.spacecraft.vectors import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
 
 Quaternion = Any
@@ -192,25 +190,6 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     """
     error = np.asarray(quaternion_error(q, q_ref), dtype=float)
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
-
-
-def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
-    """Return the quaternion (4,), scalar part >= 0, of turns about the axes of the moving frame; numeric.
-
-    Parameters
-    ----------
-    angles : array (3,)
-        rad, in the order of the sequence.
-    sequence : str
-        Three capital letters, first turn first: ``"ZYX"`` is the 3-2-1 sequence.
-
-    Examples
-    --------
-    >>> print(np.round(quaternion_from_euler([np.pi / 2, 0.0, 0.0], "ZYX"), 6) + 0.0)
-    [0.707107 0.       0.       0.707107]
-    """
-    rotation = scipy.spatial.transform.Rotation.from_euler(sequence, np.asarray(angles, dtype=float))
-    return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
 
 
 def _vector(q: Quaternion) -> Vector:

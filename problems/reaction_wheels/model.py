@@ -27,12 +27,12 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
 from gnc_opt.spacecraft import (
     array_momentum,
     quaternion_difference,
-    quaternion_from_euler,
     quaternion_rate,
     quaternion_retraction,
     wheel_body_acceleration,
@@ -83,7 +83,8 @@ def target_quaternion(manoeuvre: int) -> Array:
     """Return the target (4,) of a manoeuvre, scalar part first and positive: the short way round from the start."""
     if manoeuvre not in MANOEUVRES:
         raise go.ProblemError(f"there is no manoeuvre {manoeuvre!r}: choose one of {list(MANOEUVRES)}.")
-    return quaternion_from_euler(np.radians(MANOEUVRES[manoeuvre][::-1]), "ZYX")
+    turn = Rotation.from_euler("ZYX", np.radians(MANOEUVRES[manoeuvre][::-1]))
+    return np.asarray(turn.as_quat(canonical=True, scalar_first=True))
 
 
 def paper_quaternion(q: ArrayLike) -> Array:

@@ -75,7 +75,7 @@ EXPECTED = {
         j2_gravity lvlh_rate mean_motion mrp_difference mrp_from_axis_angle mrp_rate mrp_retraction
         mrp_to_dcm mrp_to_quaternion
         point_mass_gravity quaternion_angle quaternion_conjugate quaternion_difference
-        quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_retraction
+        quaternion_error quaternion_product quaternion_rate quaternion_retraction
         quaternion_to_dcm radial_frame radial_frame_rate relative_acceleration
         relative_angular_acceleration relative_from_inertial
         total_momentum transpose wheel_body_acceleration wheel_pyramid
@@ -84,7 +84,7 @@ EXPECTED = {
         View plot_controls plot_costates plot_dispersion plot_distributions
         plot_envelope plot_hamiltonian plot_motion plot_refinement plot_response
         plot_run plot_states
-        plot_verdict save_figure
+        save_figure
     """,
     "gnc_opt.report": """
         search_dict summary summary_dict write_campaign_report write_json

@@ -250,7 +250,6 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
         "controls.svg",
         "costates.svg",
         "hamiltonian.svg",
-        "verdict.svg",
     ]
     assert sorted(names) == sorted(path.name for path in folder.iterdir())
     assert all(path.stat().st_size > 0 for path in paths)
@@ -328,7 +327,7 @@ def parsed(smeared: go.Solution, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 def test_page_needs_nothing_else(parsed: Parsed) -> None:
     sources = [attributes["src"] for tag, attributes in parsed.tags if "src" in attributes]
-    assert len(sources) == 5 and all(
+    assert len(sources) == 4 and all(
         str(source).startswith("data:image/svg+xml;base64,") for source in sources
     )
     assert not {"script", "link", "iframe"} & {tag for tag, _ in parsed.tags}

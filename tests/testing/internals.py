@@ -97,7 +97,6 @@ from gnc_opt.planning.verification.bang_bang_second_order import obstacle, stric
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 from gnc_opt.planning.verification.verify_trajectory import _solution
-from gnc_opt.plot.refinement import _violation
 from gnc_opt.plot.scene import scene_html
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
 from gnc_opt.plot.view import motion, span

@@ -16,7 +16,6 @@ from gnc_opt.spacecraft import (
     quaternion_conjugate,
     quaternion_difference,
     quaternion_error,
-    quaternion_from_euler,
     quaternion_product,
     quaternion_rate,
     quaternion_retraction,
@@ -88,12 +87,6 @@ def test_constant_rate_is_a_constant_turn():
     end = flow(lambda _, q: quaternion_rate(q, rate * axis), [1, 0, 0, 0], [0.0, 10.0])[:, -1]
     np.testing.assert_allclose(end, [np.cos(3.5), *(np.sin(3.5) * axis)], atol=1e-12)
     assert np.linalg.norm(end) == pytest.approx(1, abs=1e-12)
-
-
-def test_euler_sequence_321():
-    """The product of turns about z, y and x: manoeuvre 1 of the reaction-wheel paper (Navabi and Hosseini 2018)."""
-    q = quaternion_from_euler(np.radians([-40, -30, 20]), "ZYX")
-    np.testing.assert_allclose(q, [0.909255, 0.070439, -0.296883, -0.283114], atol=1e-6)
 
 
 @given(st.lists(st.floats(-0.9, 0.9), min_size=6, max_size=6))
