@@ -90,7 +90,7 @@ def test_vectorized_functions_are_the_reference_that_they_are_time_by_time():
 
 def test_vectorized_functions_that_return_no_columns_are_refused():
     with pytest.raises(
-        go.ArgumentError, match=r"states .* shape \(2,\) at 96 times, not \(2, 96\): return a column"
+        go.ArgumentError, match=r"states .* shape \(2,\) at 24 times, not \(2, 24\): return a column"
     ):
         Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0 * t], 0, 1, vectorized=True).x(0.5)
     with pytest.raises(go.ArgumentError, match=r"controls of a reference are not finite at 0\.5 s"):
