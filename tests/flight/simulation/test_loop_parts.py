@@ -180,13 +180,13 @@ def test_the_first_that_is_not_finite_is_named_in_the_order_of_the_signal():
     run = run_of(lambda t, x, r, z: (ca.vertcat(late, ca.if_else(t > 0.45, np.inf, 0.0)), z))
     assert (run.outcome.what, run.outcome.time) == ("command 'a[1]'", pytest.approx(0.5))
     run = run_of(
-        lambda t, x, r, z: (ca.vertcat(1.0, ca.if_else(t > 0.45, 1.0, 0.0)), z),
+        lambda t, x, r, z: (ca.vertcat(1e10, ca.if_else(t > 0.45, 1.0, 0.0)), z),
         actuators=[ScaleFactor("k", 1e301)],
     )
     assert (run.outcome.what, run.outcome.time) == ("applied 'a[0]'", 0.0)
     plant = Model("blow")
     x, u = plant.state("x", 2), plant.control("u")
-    plant.ode({x: ca.vertcat(u, 1e303)})
+    plant.ode({x: ca.vertcat(u, 1e308)})
     run = run_of(lambda t, x, r, z: (0 * t, z), plant=plant)
     assert (run.outcome.status, run.outcome.what, run.outcome.time) == (
         RunStatus.NOT_FINITE,
