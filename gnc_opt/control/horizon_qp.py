@@ -1,7 +1,6 @@
-"""The quadratic programme of a horizon: prediction and limits as sparse rows, and the check of its solution.
+"""The quadratic programme of a horizon: predicted limits as rows, and the check of its solution.
 
-Unknowns are omega (m per step), the scaled errors at the ends of the steps, and a slack for each softly limited state
-and step; see `gnc_opt.control.mpc`.
+Unknowns are omega (m per step) and a slack for each softly limited state and step; see `gnc_opt.control.mpc`.
 """
 
 from __future__ import annotations
@@ -69,31 +68,26 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """``min y'hy/2 + g'y``, ``low <= a y <= high``; first ``equal`` equations, last unknowns slacks >= 0."""
+    """``min y'y/2 + g'y``, ``low <= a y <= high``; the unknowns after the first ``free`` are slacks >= 0."""
 
-    h: Any
     g: Any
     a: Any
     low: Any
     high: Any
-    equal: int
     free: int
 
     def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
         """Return the largest relative violation of optimality; multipliers are positive at upper limits."""
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
-        stationary = ca.norm_inf(self.h @ y + self.g + self.a.T @ lam_a + lam_x) / size
-        value, k = self.a @ y, self.equal
-        right = self.low[:k]
-        unequal = ca.norm_inf(value[:k] - right) / ca.fmax(1, ca.norm_inf(right))
-        value, high, low, lam = value[k:], self.high[k:], self.low[k:], lam_a[k:]
+        stationary = ca.norm_inf(y + self.g + self.a.T @ lam_a + lam_x) / size
+        value, high, low, lam = self.a @ y, self.high, self.low, lam_a
         outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
         gap_high, gap_low = (
             ca.fmin(high - value, _INACTIVE_ROW_DISTANCE),
             ca.fmin(value - low, _INACTIVE_ROW_DISTANCE),
         )
         slack = ca.norm_inf(ca.fmax(lam, 0) * gap_high) + ca.norm_inf(ca.fmin(lam, 0) * gap_low)
-        found = [stationary, unequal, outside, slack / size]
+        found = [stationary, outside, slack / size]
         if y.shape[0] > self.free:
             slacks, multipliers = y[self.free :], lam_x[self.free :]
             found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
@@ -103,11 +97,10 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """The steps of a horizon: A - B K, B L^-T, K, L^-T and the scale of errors."""
+    """The steps of a horizon: A - B K, B L^-T, K, L^-T."""
 
     rows: Rows
     matrices: list[list[Any]]
-    scale: Array
 
     @property
     def count(self) -> int:
@@ -115,32 +108,20 @@ class Horizon:
         return len(self.matrices[0])
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """Number of errors and of controls."""
-        n, m = self.matrices[1][0].shape
-        return int(n), int(m)
-
-    @property
     def free(self) -> int:
         """Number of unknowns that may have any sign."""
-        return self.count * sum(self.sizes)
+        return self.count * self.rows.lower.size
 
     @property
     def unknowns(self) -> int:
         """Number of unknowns."""
         return self.free + self.count * len(self.rows.soft)
 
-    @property
-    def equations(self) -> int:
-        """Number of equations."""
-        return self.count * self.sizes[0]
-
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
-        rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
+        rows, m, errors = self.rows, self.rows.lower.size, self._errors(e_0)
         commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
-        found = [self._step(j, e_0) for j in range(self.count)]
-        found += [_between(*command, rows.lower, rows.upper) for command in commands]
+        found = [_between(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.unknowns), previous)
             for row, u in commands:
@@ -148,16 +129,13 @@ class Horizon:
                 before = (row, u)
         found += self._states(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
-        squares = np.zeros(self.unknowns)
-        squares[: m * self.count] = squares[self.free :] = 1.0
         gradient = np.zeros(self.unknowns)
         gradient[self.free :] = np.tile(self.rows.roots, self.count)
-        h = ca.diag(ca.sparsify(ca.DM(squares)))
-        return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
+        return Programme(ca.DM(gradient), ca.densify(a), low, high, self.free)
 
     def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
         """Return whether the unconstrained regulator meets no limit; arguments as of `programme`."""
-        rows, (_, m) = self.rows, self.sizes
+        rows, m = self.rows, self.rows.lower.size
         e, room, limited = e_0, [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
             u = u_ff[m * j : m * (j + 1)] - k @ e
@@ -173,54 +151,23 @@ class Horizon:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    @property
-    def _scaled(self) -> Any:
-        return ca.diag(ca.DM(self.scale))
-
     def _errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors at the beginning and at the end of every step, as rows of the unknowns and the rest."""
-        n, _ = self.sizes
-        found = [(ca.DM(n, self.unknowns), e_0)]
-        for j in range(self.count):
-            found.append((self._row({self._error(j + 1): self._scaled}), ca.DM.zeros(n)))
+        found = [(ca.DM(e_0.shape[0], self.unknowns), e_0)]
+        for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
+            rows, rest = found[-1]
+            found.append((a @ rows + self._row(self.rows.lower.size * j, f), a @ rest))
         return found
 
     def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the j-th command as rows of the unknowns and a constant term, from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._row({self._omega(j): g}) - k @ rows, u_ff - k @ rest
+        return self._row(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _omega(self, j: int) -> int:
-        return j * self.sizes[1]
-
-    def _error(self, j: int) -> int:
-        """Return where the errors at the end of j steps begin, j from 1."""
-        n, m = self.sizes
-        return self.count * m + (j - 1) * n
-
-    def _row(self, blocks: dict[int, Any]) -> Any:
-        """Return sparse rows with blocks that begin at these columns."""
-        height = next(iter(blocks.values())).shape[0]
-        parts, at = [], 0
-        for begin, block in sorted(blocks.items()):
-            parts += [ca.DM(height, begin - at), block]
-            at = begin + block.shape[1]
-        return ca.horzcat(*parts, ca.DM(height, self.unknowns - at))
-
-    def _step(self, j: int, e_0: Any) -> tuple[Any, Any, Any]:
-        """The rows of ``e_{j+1} - a e_j - f omega_j = 0``, in the units of the errors."""
-        n, _ = self.sizes
-        a, f, _, _ = (matrices[j] for matrices in self.matrices)
-        inverse = ca.diag(ca.DM(1 / self.scale))
-        blocks = {self._error(j + 1): ca.DM.eye(n), self._omega(j): -inverse @ f}
-        if j == 0:
-            right = inverse @ (a @ e_0)
-            return self._row(blocks), right, right
-        return (
-            self._row(blocks | {self._error(j): -inverse @ a @ self._scaled}),
-            ca.DM.zeros(n),
-            ca.DM.zeros(n),
-        )
+    def _row(self, begin: int, block: Any) -> Any:
+        """Return sparse rows with a block that begins at a column."""
+        height, end = block.shape[0], begin + block.shape[1]
+        return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.unknowns - end))
 
     def _states(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
         """The rows of the limited states."""
@@ -234,7 +181,7 @@ class Horizon:
                     if i in rows.soft:
                         slack = rows.soft.index(i)
                         place = self.free + j * len(rows.soft) + slack
-                        row = row + self._row({place: ca.DM(-side / rows.roots[slack])})
+                        row = row + self._row(place, ca.DM(-side / rows.roots[slack]))
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found

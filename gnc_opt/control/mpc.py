@@ -54,11 +54,10 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
 
-_HORIZON_MAX_STEPS = 2000
+_HORIZON_MAX_STEPS = 500
 """Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
-_PIQP = {"eps_abs": 1e-11, "eps_rel": 1e-11, "eps_duality_gap_abs": 1e-11, "eps_duality_gap_rel": 1e-11}
-_PIQP |= {"delta_init": 1e-8}  # its own 1e-4 holds large multipliers back, until they pass for infeasible
+_DAQP = {"primal_tol": 1e-11, "dual_tol": 1e-12}
 
 
 @one_thread()
@@ -296,22 +295,19 @@ class _Law:
         rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
-        horizon = Horizon(self.rows, _matrices(self.schedule, matrices), _error_scale(self.schedule.windows))
+        horizon = Horizon(self.rows, _matrices(self.schedule, matrices))
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
     def _solution(self, horizon: Horizon, *known: Any) -> list[Any]:
         """Return the first unknowns by the solver, and whether they meet the conditions of optimality."""
         task = horizon.programme(*known)
-        shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
-        options = {"piqp": {"verbose": False, **_PIQP}, "error_on_fail": False}
-        # far outside soft limits multipliers are as large as their prices, which the interior point minds
-        size = 1 / float(np.max(self.rows.roots, initial=1.0))
+        one = ca.DM.eye(horizon.unknowns)
+        shape = {"h": one.sparsity(), "a": task.a.sparsity()}
         least = np.full(horizon.unknowns, -np.inf)
         least[task.free :] = 0  # slacks are not negative
-        sides = {"a": task.a, "lba": task.low, "uba": task.high, "lbx": least}
-        answer = ca.conic("qp", "piqp", shape, options)(h=size * task.h, g=size * task.g, **sides)
-        lam_a, lam_x = answer["lam_a"] / size, answer["lam_x"] / size
-        solved = task.optimality_residual(answer["x"], lam_a, lam_x) <= QP_TOLERANCE
+        solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
+        answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
+        solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
         return [answer["x"][: self.rows.lower.size], solved]
 
 
@@ -322,12 +318,6 @@ def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCod
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
     return ProgrammeCode(rows, rows.roots, tuple(parts), windows.count, model.states.size)
-
-
-def _error_scale(windows: _Windows) -> Array:
-    """Return the scales of the errors: an error of one scale costs one."""
-    costs = np.diag(windows.gains.costs[-1])
-    return np.asarray(1 / np.sqrt(np.where(costs > 0, costs, 1.0)))
 
 
 def _matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
@@ -421,8 +411,7 @@ def _state_rows(
 
 def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
-    n = windows.gains.steps[-1].a.shape[0]
-    size, limits = (m + n + len(rows.soft)) * count, (n + rows.count) * count
+    size, limits = (m + len(rows.soft)) * count, rows.count * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [

@@ -112,7 +112,7 @@ def test_upcoming_change_of_the_reference_is_anticipated():
 def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
     import gnc_opt.control.mpc as module
 
-    monkeypatch.setattr(module, "_PIQP", {"max_iter": 1})
+    monkeypatch.setattr(module, "_DAQP", {"iter_limit": 1})
     controller = tracker(rate_limits=5.0)
     regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
     x = np.array([3.0, 0.0])
