@@ -6,7 +6,7 @@ Results are stored in ``numbers/NAME.json`` with command, date, machine and vers
 all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
 and what it has just written with its own ``--json`` need not be measured twice:
 
-    python -m benchmarks.performance.page peers --results peers.json -- --environments DIR
+    python -m benchmarks.performance.page profile --results profile.json -- --environments DIR
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from benchmarks.performance.peers.compare import ACCURACIES, best
 from benchmarks.performance.profile import compare as profile
 
 ROOT = Path(__file__).parents[2]
@@ -99,19 +98,6 @@ def _closed_loop(results: Any) -> Cells:
     yield "same bits on all processors", "yes" if results["same_bits"] else "no"
 
 
-def _peers(results: Any) -> Cells:
-    found = {
-        program: {way: {int(case): ran for case, ran in cases.items()} for way, cases in ways.items()}
-        for program, ways in results.items()
-    }
-    cases = sorted({case for ways in found.values() for ran in ways.values() for case in ran})
-    for some in ([cases[0]], cases) if len(cases) > 1 else (cases,):
-        which = f"case {some[0]}" if len(some) == 1 else f"mean of {len(some)} cases"
-        for program, ways in found.items():
-            cells = (best(ways, some, accuracy) for accuracy in ACCURACIES)
-            yield f"{program}, {which}", *("never" if cell is None else f"{cell[0]:.2g}" for cell in cells)
-
-
 def _error(value: float | None) -> str:
     return "" if value is None else f"{abs(value):.0e}" if value else "0"
 
@@ -156,12 +142,6 @@ BENCHMARKS = {
         _scale,
     ),
     "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
-    "peers": Benchmark(
-        (),
-        ("program", *(f"to {accuracy:g} s" for accuracy in ACCURACIES)),
-        _peers,
-        needs="--environments DIR",
-    ),
     "profile": Benchmark(
         (),
         ("program", *(f"right to {accuracy:g}" for accuracy in profile.ACCURACIES)),

@@ -6,8 +6,11 @@
 Problems: those of one phase with a known optimum in a JSON file (default ``../shared/ocp/problems.json``). Every
 program states them from the same file, from the same guess (`statement`), solves on one thread, and is stopped after
 `LIMIT_S` of CPU time. The time of a solve is processor time from stating the problem to the answer; imports and a first
-small solve are not counted. A program yapss or maptor runs with DIR/NAME/bin/python (default DIR: .peers), see
-`benchmarks.performance.peers`.
+small solve are not counted. A program yapss or maptor runs with DIR/NAME/bin/python (default DIR: .peers), made by
+
+    python -m venv .peers/yapss && .peers/yapss/bin/pip install yapss
+
+and is skipped if that is missing.
 
 An answer counts for an accuracy if its objective is within that share of the reference; a failure, a local minimum and
 an answer that is not accurate enough count alike. For each accuracy the curve of a program is the share of the problems

@@ -1,1 +1,0 @@
-"""Time to accuracy of gnc_opt and of other programs: ``python -m benchmarks.performance.peers``."""
