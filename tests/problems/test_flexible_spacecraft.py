@@ -12,8 +12,7 @@ from flexible import rest as at_first
 
 import gnc_opt as go
 from benchmarks.validation.published import flexible_spacecraft as published
-from benchmarks.validation.published.comparison import known
-from benchmarks.validation.published.tracked import CompiledLoop
+from benchmarks.validation.published.comparison import FlightMeasures, known
 from problems.flexible_spacecraft import optimal
 from problems.flexible_spacecraft.control import INERTIAL, INERTIAL_ROBUST, quasi_sliding_mode
 from problems.flexible_spacecraft.model import BODY, MAX_TORQUE, build_model, initial_state, rest, target
@@ -150,13 +149,13 @@ def test_a_flight_is_what_another_program_makes_of_the_applied_torques() -> None
     np.testing.assert_allclose(flown.states.T, states, atol=1e-6)
     late = np.flatnonzero(np.max(np.abs(states[:, 1:4]), axis=1) > 1e-3)[-1]
     effort = float(np.sum(np.abs(torques)) * 0.05)
-    found = CompiledLoop(0.05 * float(late), effort, angle(states[-1, :4]))
+    found = FlightMeasures(0.05 * float(late), effort, angle(states[-1, :4]))
     time, effort, miss, energy = (
         row["independent"][1]
         for row in known("flexible_spacecraft")
         if row["quantity"].startswith("least vibration, at equal effort, flown") and "independent" in row
     )
-    for one in (published.measures(flown), CompiledLoop(time, effort, miss)):
+    for one in (published.measures(flown), FlightMeasures(time, effort, miss)):
         assert [one.time, one.effort] == pytest.approx([found.time, found.effort], rel=1e-4)
         assert one.miss == pytest.approx(found.miss, rel=1e-3)
     assert energy == pytest.approx(vibration(states[1200], TRUE), rel=1e-3)

@@ -9,9 +9,8 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import known
+from benchmarks.validation.published.comparison import FlightMeasures, known
 from benchmarks.validation.published.formation_flying import FEW_STEPS, disturbed_loop, flight, measures, run
-from benchmarks.validation.published.tracked import CompiledLoop
 from problems.formation_flying.control import follow_plan, optimal_sliding_mode
 from problems.formation_flying.model import PERIOD, RATE, START, build_model, circle, circle_state, hill_model
 from problems.formation_flying.optimal import LIMIT, plan
@@ -164,7 +163,7 @@ def test_a_flight_is_what_another_program_makes_of_the_applied_thrust() -> None:
     distance = np.linalg.norm(states[:, :3, 0] - ring, axis=1)
     np.testing.assert_allclose(flown.states.T, states[:, :, 0], rtol=1e-6, atol=1e-6)
     late = float(times[np.flatnonzero(distance > 1.0)[-1]])
-    found = CompiledLoop(late, float(np.sum(np.abs(flown.applied)) * h), float(distance[-1]))
+    found = FlightMeasures(late, float(np.sum(np.abs(flown.applied)) * h), float(distance[-1]))
     stated = [
         row["independent"][1]
         for row in known("formation_flying")

@@ -12,12 +12,9 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from benchmarks.validation import rendezvous_minima
-from benchmarks.validation.published.comparison import Claim, Row, Value, compare, known, printed
-from benchmarks.validation.published.pareto import certified
+from benchmarks.validation.published.comparison import Row, Value, compare, known, printed
 from benchmarks.validation.published.runner import SYSTEMS, table_rows
-from benchmarks.validation.published.tracked import Rivals, dispersed_rows
 from benchmarks.validation.rendezvous_minima import GlobalOutcome
-from gnc_opt.simulation import Uniform
 
 WHY = "the definition in print is unclear"
 
@@ -122,7 +119,7 @@ def test_data_of_every_system() -> None:
         assert tuple(sum(bool(kind & set(row)) for row in rows) for kind in kinds) == count, system
 
 
-# --- fronts and dispersed runs --------------------------------------------------------------------------
+# --- local minima of the rendezvous ---------------------------------------------------------------------
 
 
 def push(duration: float) -> go.Problem:
@@ -133,39 +130,6 @@ def push(duration: float) -> go.Problem:
     leg.final(x=1.0, v=0.0)
     problem.minimize(leg.integral(u**2, "effort"))
     return problem
-
-
-def test_points_of_a_front_are_solved_verified_and_in_the_order_of_time() -> None:
-    points = certified((2.0, 1.0), lambda t: go.solve(push(t)), lambda s: (s.phase().final_time, s.objective))
-    assert [point.time for point in points] == [1.0, 2.0] and all(point.certified for point in points)
-    assert [point.cost for point in points] == pytest.approx([12.0, 1.5], rel=1e-9)
-
-
-def still(gain: float) -> go.ClosedLoop:
-    """x' = u with u = -gain x: after a second exp(-gain) of the start is left."""
-    cart = go.Model("cart")
-    x, u = cart.state("x", unit="m"), cart.control("u")
-    cart.ode({x: -gain * x + u})
-    return go.ClosedLoop(cart, go.feedforward(go.Reference.constant(cart, [0.0], [0.0])), dt=0.1)
-
-
-def test_plans_and_controller_fly_from_the_same_starts() -> None:
-    rivals = Rivals(
-        {"plan": (still(2.0), np.array([1.0])), "law": (still(1.0), np.array([1.0]))},
-        1.0,
-        {"initial.x": Uniform(-0.5, 0.5)},
-        {"x": np.zeros(1)},
-        {"x": ("left (cm)", 100.0)},
-    )
-    spread, failed = dispersed_rows(rivals, rivals.fly(50, seed=3, executor="serial"))
-    plan, law = np.array(spread.ours).reshape(2, 3)
-    np.testing.assert_allclose(plan / law, np.exp(-1.0), rtol=1e-6)
-    assert 100 * np.exp(-1) * 1.3 < law[2] < 100 * np.exp(-1) * 1.5 and law[0] < law[1] <= law[2]
-    assert failed.passes and spread.quantity == "50 runs, plan: left (cm), 50 %, 99 %, largest; law"
-    assert spread.independent is None and failed.independent == Claim("none", True)
-
-
-# --- local minima of the rendezvous ---------------------------------------------------------------------
 
 
 def test_published_times_are_named_by_their_minima(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,8 @@ import pytest
 from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import known
+from benchmarks.validation.published.comparison import FlightMeasures, known
 from benchmarks.validation.published.reaction_wheels import FLOWN, flight, measures, plan
-from benchmarks.validation.published.tracked import CompiledLoop
 from gnc_opt.spacecraft import quaternion_angle
 from problems.reaction_wheels import (
     AXES,
@@ -190,7 +189,7 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
         np.testing.assert_allclose(runs[i].states.T, states[:, :, i], atol=1e-6)
         angle = np.degrees(quaternion_angle(states[:, :4, i].T, target_quaternion(MANOEUVRE[name])[:, None]))
         whole = np.degrees(2 * np.arccos(target_quaternion(MANOEUVRE[name])[0]))
-        found = CompiledLoop(
+        found = FlightMeasures(
             float(times[np.flatnonzero(angle > 0.02 * whole)[-1]]),
             float(np.sum(torques[:, :, i] ** 2) * h),
             float(angle[-1]),

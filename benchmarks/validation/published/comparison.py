@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+import gnc_opt as go
 from gnc_opt.arrays import Array
 
 FOLDER = Path(__file__).parent
@@ -100,6 +101,29 @@ class Value:
     ours: ArrayLike
     holds: bool | None = None
     note: str = ""
+
+
+@dataclass(frozen=True)
+class FlightMeasures:
+    """Measures of a run in closed loop: settling time (s), effort and final error, in the system's units."""
+
+    time: float
+    effort: float
+    miss: float
+
+
+def flight_values(
+    what: str, names: tuple[str, str, str], plan: FlightMeasures, law: FlightMeasures
+) -> Iterator[Value]:
+    """Yield, for each measure (its name and unit), that of a plan, of the published controller, and their ratio."""
+    for name, ours, theirs in zip(names, astuple(plan), astuple(law), strict=True):
+        ratio = ours / theirs if np.isfinite(theirs) and theirs else float("nan")
+        yield Value(f"{what}, flown: {name}; published law; ratio", (ours, theirs, ratio))
+
+
+def failing(verdict: go.Verdict) -> str:
+    """Return the conditions that fail or are inconclusive."""
+    return ", ".join(c.name for c in (*verdict.failed, *verdict.inconclusive))
 
 
 def known(system: str) -> list[dict[str, Any]]:

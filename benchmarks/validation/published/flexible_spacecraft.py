@@ -16,20 +16,16 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import Value
-from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
+from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.simulation import (
     ClosedLoop,
     Disturbance,
     Noise,
-    RandomRotation,
     Run,
     Saturation,
     SinusoidalDisturbance,
-    Uniform,
 )
 from gnc_opt.simulation.block import Defaults, Parameters, Tick, scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_product, quaternion_to_dcm
@@ -57,7 +53,6 @@ from problems.flexible_spacecraft.model import (
     build_model,
     flexible_body,
     initial_state,
-    rest,
     target,
 )
 from problems.flexible_spacecraft.optimal import (
@@ -501,18 +496,6 @@ def planned_energy(solution: go.Solution) -> tuple[Array, Array]:
     )
 
 
-def front() -> Front:
-    """Return what less time costs: the integral of the modal energy of the least vibration in several durations."""
-    points = certified(
-        (40.0, 50.0, DURATION, 75.0, 110.0),
-        lambda duration: go.solve(build_gentle(duration), tol=1e-8),
-        lambda solution: (solution.phase().final_time, float(np.trapezoid(*planned_energy(solution)[::-1]))),
-    )
-    run = standard("J")
-    theirs = (measure(run).settling_fine, float(np.trapezoid(modal_energy(run), run.times)))
-    return Front("integral of the modal energy (J s)", points, theirs, "QSMC, J, to 0.001")
-
-
 TRACKED = {
     ("fast", "TVLQR"): "least time, no reserve, TVLQR",
     ("prompt", "TVLQR"): "least time and effort, reserve, TVLQR",
@@ -625,10 +608,10 @@ def flight(name: str) -> Run:
     return closed(name).simulate(initial_state(build_model()), tf=FLIGHT_SPAN, seed=1)
 
 
-def measures(run: Run) -> CompiledLoop:
+def measures(run: Run) -> FlightMeasures:
     """Return the measures of a run."""
     off = float(np.degrees(attitude_error(run)[-1]))
-    return CompiledLoop(settling(run, 1e-3), float(np.sum(run.effort)), off)
+    return FlightMeasures(settling(run, 1e-3), float(np.sum(run.effort)), off)
 
 
 def vibration(run: Run) -> float:
@@ -647,24 +630,3 @@ def _flown(name: str) -> Iterator[Value]:
     yield Value(f"{what}: verdict of the plan", float(verdict.ok), verdict.ok, failing(verdict))
     yield Value(f"{what}, flown: outcome", float(run.outcome.ok), run.outcome.ok)
     yield Value(f"{what}, flown: largest torque (N m)", np.max(np.abs(run.applied)))
-
-
-def rivals() -> Rivals:
-    """Return both plans and the published controller, turned by up to 2 degrees, pushed half as much again or less."""
-    model = build_model()
-    half = Uniform(-0.5, 0.5, relative=True)
-    names = {**{plan: plan for plan in FLOWN}, "published law": "published"}
-    return Rivals(
-        {who: (closed(name), initial_state(model)) for who, name in names.items()},
-        FLIGHT_SPAN,
-        {
-            "initial.q_BO": RandomRotation(Uniform(0.0, float(np.radians(2.0)))),
-            "wave.amplitude": half,
-            "push.level": half,
-        },
-        {"q_BO": rest(model, (1.0, 0.0, 0.0, 0.0))[:4]},
-        {
-            "effort(torque)": ("effort (N m s)", 1.0),
-            "angle(q_BO)": ("angle after 120 s (deg)", float(np.degrees(1.0))),
-        },
-    )

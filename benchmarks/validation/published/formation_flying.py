@@ -15,12 +15,10 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import Value
-from benchmarks.validation.published.pareto import Front, certified
-from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
+from benchmarks.validation.published.comparison import FlightMeasures, Value, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
-from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation, UniformInBall
+from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation
 from gnc_opt.spacecraft import inertial_from_relative, j2_gravity, point_mass_gravity, relative_from_inertial
 from problems.formation_flying.control import (
     CONTROL_WEIGHT,
@@ -49,12 +47,11 @@ from problems.formation_flying.model import (
     START,
     build_model,
     circle,
-    circle_state,
     differential_oblateness,
     formation,
     hill_model,
 )
-from problems.formation_flying.optimal import LIMIT, RESERVE, build, plan
+from problems.formation_flying.optimal import LIMIT, RESERVE, plan
 
 LAWS = {"SMC": sliding_mode, "optimal SMC": optimal_sliding_mode, "LQ only": linear_quadratic}
 STEPS, FEW_STEPS, TRUTH_STEPS, FLOWN_STEPS = 24000, 3000, 12000, 6000
@@ -63,8 +60,6 @@ which cost four times the others (0.5 s), and of those beside the optima. The pu
 held for a step h, the sliding mode's Delta-V grows by 2.2e-3 h."""
 COURSE = np.array([500.0, 1000.0, 2000.0, 3000.0, 4000.0, 5000.0, 6000.0])
 """Times at which the errors are compared, s."""
-DURATIONS = (900.0, 1200.0, 1600.0, 2000.0, 3000.0, 4500.0)
-"""Of the front, s; a whole period ends in a dearer point of the circle, 1.1843 m/s."""
 
 
 def values() -> Iterator[Value]:
@@ -264,17 +259,6 @@ def _optima() -> Iterator[Value]:
         yield Value(f"{name} / optimal SMC, both undisturbed", best.solution.objective / published)
 
 
-def front() -> Front:
-    """Return what less time costs: the least Delta-V of several durations."""
-    points = certified(
-        DURATIONS,
-        lambda duration: go.solve(build(duration=duration), tol=1e-8),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    law = run("optimal SMC")
-    return Front("Delta-V (m/s)", points, (law.settling_time("r", 1.0), delta_v(law)), "optimal SMC, to 1 m")
-
-
 MEASURES = ("last time beyond 1 m of the circle's point (s)", "Delta-V in one period (m/s)", "|e(T)| (m)")
 POSITION_NOISE, VELOCITY_NOISE = 0.01, 2e-5
 """1 sigma per axis and measurement, m and m/s."""
@@ -310,24 +294,12 @@ def flight(name: str) -> Run:
     return closed(name).simulate(START, tf=PERIOD, seed=1)
 
 
-def rivals() -> Rivals:
-    """Return both plans and the published controller, started up to 20 m and 2 cm/s off."""
-    names = {"least Delta-V": "least Delta-V", "least time": "least time", "optimal SMC": "published"}
-    return Rivals(
-        {who: (closed(name, 2000), START) for who, name in names.items()},
-        PERIOD,
-        {"initial.r": UniformInBall(20.0), "initial.v": UniformInBall(0.02)},
-        {"r": circle_state(PERIOD)[:3]},
-        {"effort(a)": ("Delta-V (m/s)", 1.0), "r": ("|e(T)| (m)", 1.0)},
-    )
-
-
-def measures(flown: Run) -> CompiledLoop:
+def measures(flown: Run) -> FlightMeasures:
     """Return the measures of a run of one period."""
     distance = np.linalg.norm(flown.states[:3] - circle(flown.times)[0], axis=0)
     late = np.flatnonzero(distance > 1.0)
     settled = float("inf") if late[-1] == flown.times.size - 1 else float(flown.times[late[-1]])
-    return CompiledLoop(settled, delta_v(flown), float(distance[-1]))
+    return FlightMeasures(settled, delta_v(flown), float(distance[-1]))
 
 
 def _flown() -> Iterator[Value]:

@@ -19,11 +19,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import Value
-from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
+from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
 from gnc_opt.arrays import Array
-from gnc_opt.simulation import ConstantDisturbance, Noise, RandomRotation, Saturation, Uniform, WheelArray
+from gnc_opt.simulation import ConstantDisturbance, Noise, Saturation, WheelArray
 from gnc_opt.simulation.run import settling_time
 from gnc_opt.spacecraft import quaternion_angle, quaternion_product
 from problems.reaction_wheels.control import (
@@ -77,8 +75,6 @@ SETTLED = 0.02
 """A slew has settled when the angle to the target stays below this share of the first one."""
 BREAKDOWNS = (148, 150, 160, 175, 179)
 """Slews about z (degrees) that the feedback linearisation with the absolute output cannot make."""
-DURATIONS = (15.0, 17.0, 20.0, 25.0, 34.6, 45.0, 60.0)
-"""Of the front, s."""
 
 
 def values() -> Iterator[Value]:
@@ -418,17 +414,6 @@ def _optima() -> Iterator[Value]:
         yield Value(f"{what}: least / published FLC", solution.objective / theirs)
 
 
-def front() -> Front:
-    """Return what less time costs: the least energy of manoeuvre 3 in several durations, the speed limit held."""
-    points = certified(
-        DURATIONS,
-        lambda duration: go.solve(build(duration=duration), tol=1e-8),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    law = published_slew(3, "FLC")
-    return Front("integral of sum T^2 (N^2 m^2 s)", points, (law.settling_time, law.energy), "FLC, to 2 %")
-
-
 FLOWN: tuple[Name, ...] = ("energy", "energy, half the time", "time, small")
 """Optima that are tracked, beside the FLC."""
 MEASURES = ("to 2 % of the angle (s)", "integral of sum T^2 (N^2 m^2 s)", "angle after 60 s (deg)")
@@ -512,13 +497,13 @@ def flight(name: Name, law: bool = False, noise: float = 1.0) -> go.Run:
     return loop.simulate(start, tf=DURATION, seed=1)
 
 
-def measures(name: Name, run: go.Run) -> CompiledLoop:
+def measures(name: Name, run: go.Run) -> FlightMeasures:
     """Return the measures of a run."""
     target = target_quaternion(MANOEUVRE[name])
     angle = np.degrees(quaternion_angle(run.state("q").values, target[:, None]))
     beyond = np.flatnonzero(angle > SETTLED * np.degrees(quaternion_angle(REST[:4], target)))
     settled = float("inf") if beyond[-1] == angle.size - 1 else float(run.times[beyond[-1]])
-    return CompiledLoop(settled, float(np.sum(run.control_energy("T"))), float(angle[-1]))
+    return FlightMeasures(settled, float(np.sum(run.control_energy("T"))), float(angle[-1]))
 
 
 def _flown(name: Name) -> Iterator[Value]:
@@ -526,21 +511,3 @@ def _flown(name: Name) -> Iterator[Value]:
     yield from flight_values(what, MEASURES, measures(name, ours), measures(name, law))
     yield Value(f"{what}, flown: outcome", float(ours.outcome.ok), ours.outcome.ok)
     yield Value(f"{what}, flown: peak speed (rpm)", peak_speed(ours))
-
-
-def rivals() -> Rivals:
-    """Return the plan of least energy and the FLC, turned by up to 1 degree and 5 % heavier or lighter."""
-    target = target_quaternion(MANOEUVRE["energy"])
-    return Rivals(
-        {who: closed("energy", law, np.zeros(3)) for who, law in (("least energy", False), ("FLC", True))},
-        DURATION,
-        {
-            "initial.q": RandomRotation(Uniform(0.0, float(np.radians(1.0)))),
-            "plant.inertia": Uniform(-0.05, 0.05, relative=True),
-        },
-        {"q": target},
-        {
-            "energy(T)": ("integral of sum T^2 (N^2 m^2 s)", 1.0),
-            "angle(q)": ("angle after 60 s (deg)", float(np.degrees(1.0))),
-        },
-    )

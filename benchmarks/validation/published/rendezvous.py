@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 import gnc_opt as go
 from benchmarks.validation.published.comparison import Value
-from benchmarks.validation.published.pareto import Front, certified
-from benchmarks.validation.published.tracked import Rivals
 from problems.rendezvous.model import (
     ALTITUDE,
     CASES,
@@ -28,10 +24,6 @@ from problems.rendezvous.model import (
     build,
 )
 from problems.rendezvous.optimal import REFERENCE
-from problems.rendezvous_tracking.control import SHOWN, Conditions, Tracking, plan
-
-SHARES = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6)
-"""Of the torques and forces, on the front."""
 
 
 def values() -> Iterator[Value]:
@@ -75,36 +67,3 @@ def _size(solution: go.Solution) -> Iterator[Value]:
     # collocation at every point, the end of every segment by quadrature; the ends themselves are fixed by bounds
     yield Value("constraints of the programme", (points + segments) * states)
     yield Value("nonzeros of its Jacobian", ())
-
-
-def front() -> Front:
-    """Return what less time costs: the share of the torques and forces with which case 1 takes so long."""
-
-    def solve(share: float) -> go.Solution:
-        torque, force = share * MAX_TORQUE, share * MAX_FORCE
-        return go.solve(build(1).with_bounds(T_B=(-torque, torque), F_B=(-force, force)), tol=1e-8)
-
-    def measure(solution: go.Solution) -> tuple[float, float]:
-        most = float(np.max(np.abs(solution.phase().flown(np.linspace(0.0, solution.objective, 500))[:3])))
-        return solution.objective, 100 * most / MAX_TORQUE
-
-    published = (REFERENCE[1, "printed"]["paper GPM"].value, 100.0)
-    return Front("authority (%)", certified(SHARES, solve, measure), published, "the paper's GPM")
-
-
-def rivals() -> Rivals:
-    """Return the refined plan and the one on the paper's mesh, both with a reserve of authority and a TVLQR."""
-    conditions = Conditions()
-    plans = {"refined plan, TVLQR": True, "plan on the paper's mesh, TVLQR": False}
-    tracked = {name: Tracking(plan(refined=refined), conditions) for name, refined in plans.items()}
-    first = next(iter(tracked.values()))
-    states = first.reference.model.states
-    target = first.reference.x(first.reference.final_time)
-    measures = {what: (f"{label} ({unit})", factor) for what, (label, factor, unit) in SHOWN.items()}
-    return Rivals(
-        {name: (each.loop(each.tvlqr), each.initial) for name, each in tracked.items()},
-        max(each.end for each in tracked.values()),
-        conditions.dispersions,
-        {name: target[states.slice(name)] for name in states.names},
-        {**measures, "effort(F_B)": ("effort of the forces (N s)", 1.0)},
-    )

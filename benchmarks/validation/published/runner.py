@@ -1,10 +1,9 @@
 """The tables of the published systems.
 
-    python -m benchmarks.validation.published [SYSTEM ...] [--study] [--runs 1000] [--json OUT]
+    python -m benchmarks.validation.published [SYSTEM ...] [--json OUT]
 
 A row has what the publication prints, our value, what an independent computation gives, and why they differ where they
-do. ``--study`` adds what less time costs (a front of optima), and plans beside the published controller over
-dispersed runs. The exit code is 1 if a row fails.
+do. The exit code is 1 if a row fails.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -20,8 +19,6 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.validation.published.comparison import Claim, Row, compare, known, numbers, summary
-from benchmarks.validation.published.pareto import front_rows
-from benchmarks.validation.published.tracked import RUNS, dispersed_rows
 
 SYSTEMS = {
     "rendezvous": "Time-optimal rendezvous",
@@ -30,7 +27,7 @@ SYSTEMS = {
     "flexible_spacecraft": "Flexible spacecraft",
     "tethered_formation": "Tethered pair",
 }
-"""Modules of this package by their titles; each has ``values()``, ``front()`` and ``rivals()``."""
+"""Titles by module of this package; each has ``values()``."""
 
 _WIDTH = 170
 """Columns where the output is no terminal."""
@@ -39,15 +36,6 @@ _WIDTH = 170
 def table_rows(system: str) -> list[Row]:
     """Return the rows of a system's table."""
     return compare(known(system), import_module(f"{__package__}.{system}").values())
-
-
-def study_rows(system: str, runs: int = RUNS) -> Iterator[Row]:
-    """Yield the rows of a system's front, and of its dispersed runs (none if there are to be none)."""
-    module = import_module(f"{__package__}.{system}")
-    yield from front_rows(module.front())
-    if runs > 0:
-        rivals = module.rivals()
-        yield from dispersed_rows(rivals, rivals.fly(runs))
 
 
 def table(title: str, rows: Sequence[Row]) -> Table:
@@ -97,8 +85,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m benchmarks.validation.published", description="Published systems."
     )
     parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"{', '.join(SYSTEMS)}; default all")
-    parser.add_argument("--study", action="store_true", help="fronts and dispersed runs as well")
-    parser.add_argument("--runs", type=int, default=RUNS, help=f"dispersed runs of each loop, default {RUNS}")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the rows to a file")
     options = parser.parse_args(arguments)
     for name in options.systems:
@@ -111,8 +97,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.systems or SYSTEMS:
         begin = time.process_time()
         rows = table_rows(name)
-        if options.study:
-            rows += study_rows(name, options.runs)
         found[name] = summary(rows)
         console.print(table(SYSTEMS[name], rows), markup=False)
         spent = time.process_time() - begin

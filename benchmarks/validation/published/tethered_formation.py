@@ -16,12 +16,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from benchmarks.validation.published.comparison import Value
-from benchmarks.validation.published.pareto import Front, certified, failing
-from benchmarks.validation.published.tracked import CompiledLoop, Rivals, flight_values
+from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.control import SuperTwistingObserver
-from gnc_opt.simulation import Noise, Saturation, Uniform
+from gnc_opt.simulation import Noise, Saturation
 from problems.tethered_formation.control import (
     STEP,
     Gains,
@@ -48,11 +46,8 @@ from problems.tethered_formation.model import (
     reference,
     tether_model,
 )
-from problems.tethered_formation.optimal import optimum, solve
+from problems.tethered_formation.optimal import optimum
 from problems.tethered_formation.tether import TetheredPair, TetherMotion
-
-DURATIONS = (105.0, 115.0, 130.0, 150.0, 175.0, DURATION)
-"""Of the front, s."""
 
 
 def values() -> Iterator[Value]:
@@ -481,18 +476,6 @@ def _optima() -> Iterator[Value]:
     yield Value("speed lost along the orbit, published / least effort", published.loss / slow.loss)
 
 
-def front() -> Front:
-    """Return what less time costs: the least effort of several durations."""
-    points = certified(
-        DURATIONS,
-        lambda duration: solve("effort", duration=duration),
-        lambda solution: (solution.phase().final_time, solution.objective),
-    )
-    law = results()["MPC"]
-    published = (law.last_beyond(1.0), law.effort)
-    return Front("integral of the squared rate (rad^2/s)", points, published, "published structure, to 1 deg")
-
-
 MEASURES = (
     "last time beyond 1 deg (s)",
     "integral of the squared rate (rad^2/s)",
@@ -548,29 +531,12 @@ def flight(name: str, pair: TetheredPair = TRUE, swing: float = TRUE_SWING, nois
     return Manoeuvre(closed(name, pair, noise).simulate(start, tf=DURATION, seed=1), pair)
 
 
-def rivals() -> Rivals:
-    """Return both plans and the published structure, the first swing and its rate up to 1 degree and 0.05 deg/s off."""
-    names = {"least time": "time", "least effort": "effort", "MPC": "published"}
-    turn, start = float(np.radians(1.0)), first_state(float(np.radians(TRUE_SWING)))
-    return Rivals(
-        {who: (closed(name), start) for who, name in names.items()},
-        DURATION,
-        {"initial.theta": Uniform(-turn, turn), "initial.theta_rate": Uniform(-0.05 * turn, 0.05 * turn)},
-        {"theta": np.zeros(1), "height": np.array([Orbit.of()(DURATION)[0]])},
-        {
-            "energy(gamma_rate)": ("integral of the squared rate (rad^2/s)", 1.0),
-            "theta": ("swing at 200 s (deg)", 1 / turn),
-            "height": ("error of r at 200 s (m)", 1.0),
-        },
-    )
-
-
-def measures(m: Manoeuvre) -> CompiledLoop:
+def measures(m: Manoeuvre) -> FlightMeasures:
     """Return the measures of a run, against the first reference."""
     swing = np.abs(np.degrees(m.run.state("theta").values[0]))
     late = np.flatnonzero(swing > 1.0)
     settled = float("inf") if late[-1] == swing.size - 1 else float(m.times[late[-1]])
-    return CompiledLoop(settled, m.effort, float(np.max(swing[m.times >= DURATION - 20.0 - 1e-9])))
+    return FlightMeasures(settled, m.effort, float(np.max(swing[m.times >= DURATION - 20.0 - 1e-9])))
 
 
 def _flown(name: str) -> Iterator[Value]:
