@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Without the program's name; default ``sys.argv[1:]``.
     """
-    args = _parser().parse_args(arguments)
+    args = _build_parser().parse_args(arguments)
     args.command = shlex.join(["gnc-opt", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         code = int(args.run(args))
@@ -73,7 +73,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(ExitCode.BAD_INPUT, f"gnc-opt: {message} (see {self.prog} --help)\n")
 
 
-def _parser() -> argparse.ArgumentParser:
+def _build_parser() -> argparse.ArgumentParser:
     from gnc_opt.environment import package_version
 
     parser = _Parser(
@@ -84,17 +84,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
-    _add_new(commands)
-    _add_examples(commands)
-    _add_solve(commands)
-    _add_multistart(commands)
+    _add_new_command(commands)
+    _add_examples_command(commands)
+    _add_solve_command(commands)
+    _add_multistart_command(commands)
     check = commands.add_parser("check", help="find errors in a problem without solving it")
-    _add_common(check)
+    _add_common_options(check)
     check.set_defaults(run=check_command)
     return parser
 
 
-def _add_new(commands: Any) -> None:
+def _add_new_command(commands: Any) -> None:
     command = commands.add_parser("new", help="write a problem file to start from")
     add = command.add_argument
     add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
@@ -103,7 +103,7 @@ def _add_new(commands: Any) -> None:
     command.set_defaults(run=new_command)
 
 
-def _add_examples(commands: Any) -> None:
+def _add_examples_command(commands: Any) -> None:
     command = commands.add_parser("examples", help="list the problems that come with gnc_opt, or run one")
     add = command.add_argument
     add("--debug", action="store_true", help="show the traceback of an error")
@@ -122,7 +122,7 @@ def number_or_none(text: str) -> float | None:
     return None if text == "none" else float(text)
 
 
-def _add_solve(commands: Any) -> None:
+def _add_solve_command(commands: Any) -> None:
     from gnc_opt.planning.transcription.scheme import GAUSS, SCHEMES
 
     command = commands.add_parser(
@@ -131,7 +131,7 @@ def _add_solve(commands: Any) -> None:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    _add_common(command)
+    _add_common_options(command)
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
@@ -165,9 +165,9 @@ def _add_solve(commands: Any) -> None:
     command.set_defaults(run=solve_command)
 
 
-def _add_multistart(commands: Any) -> None:
+def _add_multistart_command(commands: Any) -> None:
     command = commands.add_parser("multistart", help="look for local minima from many random guesses")
-    _add_common(command)
+    _add_common_options(command)
     add = command.add_argument
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
     add("--seed", type=int, default=0, help="seed of the random guesses")
@@ -186,7 +186,7 @@ def _add_multistart(commands: Any) -> None:
     command.set_defaults(run=multistart_command, report=None)
 
 
-def _add_common(command: argparse.ArgumentParser) -> None:
+def _add_common_options(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
     add("file", metavar="FILE", help="Python file or package with build(**options) returning a Problem")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")

@@ -20,7 +20,7 @@ class Sources:
     numbers: tuple[slice, ...]
 
     @property
-    def places(self) -> list[slice]:
+    def source_slices(self) -> list[slice]:
         """Places of the sources among all parameters."""
         edges = [0, *np.cumsum([spread.shape[0] for spread in self.spreads])]
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
@@ -40,7 +40,7 @@ class Scatter:
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
 
-    def through(self, a: Array, g: Array, h: Array, *, first: bool) -> Scatter:
+    def propagate(self, a: Array, g: Array, h: Array, *, first: bool) -> Scatter:
         """Return the scatter of a times the column, plus g times the numbers of a step, plus h times the parameters."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]
@@ -48,7 +48,7 @@ class Scatter:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
         return Scatter(self.sources, a @ self.by_parameters + added, noise)
 
-    def turned(self, matrix: Array) -> Scatter:
+    def transform(self, matrix: Array) -> Scatter:
         """Return the scatter of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
         return Scatter(self.sources, matrix @ self.by_parameters, noise)
@@ -63,7 +63,7 @@ class Scatter:
         """By source, (n_sources, n, n)."""
         parts = [
             self.by_parameters[:, place] @ spread @ self.by_parameters[:, place].T
-            for place, spread in zip(self.sources.places, self.sources.spreads, strict=True)
+            for place, spread in zip(self.sources.source_slices, self.sources.spreads, strict=True)
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s

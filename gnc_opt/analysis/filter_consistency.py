@@ -106,7 +106,7 @@ class Consistency(Strict, Printed):
     @property
     def within(self) -> float:
         """Share of the values of ``nees`` within the band of single values; the confidence is to be expected."""
-        low, high = _band(self.components, 1, self.confidence)
+        low, high = _mean_chi_square_interval(self.components, 1, self.confidence)
         known = self.nees[np.isfinite(self.nees)]
         return float(np.mean((known >= low) & (known <= high))) if known.size else float("nan")
 
@@ -169,21 +169,21 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
         )
     memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
     independent = isinstance(flown, Campaign)
-    nees, components = _nees(flown, estimator, memory)
+    nees, components = _compute_nees(flown, estimator, memory)
     known = nees[np.isfinite(nees)]
     ends = memory if independent else memory[:, -1:]
     return Consistency(
         nees=nees,
         average=float(np.mean(known)) if known.size else float("nan"),
-        band=_band(components, known.size if independent else 1, level),
+        band=_mean_chi_square_interval(components, known.size if independent else 1, level),
         components=components,
         independent=independent,
         confidence=level,
-        innovations={name: _innovations(estimator, name, ends, level) for name in estimator.sizes},
+        innovations={name: _test_innovations(estimator, name, ends, level) for name in estimator.sizes},
     )
 
 
-def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
+def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
     """Return the NEES of all columns, and of how many components."""
     there = flown.layouts["state"]
     shared = [name for name in estimator.states.names if name in there]
@@ -219,30 +219,34 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
     return found, rows.size
 
 
-def _innovations(estimator: Estimator, name: str, ends: Array, confidence: float) -> InnovationTest:
+def _test_innovations(estimator: Estimator, name: str, ends: Array, confidence: float) -> InnovationTest:
     total, taken, refused = (
         float(np.nansum(ends[estimator.memory.slice(f"{name}_{what}")]))
         for what in ("nis", "taken", "refused")
     )
     return InnovationTest(
         average=total / taken if taken else float("nan"),
-        band=_band(estimator.sizes[name], int(taken), confidence, estimator.gates.get(name)),
+        band=_mean_chi_square_interval(
+            estimator.sizes[name], int(taken), confidence, estimator.gates.get(name)
+        ),
         taken=int(taken),
         refused=int(refused),
     )
 
 
-def _band(components: int, values: int, confidence: float, gate: float | None = None) -> Band:
+def _mean_chi_square_interval(
+    components: int, values: int, confidence: float, gate: float | None = None
+) -> Band:
     """Return the interval of the mean of independent chi-square values (behind a gate), equal tails."""
     if values < 1:
         return float("nan"), float("nan")
-    mean, freedom = (components, components) if gate is None else _gated(components, gate)
+    mean, freedom = (components, components) if gate is None else _gated_chi_square(components, gate)
     tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
     low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
-def _gated(components: int, gate: float) -> tuple[float, float]:
+def _gated_chi_square(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from gnc_opt.analysis.scenario import Scenario, all_answers
+from gnc_opt.analysis.scenario import Scenario, run_in_workers
 from gnc_opt.arguments import expect, read_integer, read_probability, suggesting_keywords
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -150,37 +150,44 @@ def sobol_indices(
     level = read_probability(confidence, f"the confidence of {name}")
     design = _Design(scenario, measure)
     chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
-    f = np.hstack(all_answers(design, _Design.rows, chunks, executor, name))
+    f = np.hstack(run_in_workers(design, _Design.sample_rows, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
-    return _indices(measure, design.factors, f[:, usable], count, level, scenario.seed)
+    return _bootstrap_indices(measure, design.factors, f[:, usable], count, level, scenario.seed)
 
 
-def _indices(
+def _bootstrap_indices(
     measure: str, factors: tuple[str, ...], f: Array, asked: int, level: float, seed: int
 ) -> SobolIndices:
     mean, variance = float(f[:2].mean()), float(f[:2].var())
     if not variance > (np.finfo(float).eps * mean) ** 2:
         raise ArgumentError(f"'{measure}' does not vary: disperse something that moves it.")
-    first, total = estimates(f)
+    first, total = estimate_sobol_indices(f)
     rows = f.shape[1]
     generator = np.random.default_rng([seed, rows])
-    again = [estimates(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
+    again = [estimate_sobol_indices(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
     ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
 
-    def shares(values: Array, which: int) -> dict[str, IntervalEstimate]:
+    def estimates_by_factor(values: Array, which: int) -> dict[str, IntervalEstimate]:
         return {
             name: IntervalEstimate(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
             for i, name in enumerate(factors)
         }
 
     return SobolIndices(
-        measure, mean, variance, shares(first, 0), shares(total, 1), level, rows, asked - rows
+        measure,
+        mean,
+        variance,
+        estimates_by_factor(first, 0),
+        estimates_by_factor(total, 1),
+        level,
+        rows,
+        asked - rows,
     )
 
 
-def estimates(f: Array) -> tuple[Array, Array]:
+def estimate_sobol_indices(f: Array) -> tuple[Array, Array]:
     """Return S and T (n_factors,) from values (2 + n_factors, n_rows) of A, B and AB_i."""
     centred = f - f[:2].mean()
     a, b, mixed = centred[0], centred[1], centred[2:]
@@ -200,7 +207,7 @@ class _Design:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 
-    def rows(self, rows: range) -> Array:
+    def sample_rows(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
         flight, dispersions = self.scenario.flight, self.scenario.dispersions
         a, b = (
@@ -208,14 +215,14 @@ class _Design:
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
         numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, 1)]
-        found = [self._values(a, numbers[0]), self._values(b, numbers[1])]
+        found = [self._measure_values(a, numbers[0]), self._measure_values(b, numbers[1])]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)
             mixed[place] = b[place]
-            found.append(self._values(mixed, numbers[0]))
+            found.append(self._measure_values(mixed, numbers[0]))
         if self.scenario.noise_size:
-            found.append(self._values(a, numbers[1]))
+            found.append(self._measure_values(a, numbers[1]))
         return np.stack(found)
 
-    def _values(self, P: Array, seeds: list[list[int]]) -> Array:
+    def _measure_values(self, P: Array, seeds: list[list[int]]) -> Array:
         return self.scenario.values(self.measure, P, seeds)

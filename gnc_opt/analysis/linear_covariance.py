@@ -35,7 +35,7 @@ from gnc_opt.text import Printed
 from gnc_opt.tolerances import TINY
 
 
-def covariance_table(found: LinearCovariance) -> str:
+def format_covariance_table(found: LinearCovariance) -> str:
     """Return the standard deviations at the end as text: a line per state, with its main sources."""
     layout = found.layouts["error"]
     width = max([5, *map(len, layout.names)])
@@ -48,12 +48,12 @@ def covariance_table(found: LinearCovariance) -> str:
         sigma = float(np.linalg.norm(found.std(variable.name)[:, -1]))
         line = f"  {variable.name:{width}} {variable.unit:{units}}  {sigma:<8.3g}  "
         shares = [(s, share) for s, share in found.budget(variable.name).items() if share > 0][:3]
-        lines.append((line + ", ".join(f"{s} {_percent(share)}" for s, share in shares)).rstrip())
+        lines.append((line + ", ".join(f"{s} {_format_percent(share)}" for s, share in shares)).rstrip())
     lines.append("  sources: shares of the variance")
     return "\n".join(lines)
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
@@ -105,7 +105,7 @@ class LinearCovariance(Strict, Printed):
     dispersions: Dispersions = field(repr=False)
 
     def __str__(self) -> str:
-        return covariance_table(self)
+        return format_covariance_table(self)
 
     def covariance(self, signal: str) -> Array:
         """Return the covariance of a signal over time, (n_times, size, size)."""
@@ -113,11 +113,11 @@ class LinearCovariance(Strict, Printed):
 
     def std(self, signal: str) -> Array:
         """Return the standard deviations (1 sigma) of a signal over time, (size, n_times)."""
-        return _roots(self.covariance(signal))
+        return _standard_deviations(self.covariance(signal))
 
     def by_source(self, signal: str) -> Array:
         """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
-        kind, name = self._parse(signal)
+        kind, name = self._parse_signal(signal)
         place = self.layouts[kind].slice(name)
         return self.parts[kind][:, :, place, place]
 
@@ -139,7 +139,7 @@ class LinearCovariance(Strict, Printed):
         order = np.argsort(-shares, kind="stable")
         return {self.sources[i]: float(shares[i]) for i in order}
 
-    def _parse(self, signal: str) -> tuple[str, str]:
+    def _parse_signal(self, signal: str) -> tuple[str, str]:
         kind, _, rest = signal.partition("(") if isinstance(signal, str) else ("", "", "")
         name = rest[:-1] if rest.endswith(")") else ""
         if kind in _KINDS and name in self.layouts[kind]:
@@ -218,29 +218,29 @@ class _Pass:
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0
             if k % self.every == 0:
-                self._keep_state(X, scatter)
-                self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, first=first))
-            scatter, X = scatter.through(step.a, step.g, step.h, first=first), step.X_next
-        self._keep_state(X, scatter)
-        return self._collected()
+                self._store_state_covariance(X, scatter)
+                self._store_output_covariances(step.y, scatter.propagate(step.c, step.d, step.e, first=first))
+            scatter, X = scatter.propagate(step.a, step.g, step.h, first=first), step.X_next
+        self._store_state_covariance(X, scatter)
+        return self._collect_result()
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _keep_state(self, X: Array, scatter: Scatter) -> None:
+    def _store_state_covariance(self, X: Array, scatter: Scatter) -> None:
         places = self.linearization.state.split(np.arange(scatter.size))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.size))
         to_errors[:, places] = self._error_jacobian(x).full()
-        errors = scatter.turned(to_errors)
+        errors = scatter.transform(to_errors)
         self.values["state"].append(x)
         self.covariances["error"].append(errors.covariances)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
-    def _keep_outputs(self, y: Array, scatter: Scatter) -> None:
+    def _store_output_covariances(self, y: Array, scatter: Scatter) -> None:
         values = self.linearization.output.split(y)
         places = self.linearization.output.split(np.eye(y.size))
         for kind, name in _KINDS.items():
-            part = scatter.turned(places[name])
+            part = scatter.transform(places[name])
             self.values[kind].append(values[name])
             self.covariances[kind].append(part.covariances)
 
@@ -251,7 +251,7 @@ class _Pass:
         jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
 
-    def _collected(self) -> LinearCovariance:
+    def _collect_result(self) -> LinearCovariance:
         flight = self.flight
         kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
         parts = {kind: np.stack(found, axis=1) for kind, found in self.covariances.items()}
@@ -267,6 +267,6 @@ class _Pass:
         )
 
 
-def _roots(covariance: Array) -> Array:
+def _standard_deviations(covariance: Array) -> Array:
     """Return the standard deviations (size, n_times) in covariances (n_times, size, size)."""
     return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).T, 0.0))

@@ -73,7 +73,7 @@ class Linearization:
     def state(self) -> Places:
         """Names and sizes of the differentiated entries of X."""
         parts = self.flight.kernel.state.parts
-        held = {"memory": len(self.held)}
+        held = {"memory": len(self.fixed_indices)}
         return Places(
             tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
         )
@@ -110,10 +110,10 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._rows())
+        row = next(self._known_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self.retained
-        return X[:, 0], by_w[keep][:, self.drawn], by_p[keep][:, self.columns]
+        keep = self.retained_indices
+        return X[:, 0], by_w[keep][:, self.random_inputs], by_p[keep][:, self.columns]
 
     def nominal_nis(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
@@ -121,7 +121,7 @@ class Linearization:
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.start()[0]
-        for row in self._rows():
+        for row in self._known_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -130,13 +130,15 @@ class Linearization:
         """Yield the control steps of the nominal run that begins with the column X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
-        by_P = self._by_constants
+        by_P = self._constant_derivatives
         n = self.state.size
-        for k, row in enumerate(self._rows()):
-            after, y, *jacobians = self._function(X[self.retained], X[self._rest], row, C)
+        for k, row in enumerate(self._known_inputs()):
+            after, y, *jacobians = self._step_derivative_function(
+                X[self.retained_indices], X[self._fixed_entries], row, C
+            )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
-            self._require_finite(k, np.hstack([by_X, by_w, by_P_now]))
+            self._require_finite_derivatives(k, np.hstack([by_X, by_w, by_P_now]))
             X = np.asarray(after.full()[:, 0])
             outputs = np.asarray(y.full()[:, 0])
             derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
@@ -145,66 +147,70 @@ class Linearization:
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def retained(self) -> list[int]:
+    def retained_indices(self) -> list[int]:
         """Indices in X of the differentiated entries."""
-        held = set(self.held)
-        return [int(i) for name, _ in self.state.parts for i in self._places[name] if i not in held]
+        held = set(self.fixed_indices)
+        return [int(i) for name, _ in self.state.parts for i in self._state_indices[name] if i not in held]
 
     @cached_property
-    def held(self) -> list[int]:
+    def fixed_indices(self) -> list[int]:
         """Indices in X of the entries kept at their nominal values."""
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
-        return [int(i) for i in self._places["memory"][memory.slice(COVARIANCE)]]
+        return [int(i) for i in self._state_indices["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
-    def _rest(self) -> list[int]:
-        retained = set(self.retained)
+    def _fixed_entries(self) -> list[int]:
+        retained = set(self.retained_indices)
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
-    def _places(self) -> dict[str, Array]:
+    def _state_indices(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
         return kernel_state.split(np.arange(kernel_state.size))
 
     @cached_property
-    def drawn(self) -> list[int]:
+    def random_inputs(self) -> list[int]:
         """Places of the random numbers in w."""
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
     @cached_property
-    def _function(self) -> Any:
+    def _step_derivative_function(self) -> Any:
         """``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        places, rest = self.retained, self._rest
+        places, rest = self.retained_indices, self._fixed_entries
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
         told = self.flight.kernel.log.split(log)
         y = ca.vertcat(*[told[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
-        jacobians = [ca.jacobian(column, x), ca.jacobian(column, w)[:, self.drawn], ca.jacobian(column, C)]
+        jacobians = [
+            ca.jacobian(column, x),
+            ca.jacobian(column, w)[:, self.random_inputs],
+            ca.jacobian(column, C),
+        ]
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
-    def _by_constants(self) -> Array:
+    def _constant_derivatives(self) -> Array:
         """Derivatives of the constants C with respect to the chosen columns of P."""
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _rows(self) -> Iterator[Array]:
+    def _known_inputs(self) -> Iterator[Array]:
         """Yield the known inputs of each step, without noise."""
         for _, rows in self.flight.legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):
-            rows[:, self.drawn] = 0.0
+            rows[:, self.random_inputs] = 0.0
             yield from rows
 
-    def _require_finite(self, k: int, derivatives: Array) -> None:
+    def _require_finite_derivatives(self, k: int, derivatives: Array) -> None:
         bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
         if bad.size:
             sizes = (*self.state.parts[1:], *self.output.parts)

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.arguments import Strict, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.loop_margins import Margins, linked, margins
-from gnc_opt.control.sampled_data import continuous_poles
+from gnc_opt.control.loop_margins import Margins, input_output_states, stability_margins
+from gnc_opt.control.sampled_data import to_continuous_poles
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
@@ -89,27 +89,27 @@ class LoopResponse(Strict):
 
     def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return L, (n_omega, m, m) complex, at one of the instants."""
-        closed = self._closed(omega, index)
+        closed = self._closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
         if np.any(
             np.linalg.norm(left, -2, axis=(1, 2)) <= _NOTHING_LEFT * np.linalg.norm(closed, 2, axis=(1, 2))
         ):
-            raise _at_a_pole()
-        return _solved(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
+            raise _pole_frequency_error()
+        return _solve_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return the sensitivity S, (n_omega, m, m) complex, from d to the input of the actuators."""
-        closed = self._closed(omega, index)
+        closed = self._closed_loop_transfer(omega, index)
         return np.asarray(np.eye(closed.shape[1]) + closed)
 
     def channel(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
         """Return the open loop of one command, (n_omega,) complex, the others closed."""
-        i = self.commands.labels.index(self._label(command))
+        i = self.commands.labels.index(self._read_command_label(command))
         return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[self._instant(index)]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._read_instant(index)]).astype(complex))
 
     def stable(self, index: int = 0) -> bool:
         """Whether the frozen loop is."""
@@ -129,13 +129,13 @@ class LoopResponse(Strict):
                 f"the loop frozen at {self.times[index]:g} s is not stable (pole {z:.6g}), so it has no margins: "
                 "look at poles()."
             )
-        if self._open(index):
+        if self._is_loop_open(index):
             raise ArgumentError(
                 f"the loop frozen at {self.times[index]:g} s is open: it feeds back, but its commands move nothing "
                 "(they are at their limits), so it has no margins; choose other instants (at=)."
             )
         a, b, c = self.a[index], self.b[index], self.c[index]
-        return margins(a - b @ c, b, -c, self.dt)
+        return stability_margins(a - b @ c, b, -c, self.dt)
 
     @property
     def disk_margins(self) -> Array:
@@ -144,7 +144,7 @@ class LoopResponse(Strict):
         def disk(k: int) -> float:
             if not self.stable(k):
                 return 0.0
-            return np.nan if self._open(k) else float(self.margins(k).disk)
+            return np.nan if self._is_loop_open(k) else float(self.margins(k).disk)
 
         return np.array([disk(k) for k in range(self.times.size)])
 
@@ -152,52 +152,56 @@ class LoopResponse(Strict):
     def frequencies(self) -> Array:
         """Relevant frequencies, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
         poles = np.concatenate([self.poles(k) for k in range(self.times.size)])
-        sizes = np.abs(continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
+        sizes = np.abs(to_continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
         top = np.pi / self.dt
         low = 0.01 * min(float(np.min(sizes[sizes > 1e-6 * top], initial=top)), 0.1 * top)
         return np.logspace(np.log10(low), np.log10(top), 400)
 
-    def _open(self, index: int) -> bool:
+    def _is_loop_open(self, index: int) -> bool:
         """Whether the law feeds back but its commands do not reach the plant."""
         fed_back = bool(np.any(self.c[index]))
-        return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < ROUNDING))
+        return fed_back and bool(
+            np.all(np.abs(self._closed_loop_transfer(_LOOKS * np.pi / self.dt, index)) < ROUNDING)
+        )
 
     @one_thread()
-    def _closed(self, omega: ArrayLike, index: int) -> Array:
+    def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
         """Return the way from d to u, (n_omega, m, m)."""
         w = read_numbers(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: give such."
             )
-        k = self._instant(index)
-        within = linked(self.a[k], self.b[k], self.c[k])
+        k = self._read_instant(index)
+        within = input_output_states(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
-        return np.asarray(c @ _solved(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape))))
+        return np.asarray(
+            c @ _solve_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
+        )
 
-    def _instant(self, index: int) -> int:
+    def _read_instant(self, index: int) -> int:
         k = read_integer(index, "the index of an instant", 0)
         if k >= self.times.size:
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
         return k
 
-    def _label(self, command: str) -> str:
+    def _read_command_label(self, command: str) -> str:
         labels = self.commands.labels
         if command not in labels:
             raise ArgumentError(f"there is no command '{command}': give one of {', '.join(labels)}.")
         return command
 
 
-def _solved(matrices: Array, columns: Array) -> Array:
+def _solve_systems(matrices: Array, columns: Array) -> Array:
     """Return the solutions of systems at some frequencies, (n_omega, n, m)."""
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:
-        raise _at_a_pole() from None
+        raise _pole_frequency_error() from None
 
 
-def _at_a_pole() -> ArgumentError:
+def _pole_frequency_error() -> ArgumentError:
     return ArgumentError(
         "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
         "ask beside it, at 1e-6 rad/s, say."

@@ -121,7 +121,7 @@ class Scenario:
         return np.where(flown & ~np.isnan(values), values, np.inf)
 
 
-def all_answers(
+def run_in_workers(
     work: Any,
     method: Callable[[Any, Any], Any],
     tasks: Sequence[Any],

@@ -14,7 +14,7 @@ from gnc_opt.control.c_export.c_writer import CNumbers
 from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import Controller, FlightLaw, initial_state_function, law
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.control.horizon_qp import Rows
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -42,17 +42,17 @@ class ProgrammeCode:
     @property
     def limits(self) -> int:
         """Number of limits."""
-        return self.count * self._kinds
+        return self.count * self._unknown_kinds
 
     @property
     def operations(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
         m, size = self.rows.lower.size, self.unknowns
         n = self.matrices[0].shape[1]
-        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._kinds + n + m))
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._unknown_kinds + n + m))
         row = 2 * sweep + size * (size + 3)
         iteration = 2 * sweep + 6 * self.limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
-        return int(self._most * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
+        return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
     def stack(self) -> int:
@@ -65,11 +65,13 @@ class ProgrammeCode:
     def text(self, numbers: CNumbers) -> str:
         """Return the C, after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
-        slack = [rows.soft.index(i) if i in rows.soft else -1 for i in range(len(rows.states))]
+        slack = [
+            rows.soft_limited.index(i) if i in rows.soft_limited else -1 for i in range(len(rows.states))
+        ]
         sizes = {
             "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),
             "N_S": self.roots.size, "RATES": int(rows.change is not None), "N_TABLES": len(self.matrices[0]),
-            "MOST": self._most, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
+            "MOST": self._max_iterations, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
             "DEPENDENT": numbers(numbers.dependent),
         }  # fmt: skip
         scale = 1 / rows.state_scale
@@ -77,7 +79,7 @@ class ProgrammeCode:
         arrays = {
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
-            "state_lower": _finite(rows.state_lower), "state_upper": _finite(rows.state_upper),
+            "state_lower": _finite_limits(rows.state_lower), "state_upper": _finite_limits(rows.state_upper),
             "row_lower": self._row_limits[0], "row_upper": self._row_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
@@ -111,12 +113,12 @@ class ProgrammeCode:
     # --- internals ----------------------------------------------------------------------------------------
 
     @property
-    def _kinds(self) -> int:
+    def _unknown_kinds(self) -> int:
         rows = self.rows
         return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
 
     @property
-    def _most(self) -> int:
+    def _max_iterations(self) -> int:
         return _ITERATIONS_PER_UNKNOWN * (self.unknowns + 1)
 
     @property
@@ -133,13 +135,13 @@ class ProgrammeCode:
         return low, high
 
 
-def command_memory(m: int) -> Layout:
+def command_memory_layout(m: int) -> Layout:
     """Return the memory of a predictive controller: the last command (m,) and the alarm."""
     parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     return Layout("memory", parts, "the memory of the controller")
 
 
-def limited_command(u: Any, previous: Any, rows: Rows) -> Any:
+def limit_command(u: Any, previous: Any, rows: Rows) -> Any:
     """Return a command within the limits of size and rate, SX or MX."""
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -147,19 +149,19 @@ def limited_command(u: Any, previous: Any, rows: Rows) -> Any:
     return clip(u, lower, upper)
 
 
-def flight_law(
+def build_flight_law(
     code: ProgrammeCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> FlightLaw:
     """Return the form of a predictive controller for flight code."""
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
-    signals = reference_signals(reference, Variable("row", 1))
+    signals = reference_signal_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", m + 1)
     x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
     e = deviation.expression(x, x_ref)
-    v, solved = _call(e.numel(), m)(number, e, previous)
-    u = limited_command(u_ff + v, previous, rows)
+    v, solved = _qp_solver_placeholder(e.numel(), m)(number, e, previous)
+    u = limit_command(u_ff + v, previous, rows)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
     assert controller.dt is not None and controller.span is not None
     form = Controller(
@@ -192,13 +194,13 @@ class _Numbered:
         return np.vstack([self.reference(times, dt), numbers])
 
 
-def _call(n: int, m: int) -> Any:
+def _qp_solver_placeholder(n: int, m: int) -> Any:
     """Return the placeholder of the programme in the law; it has C code only, no numerical evaluation."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
     return ca.Function("programme", inputs, nothing, {"never_inline": True})
 
 
-def _finite(limits: Array) -> Array:
+def _finite_limits(limits: Array) -> Array:
     """Limits with numbers in place of none, whose rows are never outside."""
     return np.where(np.isfinite(limits), limits, 0.0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.design_report import ReportEntry
-from gnc_opt.control.feedforward import reference_times
+from gnc_opt.control.feedforward import reference_sample_times
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model import Model
@@ -49,12 +49,12 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
     return ca.fmax(lower, ca.fmin(upper, value))
 
 
-def saturated(u: Any, limits: Authority | None) -> Any:
+def saturate(u: Any, limits: Authority | None) -> Any:
     """Return a command saturated at these limits, SX."""
     return u if limits is None else clip(u, *limits)
 
 
-def authority_margin(
+def authority_margin_fact(
     reference: Reference,
     limits: Authority | None,
     *,
@@ -75,7 +75,7 @@ def authority_margin(
     """
     if limits is None:
         return []
-    times = reference_times(reference)
+    times = reference_sample_times(reference)
     u = reference.u(times)
     if dt is not None and reference.duration > 0:
         u = reference.mean_control(times, dt)
@@ -99,11 +99,11 @@ def authority_margin(
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 
-def reference_beyond(
+def check_reference_limits(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
     """Return and warn of how far the reference exceeds limits (n_limited,) of states at ``places``."""
-    times, facts = reference_times(reference), []
+    times, facts = reference_sample_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):
         x, label = reference.x(times)[place], reference.states.labels[place]
         over = np.maximum(low - x, x - high)

@@ -14,9 +14,14 @@ import numpy as np
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law
-from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
+from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.dropout import with_dropout_handling
-from gnc_opt.control.feedforward import ReferenceSchedule, StackedSchedule, reference_signals, reference_times
+from gnc_opt.control.feedforward import (
+    ReferenceSchedule,
+    StackedSchedule,
+    reference_sample_times,
+    reference_signal_layout,
+)
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import DesignError
@@ -65,20 +70,20 @@ class Inverse:
 
     def __call__(self, y: Any) -> Any:
         """Return E^+ y, SX; an arbitrary finite value where E is singular."""
-        return _solve(self.matrix, y)
+        return _solve_minimum_norm(self.matrix, y)
 
 
-def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
+def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
-    times = reference_times(reference)
-    values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
+    times = reference_sample_times(reference)
+    values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
     worst = int(np.argmin(signed))
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
-    there = pair.along(reference, times[[worst]], matrix)[0]
+    there = pair.evaluate_along_reference(reference, times[[worst]], matrix)[0]
     if lost or dependent(np.linalg.svd(there, compute_uv=False)):
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
@@ -106,7 +111,7 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
         worst = zeros.eigenvalues[int(np.argmax(zeros.eigenvalues.real))]
         raise DesignError(
             f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: "
-            f"eigenvalue {number_text(worst)} 1/s of {zeros.dimension} at the end of the reference; "
+            f"eigenvalue {format_number(worst)} 1/s of {zeros.dimension} at the end of the reference; "
             "steer other outputs or another mix of them."
         )
     facts = [ReportEntry("dimension of the zero dynamics", zeros.dimension)]
@@ -127,7 +132,7 @@ class GuardedLaw:
     nominal: Nominal | None = None
 
 
-def guarded_controller(
+def build_guarded_controller(
     name: str,
     pair: Pair,
     reference: Reference,
@@ -170,7 +175,7 @@ def guarded_controller(
         start=initial_state_function(pair.t, pair.x, r, start),
         states=model.states,
         commands=model.controls,
-        signals=reference_signals(reference, *inner_signals),
+        signals=reference_signal_layout(reference, *inner_signals),
         memory=Layout("memory", tuple(variables), f"controller '{name}'"),
         schedule=schedule,
         explanation=explanation,
@@ -209,19 +214,19 @@ class Nominal:
     @property
     def variables(self) -> list[Variable]:
         """The memory of the inner controller, renamed."""
-        return [_renamed(v) for v in self.controller.memory.variables]
+        return [_add_nominal_prefix(v) for v in self.controller.memory.variables]
 
     @property
     def signals(self) -> list[Variable]:
         """The signals of the inner controller, renamed."""
-        return [_renamed(v) for v in self.controller.signals.variables]
+        return [_add_nominal_prefix(v) for v in self.controller.signals.variables]
 
 
-def _renamed(variable: Variable) -> Variable:
+def _add_nominal_prefix(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
 
 
-def _solve(matrix: Any, y: Any) -> Any:
+def _solve_minimum_norm(matrix: Any, y: Any) -> Any:
     rows, columns = matrix.shape
     if matrix.is_constant():
         return ca.DM(np.linalg.pinv(np.asarray(ca.DM(matrix).full()))) @ y

@@ -44,7 +44,7 @@ class ReportEntry:
     remark: str = ""
 
     def __str__(self) -> str:
-        value = self.value if isinstance(self.value, str) else number_text(self.value)
+        value = self.value if isinstance(self.value, str) else format_number(self.value)
         line = f"{self.name}: {value}{' ' + self.unit if self.unit else ''}"
         return f"{line} ({self.remark})" if self.remark else line
 
@@ -78,34 +78,37 @@ class DesignReport(Strict):
         return iter(self.facts)
 
     def __str__(self) -> str:
-        rows = [("quantity", "value", "unit", "remark"), *(row for fact in self.facts for row in _rows(fact))]
+        rows = [
+            ("quantity", "value", "unit", "remark"),
+            *(row for fact in self.facts for row in _entry_rows(fact)),
+        ]
         widths = [max(len(row[k]) for row in rows) for k in range(3)]
         widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
         lines = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, [*widths, 0], strict=True)) for row in rows]
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
     def _repr_html_(self) -> str:
-        rows = [(fact.name, _value_text(fact), fact.unit, fact.remark) for fact in self.facts]
+        rows = [(fact.name, _format_value(fact), fact.unit, fact.remark) for fact in self.facts]
         return heading(self.title) + table(("quantity", "value", "unit", "remark"), rows)
 
 
-def _rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
+def _entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
     """Return the rows of one entry: a matrix has one for each of its own."""
-    first, *more = _value_text(fact).splitlines()
+    first, *more = _format_value(fact).splitlines()
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
-def _value_text(fact: ReportEntry) -> str:
+def _format_value(fact: ReportEntry) -> str:
     """Return numbers separated by commas, a matrix row by row; conjugate poles as ``-1 ± 2j``."""
     if isinstance(fact.value, str):
         return fact.value
     array = np.asarray(fact.value)
     if array.ndim == 2:
-        return "\n".join(_list_text(row) for row in array)
-    return _list_text(np.atleast_1d(array))
+        return "\n".join(_format_list(row) for row in array)
+    return _format_list(np.atleast_1d(array))
 
 
-def _list_text(values: Array) -> str:
+def _format_list(values: Array) -> str:
     texts, left = [], list(values)
     while left:
         value = left.pop(0)
@@ -113,11 +116,11 @@ def _list_text(values: Array) -> str:
             left.pop(0)
             texts.append(f"{value.real:.6g} ± {abs(value.imag):.6g}j")
         else:
-            texts.append(number_text(value))
+            texts.append(format_number(value))
     return ", ".join(texts)
 
 
-def number_text(value: object) -> str:
+def format_number(value: object) -> str:
     """Return a number, or an array of them, as text: as real ones where no imaginary part is more than rounding."""
     array = np.asarray(value)
     if np.iscomplexobj(array) and np.all(np.abs(array.imag) <= ROUNDING * np.abs(array)):

@@ -53,12 +53,13 @@ class ErrorDynamics:
 
     def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
         """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
-        return evaluate_columns(self._error, x, x_ref)
+        return evaluate_columns(self._error_function, x, x_ref)
 
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
         """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
         jacobian, x_jacobian, u_jacobian = (
-            np.asarray(m.full()) for m in self._jacobians(t, x_ref, u_ref, self.model.parameter_values)
+            np.asarray(m.full())
+            for m in self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)
         )
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
@@ -68,7 +69,7 @@ class ErrorDynamics:
         parameters = np.repeat(self.model.parameter_values[:, None], n, axis=1)
         jacobian, x_jacobian, u_jacobian = (
             np.stack(np.split(np.asarray(m.full()), n, axis=1))
-            for m in self._jacobians(times[None, :], x_ref, u_ref, parameters)
+            for m in self._jacobian_function(times[None, :], x_ref, u_ref, parameters)
         )
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
@@ -86,15 +87,15 @@ class ErrorDynamics:
         """Return C (n_rows, n_errors): how the output ``name`` changes with the errors at t (s), x_ref and u_ref."""
         y = self.output(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
-        jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())
+        jacobian = np.asarray(self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)[0].full())
         return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
 
     @cached_property
-    def _error(self) -> Any:
+    def _error_function(self) -> Any:
         return ca.Function("e", [self._x, self._x_ref], [self.expression(self._x, self._x_ref)])
 
     @cached_property
-    def _jacobians(self) -> Any:
+    def _jacobian_function(self) -> Any:
         t, x, u, p = self.model.arguments()
         x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
         f = self.model.derivative()

@@ -18,20 +18,20 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, authority_margin, read_limits
+from gnc_opt.control.control_limits import Limits, authority_margin_fact, read_limits
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
     GUARD,
     GuardedLaw,
+    build_guarded_controller,
+    build_guarded_inverse,
     check_zero_dynamics,
-    guarded_controller,
-    guarded_inverse,
 )
-from gnc_opt.control.design_report import DesignReport, ReportEntry, number_text
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
+from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_value, output_errors
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
+from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
@@ -92,10 +92,10 @@ def design_feedback_linearization(
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
     authority = read_limits(model, limits)
-    inverse = guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
-    gain = _gain(errors, poles)
-    closed = _poles(errors, gain)
+    gain = _chain_gain(errors, poles)
+    closed = _closed_loop_poles(errors, gain)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
@@ -103,9 +103,9 @@ def design_feedback_linearization(
         inverse.fact,
         *zeros,
         *_sampling_facts(errors, gain, dt),
-        *authority_margin(reference, authority, required=True),
+        *authority_margin_fact(reference, authority, required=True),
     ]
-    u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
+    u = inverse(-ca.DM(gain) @ _stack_chain_errors(errors) - errors.drift)
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
@@ -116,7 +116,7 @@ def design_feedback_linearization(
             )
         spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
 
-    return guarded_controller(
+    return build_guarded_controller(
         name,
         pair,
         reference,
@@ -126,18 +126,18 @@ def design_feedback_linearization(
     )
 
 
-def _places(errors: OutputErrors) -> list[tuple[int, int]]:
+def _chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta: by order, then by component."""
     return [(i, k) for k in range(max(errors.degrees)) for i, r in enumerate(errors.degrees) if k < r]
 
 
-def _ordered(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _places(errors)])
+def _stack_chain_errors(errors: OutputErrors) -> Any:
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _chain_entries(errors)])
 
 
-def _chains(errors: OutputErrors) -> tuple[Array, Array]:
+def _integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _places(errors)
+    places = _chain_entries(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.size))
     for row, (i, k) in enumerate(places):
         if k + 1 < errors.degrees[i]:
@@ -147,26 +147,26 @@ def _chains(errors: OutputErrors) -> tuple[Array, Array]:
     return a, b
 
 
-def _gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
+def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     """Return K (n_outputs, sum of the relative degrees)."""
-    a, b = _chains(errors)
-    gain = np.zeros((errors.size, len(_places(errors))))
-    for column, (i, k) in enumerate(_places(errors)):
+    a, b = _integrator_chains(errors)
+    gain = np.zeros((errors.size, len(_chain_entries(errors))))
+    for column, (i, k) in enumerate(_chain_entries(errors)):
         label, degree = errors.labels[i], errors.degrees[i]
-        gain[i, column] = _polynomial(errors, label, degree, poles)[k]
+        gain[i, column] = _pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
     if np.max(found.real) >= 0:
         raise DesignError(
-            f"the errors would not decay: the poles are {number_text(found)} 1/s; "
+            f"the errors would not decay: the poles are {format_number(found)} 1/s; "
             "give poles with negative real parts."
         )
     return gain
 
 
-def _polynomial(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
+def _pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = given_for(label, poles, errors, "the linearisation")
+        poles = component_value(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))
@@ -174,7 +174,7 @@ def _polynomial(errors: OutputErrors, label: str, degree: int, poles: Any) -> Ar
         raise DesignError(
             f"output '{label}' has relative degree {degree}: give {degree} poles, not {row.size}."
         )
-    polynomial = real_polynomial(row)
+    polynomial = polynomial_from_poles(row)
     if polynomial is None:
         raise DesignError(
             f"the poles {row} of output '{label}' are not in conjugate pairs: give the conjugate of each, too."
@@ -182,8 +182,8 @@ def _polynomial(errors: OutputErrors, label: str, degree: int, poles: Any) -> Ar
     return polynomial[:0:-1]
 
 
-def _poles(errors: OutputErrors, gain: Array) -> Array:
-    a, b = _chains(errors)
+def _closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
+    a, b = _integrator_chains(errors)
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
@@ -191,7 +191,7 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
     if dt is None:
         return []
     dt = read_positive(dt, "the control step dt", DesignError)
-    a, b = _chains(errors)
+    a, b = _integrator_chains(errors)
     held_a, held_b = zero_order_hold(a, b, dt)
     radius = spectral_radius(held_a - held_b @ gain)
     if radius >= 1:

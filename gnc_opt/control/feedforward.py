@@ -16,7 +16,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
 
 
-def reference_signals(reference: Reference, *more: Variable) -> Layout:
+def reference_signal_layout(reference: Reference, *more: Variable) -> Layout:
     """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (the feedforward), then ``more``."""
     states = [replace(v, name=f"{v.name}_ref", nominal=None) for v in reference.states.variables]
     controls = [replace(v, name=f"{v.name}_ff", nominal=None) for v in reference.controls.variables]
@@ -44,7 +44,7 @@ class StackedSchedule:
         return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
-def reference_times(reference: Reference, samples: int = 101) -> Array:
+def reference_sample_times(reference: Reference, samples: int = 101) -> Array:
     """Return the times (s) at which a design evaluates its reference: equidistant, and around jumps."""
     start, end = reference.initial_time, reference.final_time
     if end <= start:
@@ -72,7 +72,7 @@ def feedforward(reference: Reference) -> Controller:
     >>> law = go.feedforward(go.Reference(solution))
     """
     expect(reference, Reference, "what feedforward() got", "write feedforward(Reference(solution))")
-    signals = reference_signals(reference)
+    signals = reference_signal_layout(reference)
     states, controls = reference.states.size, reference.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)

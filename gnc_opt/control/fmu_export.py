@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gnc_opt.archive import written_whole
-from gnc_opt.control.c_export.export import CCode, export_c, flight_form
+from gnc_opt.control.c_export.export import CCode, export_c, flight_controller
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
 
@@ -112,31 +112,31 @@ def export_fmu(
     with tempfile.TemporaryDirectory() as folder:
         sources = Path(folder)
         code = export_c(controller, sources, dt=dt, span=span, name=file.stem)
-        controller = flight_form(controller).controller
+        controller = flight_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
-        guid = _guid(sources)
-        (sources / _LAW_HEADER).write_text(_law_header(controller, code, guid), encoding="ascii")
+        guid = _source_digest(sources)
+        (sources / _LAW_HEADER).write_text(_write_law_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
-        members["modelDescription.xml"] = _description(controller, code, guid)
+        members["modelDescription.xml"] = _model_description_xml(controller, code, guid)
         place = None
         if compiler is not None and binary is not False:
-            place = _platform()
+            place = _binary_folder()
             name = code.name + _SUFFIXES[sys.platform]
-            members[f"binaries/{place}/{name}"] = _compiled(compiler, sources, code, name)
+            members[f"binaries/{place}/{name}"] = _compile_library(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     _write_archive(file, members)
     return Fmu(file, code.name, guid, code.dt, place)
 
 
-def _guid(sources: Path) -> str:
+def _source_digest(sources: Path) -> str:
     digest = hashlib.sha256()
     for path in sorted(sources.iterdir()):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:32]
 
 
-def _law_header(controller: Controller, code: CCode, guid: str) -> str:
+def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
     """Definitions that ``fmi2_cosimulation.c`` needs of a law."""
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
@@ -156,7 +156,7 @@ def _law_header(controller: Controller, code: CCode, guid: str) -> str:
     )
 
 
-def _description(controller: Controller, code: CCode, guid: str) -> bytes:
+def _model_description_xml(controller: Controller, code: CCode, guid: str) -> bytes:
     """``modelDescription.xml``."""
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -167,7 +167,7 @@ def _description(controller: Controller, code: CCode, guid: str) -> bytes:
         generationTool="gnc_opt",
         variableNamingConvention="flat",
     )
-    simulation = _child(
+    simulation = _add_child(
         root,
         "CoSimulation",
         modelIdentifier=code.name,
@@ -175,27 +175,27 @@ def _description(controller: Controller, code: CCode, guid: str) -> bytes:
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    sources = _child(simulation, "SourceFiles")
+    sources = _add_child(simulation, "SourceFiles")
     for name in (_INTERFACE.name, code.source.name):
-        _child(sources, "File", name=name)
+        _add_child(sources, "File", name=name)
     units = sorted({unit for unit in (*controller.states.units, *controller.commands.units) if unit})
     if units:
-        definitions = _child(root, "UnitDefinitions")
+        definitions = _add_child(root, "UnitDefinitions")
         for unit in units:
-            _child(definitions, "Unit", name=unit)
-    _child(root, "DefaultExperiment", stepSize=repr(code.dt), **_experiment(controller))
-    variables, structure = _child(root, "ModelVariables"), _child(root, "ModelStructure")
+            _add_child(definitions, "Unit", name=unit)
+    _add_child(root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment(controller))
+    variables, structure = _add_child(root, "ModelVariables"), _add_child(root, "ModelStructure")
     _add_variables(controller, variables)
-    outputs = _child(structure, "Outputs")
+    outputs = _add_child(structure, "Outputs")
     for index, variable in enumerate(variables, start=1):
         if variable.get("causality") == "output":
-            _child(outputs, "Unknown", index=str(index))
+            _add_child(outputs, "Unknown", index=str(index))
     ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text
 
 
-def _experiment(controller: Controller) -> Mapping[str, str]:
+def _default_experiment(controller: Controller) -> Mapping[str, str]:
     times = [] if controller.span is None else [float(t) for t in controller.span]
     names = ("startTime", "stopTime")
     return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}
@@ -207,19 +207,21 @@ def _add_variables(controller: Controller, variables: ElementTree.Element) -> No
     reals = [(*kind, *pair) for *kind, of in kinds for pair in zip(of.labels, of.units, strict=True)]
     taken = set()
     for reference, (causality, variability, label, unit) in enumerate(reals):
-        variable = _variable(variables, label, reference, causality, variability)
-        _child(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
+        variable = _add_scalar_variable(variables, label, reference, causality, variability)
+        _add_child(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
         taken.add(label)
     for reference, alarm in enumerate(controller.alarms):
         name = alarm if alarm not in taken else f"alarm {alarm}"
-        _child(_variable(variables, name, reference, "output", "discrete"), "Boolean", start="false")
+        _add_child(
+            _add_scalar_variable(variables, name, reference, "output", "discrete"), "Boolean", start="false"
+        )
 
 
-def _variable(
+def _add_scalar_variable(
     variables: ElementTree.Element, name: str, reference: int, causality: str, variability: str
 ) -> ElementTree.Element:
     exact = {"initial": "exact"} if causality == "output" else {}
-    return _child(
+    return _add_child(
         variables,
         "ScalarVariable",
         name=name,
@@ -230,11 +232,11 @@ def _variable(
     )
 
 
-def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+def _add_child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
     return ElementTree.SubElement(parent, tag, attributes)
 
 
-def _platform() -> str:
+def _binary_folder() -> str:
     bits = "64" if sys.maxsize > 2**32 else "32"
     if sys.platform not in _FOLDERS:
         raise GncOptError(
@@ -243,7 +245,7 @@ def _platform() -> str:
     return _FOLDERS[sys.platform] + bits
 
 
-def _compiled(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
+def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
     # no contraction to fused operations: the same digits as the law in Python
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     files = [str(sources / _INTERFACE.name), str(code.source)]

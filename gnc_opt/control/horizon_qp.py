@@ -35,20 +35,24 @@ class Rows:
     @property
     def count(self) -> int:
         """Rows of one step."""
-        return self.lower.size * (1 if self.change is None else 2) + len(self.below) + len(self.above)
+        return (
+            self.lower.size * (1 if self.change is None else 2)
+            + len(self.lower_limited)
+            + len(self.upper_limited)
+        )
 
     @property
-    def soft(self) -> list[int]:
+    def soft_limited(self) -> list[int]:
         """Limited states that have a slack."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.price))]
 
     @property
-    def below(self) -> list[int]:
+    def lower_limited(self) -> list[int]:
         """Limited states that have a lower limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_lower))]
 
     @property
-    def above(self) -> list[int]:
+    def upper_limited(self) -> list[int]:
         """Limited states that have an upper limit."""
         return [int(i) for i in np.flatnonzero(np.isfinite(self.state_upper))]
 
@@ -60,9 +64,9 @@ class Rows:
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
     @property
-    def roots(self) -> Array:
+    def price_roots(self) -> Array:
         """Roots of the prices: in units of them the squares of the slacks have the weight one."""
-        price = self.price[self.soft] * self.state_scale[self.soft] ** 2
+        price = self.price[self.soft_limited] * self.state_scale[self.soft_limited] ** 2
         return np.sqrt(np.maximum(price, _LEAST_PRICE))
 
 
@@ -115,22 +119,22 @@ class Horizon:
     @property
     def unknowns(self) -> int:
         """Number of unknowns."""
-        return self.free + self.count * len(self.rows.soft)
+        return self.free + self.count * len(self.rows.soft_limited)
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the programme from first errors, feedforward, limited states and previous command (m,)."""
-        rows, m, errors = self.rows, self.rows.lower.size, self._errors(e_0)
-        commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
-        found = [_between(*command, rows.lower, rows.upper) for command in commands]
+        rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
+        commands = [self._command_rows(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
+        found = [_interval_rows(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.unknowns), previous)
             for row, u in commands:
-                found.append(_between(row - before[0], u - before[1], -rows.change, rows.change))
+                found.append(_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
-        found += self._states(x_ref, errors)
+        found += self._state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
         gradient = np.zeros(self.unknowns)
-        gradient[self.free :] = np.tile(self.rows.roots, self.count)
+        gradient[self.free :] = np.tile(self.rows.price_roots, self.count)
         return Programme(ca.DM(gradient), ca.densify(a), low, high, self.free)
 
     def inactive(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
@@ -145,49 +149,52 @@ class Horizon:
                 previous = u
             e = a @ e
             x = [x_ref[limited * j + i] + e[place] for i, place in enumerate(rows.errors)]
-            room += [x[i] - rows.state_lower[i] for i in rows.below]
-            room += [rows.state_upper[i] - x[i] for i in rows.above]
+            room += [x[i] - rows.state_lower[i] for i in rows.lower_limited]
+            room += [rows.state_upper[i] - x[i] for i in rows.upper_limited]
         return ca.mmin(ca.vertcat(*room)) >= 0
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _errors(self, e_0: Any) -> list[tuple[Any, Any]]:
+    def _predict_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors at the beginning and at the end of every step, as rows of the unknowns and the rest."""
         found = [(ca.DM(e_0.shape[0], self.unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
-            found.append((a @ rows + self._row(self.rows.lower.size * j, f), a @ rest))
+            found.append((a @ rows + self._sparse_rows(self.rows.lower.size * j, f), a @ rest))
         return found
 
-    def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
+    def _command_rows(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the j-th command as rows of the unknowns and a constant term, from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._row(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._sparse_rows(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _row(self, begin: int, block: Any) -> Any:
+    def _sparse_rows(self, begin: int, block: Any) -> Any:
         """Return sparse rows with a block that begins at a column."""
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.unknowns - end))
 
-    def _states(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
+    def _state_limit_rows(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
         """The rows of the limited states."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
-        for side, which, limit in ((-1, rows.below, rows.state_lower), (1, rows.above, rows.state_upper)):
+        for side, which, limit in (
+            (-1, rows.lower_limited, rows.state_lower),
+            (1, rows.upper_limited, rows.state_upper),
+        ):
             for j in range(self.count):
                 for i in which:
                     row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
                     row = row / scale[i]
-                    if i in rows.soft:
-                        slack = rows.soft.index(i)
-                        place = self.free + j * len(rows.soft) + slack
-                        row = row + self._row(place, ca.DM(-side / rows.roots[slack]))
+                    if i in rows.soft_limited:
+                        slack = rows.soft_limited.index(i)
+                        place = self.free + j * len(rows.soft_limited) + slack
+                        row = row + self._sparse_rows(place, ca.DM(-side / rows.price_roots[slack]))
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found
 
 
-def _between(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
+def _interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
     """The rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale

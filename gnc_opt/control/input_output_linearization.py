@@ -68,7 +68,7 @@ class Pair:
             + ca.jtimes(e, self.x_ref, self.f_ref)
         )
 
-    def on_reference(self, expression: Any) -> Any:
+    def substitute_reference(self, expression: Any) -> Any:
         """Return an expression with the reference in the place of the plant."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
@@ -76,7 +76,7 @@ class Pair:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
-    def along(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
+    def evaluate_along_reference(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
         function = self.function(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
@@ -167,7 +167,7 @@ def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any
     named = {
         label: row
         for name, e in expressions.items()
-        for label, row in zip(_labels(name, e.numel()), ca.vertsplit(e), strict=True)
+        for label, row in zip(_component_labels(name, e.numel()), ca.vertsplit(e), strict=True)
     }
     if len(named) > pair.u.numel():
         raise DesignError(
@@ -176,7 +176,7 @@ def chain_errors(pair: Pair, reference: Reference, expressions: Mapping[str, Any
         )
     chains, last = [], []
     for label, e in named.items():
-        chain, rate = _differentiate(pair, reference, label, e)
+        chain, rate = _differentiate_to_control(pair, reference, label, e)
         chains.append(ca.vertcat(*chain))
         last.append(rate)
     rates = ca.vertcat(*last)
@@ -197,10 +197,10 @@ def error_expressions(pair: Pair, outputs: Outputs) -> dict[str, Any]:
         items = [(o, o) if isinstance(o, str) else (f"y{i}", o) for i, o in enumerate(listed)]
     if not items:
         raise DesignError("no outputs are given: name the states or outputs to steer.")
-    return {name: _error(pair, name, output) for name, output in items}
+    return {name: _output_error(pair, name, output) for name, output in items}
 
 
-def _error(pair: Pair, name: str, output: Any) -> Any:
+def _output_error(pair: Pair, name: str, output: Any) -> Any:
     model = pair.model
     if isinstance(output, str):
         if output in model.states:
@@ -215,16 +215,16 @@ def _error(pair: Pair, name: str, output: Any) -> Any:
         raise DesignError(
             f"a control enters output '{name}' itself: its relative degree is 0, steer its cause."
         )
-    return h - pair.on_reference(h)
+    return h - pair.substitute_reference(h)
 
 
-def _differentiate(pair: Pair, reference: Reference, label: str, e: Any) -> tuple[list[Any], Any]:
+def _differentiate_to_control(pair: Pair, reference: Reference, label: str, e: Any) -> tuple[list[Any], Any]:
     """Return [e, de/dt, ...] without controls and the first derivative that a control enters."""
     nothing = ca.DM.zeros(pair.u.numel())
     chain = [e]
     for _ in range(pair.x.numel()):
         rate = pair.rate(chain[-1])
-        if _controlled(pair, reference, chain[-1], rate):
+        if _depends_on_control(pair, reference, chain[-1], rate):
             return chain, rate
         chain.append(ca.substitute(rate, pair.u, nothing))
     raise DesignError(
@@ -233,7 +233,7 @@ def _differentiate(pair: Pair, reference: Reference, label: str, e: Any) -> tupl
     )
 
 
-def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
+def _depends_on_control(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
     """Whether a control enters de/dt at points near the reference (numerically: terms may cancel)."""
     if not ca.depends_on(rate, pair.u):
         return False
@@ -315,19 +315,19 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def given_for(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def component_value(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the value of a mapping from outputs for one of their components; ``None`` if missing."""
-    known = [*errors.labels, *map(_output, errors.labels)]
+    known = [*errors.labels, *map(_output_of_component, errors.labels)]
     for key in given:
         if key not in known:
             raise unknown_name("output", key, where, errors.labels)
-    return given.get(label, given.get(_output(label)))
+    return given.get(label, given.get(_output_of_component(label)))
 
 
-def _output(label: str) -> str:
+def _output_of_component(label: str) -> str:
     """Return the output that a component belongs to."""
     return label.partition("[")[0]
 
 
-def _labels(name: str, size: int) -> list[str]:
+def _component_labels(name: str, size: int) -> list[str]:
     return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]

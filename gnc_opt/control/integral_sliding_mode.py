@@ -23,9 +23,16 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, saturated
+from gnc_opt.control.control_limits import Limits, saturate
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, Nominal, guarded_controller, guarded_inverse
+from gnc_opt.control.decoupling import (
+    GUARD,
+    GuardedLaw,
+    Memory,
+    Nominal,
+    build_guarded_controller,
+    build_guarded_inverse,
+)
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.input_output_linearization import OutputErrors, Pair, chain_errors
@@ -100,25 +107,25 @@ def design_integral_sliding_mode(
     reference = read_plant(model, reference, "design_integral_sliding_mode")
     pair = Pair.of(model)
     switching = read_switching(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
-    errors, singular = _surface(pair, reference, projection)
-    inverse = guarded_inverse(errors, reference, guard)
-    inner, u_nominal, facts = _nominal(pair, reference, nominal, dt)
+    errors, singular = _projected_surface(pair, reference, projection)
+    inverse = build_guarded_inverse(errors, reference, guard)
+    inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
-    s, integral = _integrated(errors, dt)
-    wanted, twist = switching.demand(s, ca.SX.zeros(errors.size))
+    s, integral = _integrate_surface(errors, dt)
+    wanted, twist = switching.required_input(s, ca.SX.zeros(errors.size))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
-        *switching.watch(s, stays=False),
-        *integral(u_nominal + (saturated(u, switching.limits) - u)),
+        *switching.alarm_memory(s, stays=False),
+        *integral(u_nominal + (saturate(u, switching.limits) - u)),
     ]
     facts += [
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
         *switching.facts(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
-        *switching.reserve(errors, reference),
+        *switching.authority_margin_facts(errors, reference),
     ]
-    return guarded_controller(
+    return build_guarded_controller(
         name,
         pair,
         reference,
@@ -128,15 +135,17 @@ def design_integral_sliding_mode(
     )
 
 
-def _surface(pair: Pair, reference: Reference, projection: Projection) -> tuple[OutputErrors, Array]:
+def _projected_surface(
+    pair: Pair, reference: Reference, projection: Projection
+) -> tuple[OutputErrors, Array]:
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
     if projection not in get_args(Projection):
         raise DesignError(
             f"there is no projection {projection!r}: {did_you_mean(str(projection), get_args(Projection))}"
         )
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    b = ca.densify(ca.simplify(pair.on_reference(ca.jacobian(pair.rate(e), pair.u))))
-    first = pair.along(reference, np.array([reference.initial_time]), b)[0]
+    b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.rate(e), pair.u))))
+    first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
     if first.shape[0] < first.shape[1] or dependent(singular):
         raise DesignError(
@@ -152,7 +161,7 @@ def _surface(pair: Pair, reference: Reference, projection: Projection) -> tuple[
     return chain_errors(pair, reference, {"s": g @ e}), singular
 
 
-def _integrated(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
+def _integrate_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     """Return s, and a function from the nominal command to be held to the memory that s needs."""
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
@@ -167,7 +176,7 @@ def _integrated(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     # At the first step nothing lies behind: the right end of a step before it, with u_ref held, is taken away again.
     nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
 
-    def memory(u_nominal: Any) -> list[Memory]:
+    def surface_memory(u_nominal: Any) -> list[Memory]:
         ahead = ca.substitute(left, pair.u, u_nominal)
         return [
             Memory("w_start", first, w, first),
@@ -177,10 +186,10 @@ def _integrated(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
             Memory("s", ca.SX.sym("s", errors.size), ca.SX.zeros(errors.size), s),
         ]
 
-    return s, memory
+    return s, surface_memory
 
 
-def _nominal(
+def _read_nominal_controller(
     pair: Pair, reference: Reference, nominal: Controller | ArrayLike, dt: float
 ) -> tuple[Nominal | None, Any, list[ReportEntry]]:
     """Return the nominal controller (if it is one), its command and its facts."""
@@ -193,7 +202,7 @@ def _nominal(
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    poles, radius = _poles(pair, reference, gain, dt)
+    poles, radius = _nominal_loop_poles(pair, reference, gain, dt)
     if np.max(poles.real) >= 0 or radius >= 1:
         raise DesignError(
             f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
@@ -207,7 +216,7 @@ def _nominal(
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
-def _poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
+def _nominal_loop_poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.control.sampled_data import continuous_poles
+from gnc_opt.control.sampled_data import to_continuous_poles
 from gnc_opt.environment import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
@@ -58,29 +58,35 @@ class Margins:
 
 
 @one_thread()
-def margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
+def stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; ``dt`` (s) if A, B are those of a sampled plant."""
-    omega = _frequencies(a, a - b @ gain, dt)
-    channels = [_channel(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
+    omega = _frequency_grid(a, a - b @ gain, dt)
+    channels = [_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
     up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
-    return Margins(up, down, phase, delay, _disk(a, b, gain, omega, dt))
+    return Margins(up, down, phase, delay, _disk_margin(a, b, gain, omega, dt))
 
 
-def _channel(
+def _channel_margins(
     a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
     rest = a - b[:, others] @ gain[others]
-    within = linked(rest, b[:, [i]], gain[[i]])
+    within = input_output_states(rest, b[:, [i]], gain[[i]])
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
 
-    def value(w: float) -> complex:
-        return complex(_loop(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
+    def evaluate_channel(w: float) -> complex:
+        return complex(_loop_transfer(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
 
-    values = _loop(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
-    crossings = [1.0 / -v for v in _met((rest, b[:, i], gain[i]), value, omega, values.imag, dt) if v < 0]
-    unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
-    phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
+    values = _loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
+    crossings = [
+        1.0 / -v
+        for v in _real_axis_crossing((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
+        if v < 0
+    ]
+    unit = _bracketed_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
+    phases = [
+        (abs(_wrap_angle(np.angle(-evaluate_channel(w)))), _phase_lag(evaluate_channel(w)) / w) for w in unit
+    ]
     return (
         min((c for c in crossings if c > 1), default=np.inf),
         max((c for c in crossings if c < 1), default=0.0),
@@ -89,52 +95,55 @@ def _channel(
     )
 
 
-def linked(a: Array, b: Array, c: Array) -> Mask:
+def input_output_states(a: Array, b: Array, c: Array) -> Mask:
     """Return which states (n,) lie on a way from the inputs to the outputs, by the structure of the matrices."""
     there = a != 0
 
-    def reached(from_: Mask, ways: Mask) -> Mask:
+    def reachable_states(from_: Mask, ways: Mask) -> Mask:
         while np.any(more := ways[:, from_].any(axis=1) & ~from_):
             from_ = from_ | more
         return from_
 
-    moved, seen = reached(np.any(b != 0, axis=1), there), reached(np.any(c != 0, axis=0), there.T)
+    moved, seen = (
+        reachable_states(np.any(b != 0, axis=1), there),
+        reachable_states(np.any(c != 0, axis=0), there.T),
+    )
     return np.asarray(moved & seen)
 
 
-def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
+def _disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
     one = np.eye(b.shape[1])
 
-    def peaks(log_w: Array) -> Array:
-        sensitivity = np.linalg.inv(one + _loop(a, b, gain, np.exp(log_w), dt))
+    def sensitivity_norm(log_w: Array) -> Array:
+        sensitivity = np.linalg.inv(one + _loop_transfer(a, b, gain, np.exp(log_w), dt))
         return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
 
     grid = np.log(omega)
-    values = peaks(grid)
+    values = sensitivity_norm(grid)
     k = int(np.argmax(values))
     best = scipy.optimize.minimize_scalar(
-        lambda w: -float(peaks(np.array([w]))[0]),
+        lambda w: -float(sensitivity_norm(np.array([w]))[0]),
         bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]),
         method="bounded",
     )
     return 1.0 / max(float(values[k]), -float(best.fun))
 
 
-def _loop(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
+def _loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(a.shape[0]), b[None].astype(complex)
-    points = np.array([_point(w, dt) for w in omega])[:, None, None]
+    points = np.array([_laplace_variable(w, dt) for w in omega])[:, None, None]
     some = max(1, _ENTRIES // max(a.size, 1))
     blocks = [points[k : k + some] for k in range(0, points.size, some)]
     return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
 
 
-def _point(omega: float, dt: float | None) -> complex:
+def _laplace_variable(omega: float, dt: float | None) -> complex:
     """Return s, or z of a sampled loop, at a frequency."""
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
 
-def _met(
+def _real_axis_crossing(
     system: tuple[Array, Array, Array],
     value: Callable[[float], complex],
     omega: Array,
@@ -144,18 +153,18 @@ def _met(
     """Return where L of a system (A, b, gain) meets the real axis; infinite if rounding hides it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _rounded(*system, _point(w, dt))
+        at, change = _loop_rounding_error(*system, _laplace_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
-        ends = [_rounded(*system, _point(w, dt)) for w in omega[k : k + 2]]
+        ends = [_loop_rounding_error(*system, _laplace_variable(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
-            (w,) = _roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _rounded(*system, _point(w, dt))
+            (w,) = _bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
+            at, change = _loop_rounding_error(*system, _laplace_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 
 
-def _rounded(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+def _loop_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
     """Return L at s (or z), and its change by rounding of each entry of A and of s, to first order."""
     one = np.eye(a.shape[0])
     try:
@@ -166,11 +175,11 @@ def _rounded(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, floa
     return complex(gain @ right), change
 
 
-def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
+def _frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
+        poles = to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
     size = np.abs(poles)
     size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:
@@ -182,7 +191,7 @@ def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 
-def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
+def _bracketed_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     change = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [
         float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=ROUNDING))
@@ -190,11 +199,11 @@ def _roots(function: Callable[[float], float], omega: Array, values: Array) -> l
     ]
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _lag(value: complex) -> float:
+def _phase_lag(value: complex) -> float:
     """How much the phase of L may fall until L = -1, in (0, 2 pi]."""
     lag = float(np.angle(-value) % (2 * np.pi))
     return lag if lag > 0 else 2 * np.pi

@@ -24,17 +24,17 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, authority_margin, clip, read_limits
+from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, clip, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.control.loop_margins import margins
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_sample_times, reference_signal_layout
+from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.riccati import Steady, require_stabilizable, steady
-from gnc_opt.control.sampled_data import continuous_poles, sample
+from gnc_opt.control.riccati import Steady, require_stabilizable, solve_algebraic_riccati
+from gnc_opt.control.sampled_data import discretize, to_continuous_poles
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
@@ -51,7 +51,7 @@ def regulator_facts(
     remark: str = "slowest first",
 ) -> list[ReportEntry]:
     """Return the facts of a regulator and its plant (A, B), sampled with dt (s) or continuous."""
-    poles = continuous_poles(regulator.poles, dt)
+    poles = to_continuous_poles(regulator.poles, dt)
     residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
@@ -62,7 +62,7 @@ def regulator_facts(
 
 def _margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
     """Return the facts about the margins at the plant's input."""
-    found = margins(a, b, gain, dt)
+    found = stability_margins(a, b, gain, dt)
     alpha = found.disk
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
@@ -133,14 +133,14 @@ def design_lqr(
     """
     reference = read_plant(model, reference, "design_lqr")
     deviation = ErrorDynamics(model)
-    a, b = constant_linearization(deviation, reference)
+    a, b = require_constant_linearization(deviation, reference)
     cost = read_cost(model, Q, R, N)
-    integrals = _integrals(deviation, reference, integral)
-    solution, plant = _solve(deviation, (a, b), cost, integrals, dt)
+    integrals = _integral_states(deviation, reference, integral)
+    solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
-    step, start, memory = _law(model, deviation, solution.gain, integrals, bounds)
-    signals = reference_signals(reference, *([Variable("step", 1, "s")] if integrals.size else []))
-    facts = [*_facts(solution, plant, model.controls, dt), *authority_margin(reference, bounds)]
+    step, start, memory = _lqr_law(model, deviation, solution.gain, integrals, bounds)
+    signals = reference_signal_layout(reference, *([Variable("step", 1, "s")] if integrals.size else []))
+    facts = [*_lqr_facts(solution, plant, model.controls, dt), *authority_margin_fact(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
@@ -181,9 +181,9 @@ class _WithStep:
         return np.vstack([self.schedule(times, dt), np.full((1, np.size(times)), dt)])
 
 
-def constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
+def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are the same all along the reference, else raise `DesignError`."""
-    times = reference_times(reference, 25)
+    times = reference_sample_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]
@@ -198,7 +198,7 @@ def constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tu
     return a, b
 
 
-def _integrals(
+def _integral_states(
     deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
 ) -> _Integrals:
     model = deviation.model
@@ -233,7 +233,7 @@ def _integrals(
     return _Integrals(memory, tuple(asked), matrix, np.diag(diagonal))
 
 
-def _solve(
+def _solve_augmented_riccati(
     deviation: ErrorDynamics,
     plant: tuple[Array, Array],
     cost: QuadraticCost,
@@ -250,7 +250,7 @@ def _solve(
         per_step = read_positive(dt, "the control step dt")
         # before sampling: the message names the mode's own eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
-        held = sample(a, b, q, r, n, per_step)
+        held = discretize(a, b, q, r, n, per_step)
         a, b, q, r, n = held.a, held.b, held.q, held.r, held.n
         one = np.eye(k)
     m = b.shape[1]
@@ -260,10 +260,13 @@ def _solve(
         [[q, np.zeros((a.shape[0], k))], [np.zeros((k, a.shape[0])), per_step * integrals.weight]]
     )
     wide_n = np.vstack([n, np.zeros((k, m))])
-    return steady(wide_a, wide_b, wide_q, r, wide_n, labels, sampled=dt is not None), (wide_a, wide_b)
+    return solve_algebraic_riccati(wide_a, wide_b, wide_q, r, wide_n, labels, sampled=dt is not None), (
+        wide_a,
+        wide_b,
+    )
 
 
-def _law(
+def _lqr_law(
     model: Model, deviation: ErrorDynamics, gain: Array, integrals: _Integrals, limits: Authority | None
 ) -> tuple[object, object, Layout]:
     states, controls = model.states.size, model.controls.size
@@ -276,7 +279,7 @@ def _law(
     u, z_next = u_ff - ca.DM(k_e) @ e, z
     if integrals.size:
         u = u - ca.DM(k_i) @ z
-        z_next = z + r[-1] * _integrand(deviation, integrals, t, x, x_ref, e)
+        z_next = z + r[-1] * _integral_rates(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
             z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
     return (
@@ -286,7 +289,7 @@ def _law(
     )
 
 
-def _integrand(
+def _integral_rates(
     deviation: ErrorDynamics, integrals: _Integrals, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
 ) -> ca.SX:
     model = deviation.model
@@ -299,10 +302,10 @@ def _integrand(
     return ca.vertcat(*parts)
 
 
-def _facts(
+def _lqr_facts(
     solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
-    poles = continuous_poles(solution.poles, dt)
+    poles = to_continuous_poles(solution.poles, dt)
     facts = [
         ReportEntry("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))
     ]

@@ -26,24 +26,29 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_mapping, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.active_set_qp import ProgrammeCode, command_memory, flight_law, limited_command
+from gnc_opt.control.active_set_qp import (
+    ProgrammeCode,
+    build_flight_law,
+    command_memory_layout,
+    limit_command,
+)
 from gnc_opt.control.control_limits import (
     Limits,
-    authority_margin,
+    authority_margin_fact,
+    check_reference_limits,
     clip,
     read_limits,
-    reference_beyond,
 )
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.control.horizon_qp import Horizon, Rows
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.riccati import backward_step
+from gnc_opt.control.riccati import riccati_backward_step
 from gnc_opt.control.tvlqr_gains import SampledGains, riccati_gains
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
@@ -130,7 +135,7 @@ def design_mpc(
     reference = read_plant(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     dt = read_positive(dt, "the control step dt")
-    count = _steps(read_positive(horizon, "the horizon"), dt)
+    count = _horizon_steps(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
     gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
@@ -143,24 +148,24 @@ def design_mpc(
             "there is none."
         )
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
-    margin = authority_margin(reference, bounds, required=True)
-    change = None if rate_limits is None else _rates(rate_limits, model, dt)
-    in_x, in_e, *of_states = _state_rows(deviation, limited, hard, price)
+    margin = authority_margin_fact(reference, bounds, required=True)
+    change = None if rate_limits is None else _read_rate_limits(rate_limits, model, dt)
+    in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
-    beyond = reference_beyond(reference, rows.states, rows.state_lower, rows.state_upper)
+    beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = reference_signals(reference, *schedule.more())
+    signals = reference_signal_layout(reference, *schedule.extra_variables())
     law_ = _Law(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
         step=law_.step(),
         easy=law_.step(easy=True),
-        start=law_.start(),
+        start=law_.initial_memory_function(),
         states=model.states,
         commands=model.controls,
         signals=signals,
-        memory=command_memory(model.controls.size),
+        memory=command_memory_layout(model.controls.size),
         schedule=schedule,
         dt=dt,
         alarms=("qp_failed",),
@@ -168,14 +173,14 @@ def design_mpc(
         explanation=DesignReport(
             f"{name} of '{model.name}' along {reference!r}",
             (
-                *_facts(gains, windows, rows, model.states),
+                *_mpc_facts(gains, windows, rows, model.states),
                 *beyond,
                 *margin,
             ),
         ),
     )
-    code = _programme_code(windows, rows, model)
-    return with_dropout_handling(replace(plain, flight=flight_law(code, deviation, plain, reference)))
+    code = _qp_code(windows, rows, model)
+    return with_dropout_handling(replace(plain, flight=build_flight_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +203,7 @@ class _Windows:
         for k in reversed(range(first, first + self.count)):
             s = steps[min(k, len(steps) - 1)]
             weight = s.r + s.b.T @ p @ s.b
-            gain, p = backward_step(s, p)
+            gain, p = riccati_backward_step(s, p)
             root = np.linalg.inv(np.linalg.cholesky(weight)).T
             found.append((s.a - s.b @ gain, s.b @ root, gain, root))
         a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(found), strict=True))
@@ -213,7 +218,7 @@ class _Schedule:
     windows: _Windows
     limited: tuple[int, ...]
 
-    def more(self) -> list[Variable]:
+    def extra_variables(self) -> list[Variable]:
         """Return the variables after the reference's own."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
@@ -251,35 +256,37 @@ class _Law:
 
     def step(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``, if easy with the flag of validity as a third output."""
-        t, x, r, z = self._symbols()
-        e, u_ff, x_limited, matrices, previous, alarm = self._split(x, r, z)
+        t, x, r, z = self._law_symbols()
+        e, u_ff, x_limited, matrices, previous, alarm = self._split_signals(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
-        inside = self._function("inside", ca.SX, lambda horizon, *a: [horizon.inactive(*a)])(*known)
+        inside = self._horizon_function("inside", ca.SX, lambda horizon, *a: [horizon.inactive(*a)])(*known)
         omega, solved = ca.MX.zeros(m), inside
         if not easy:
-            keep = self._function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
-            either = ca.Function.if_else("either", keep, self._function("solve", ca.MX, self._solution))
+            keep = self._horizon_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
+            either = ca.Function.if_else(
+                "either", keep, self._horizon_function("solve", ca.MX, self._solve_horizon_qp)
+            )
             omega, solved = either(inside, *known)  # calls one of them
-        _, _, k, g = (parts[0] for parts in _matrices(self.schedule, matrices))
-        u = limited_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
+        _, _, k, g = (parts[0] for parts in _step_matrices(self.schedule, matrices))
+        u = limit_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law(t, x, r, z, u, after, *([solved] if easy else []))
 
-    def start(self) -> Any:
+    def initial_memory_function(self) -> Any:
         """Return the function of the first memory: the feedforward within its limits."""
-        t, x, r, z = self._symbols()
-        m, u_ff = self.rows.lower.size, self._split(x, r, z)[1]
+        t, x, r, z = self._law_symbols()
+        m, u_ff = self.rows.lower.size, self._split_signals(x, r, z)[1]
         first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
         return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _symbols(self) -> tuple[Any, Any, Any, Any]:
+    def _law_symbols(self) -> tuple[Any, Any, Any, Any]:
         sizes = (1, self.deviation.model.states.size, self.signals.size, self.rows.lower.size + 1)
         t, x, r, z = (ca.MX.sym(name, size) for name, size in zip("txrz", sizes, strict=True))
         return t, x, r, z
 
-    def _split(self, x: Any, r: Any, z: Any) -> list[Any]:
+    def _split_signals(self, x: Any, r: Any, z: Any) -> list[Any]:
         """Return e, feedforward and limited states over the horizon, its matrices, last command and alarm."""
         states, m = x.shape[0], self.rows.lower.size
         count, limited = self.schedule.windows.count, len(self.schedule.limited)
@@ -289,16 +296,16 @@ class _Law:
         error = ca.Function("e", [sx, sx_ref], [self.deviation.expression(sx, sx_ref)])
         return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
-    def _function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
+    def _horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the arguments that a programme takes."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
         rest = 0 if self.schedule.windows.constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
-        horizon = Horizon(self.rows, _matrices(self.schedule, matrices))
+        horizon = Horizon(self.rows, _step_matrices(self.schedule, matrices))
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
-    def _solution(self, horizon: Horizon, *known: Any) -> list[Any]:
+    def _solve_horizon_qp(self, horizon: Horizon, *known: Any) -> list[Any]:
         """Return the first unknowns by the solver, and whether they meet the conditions of optimality."""
         task = horizon.programme(*known)
         one = ca.DM.eye(horizon.unknowns)
@@ -311,16 +318,16 @@ class _Law:
         return [answer["x"][: self.rows.lower.size], solved]
 
 
-def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
+def _qp_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
     """Return the programme for flight code, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.constant else range(last + 1)
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
-    return ProgrammeCode(rows, rows.roots, tuple(parts), windows.count, model.states.size)
+    return ProgrammeCode(rows, rows.price_roots, tuple(parts), windows.count, model.states.size)
 
 
-def _matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
+def _step_matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step: constant, or from the end of the schedule's row."""
     windows, place = schedule.windows, 0
     if windows.constant:
@@ -337,7 +344,7 @@ def _matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
     return found
 
 
-def _steps(horizon: float, dt: float) -> int:
+def _horizon_steps(horizon: float, dt: float) -> int:
     count = round(horizon / dt)
     if count < 1 or not np.isclose(count * dt, horizon, rtol=SAME_TIME):
         raise ArgumentError(
@@ -350,7 +357,7 @@ def _steps(horizon: float, dt: float) -> int:
     return count
 
 
-def _rates(value: ArrayLike, model: Model, dt: float) -> Array:
+def _read_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
     rates = as_vector(value, model.controls.size, "the rate limits", ArgumentError)
     bad = np.flatnonzero(~(rates > 0))
     if bad.size:
@@ -360,7 +367,7 @@ def _rates(value: ArrayLike, model: Model, dt: float) -> Array:
     return rates * dt
 
 
-def _subtracts(deviation: ErrorDynamics, name: str) -> bool:
+def _is_error_a_difference(deviation: ErrorDynamics, name: str) -> bool:
     """Whether the error of a state is x - x_ref, tested at a point without symmetries."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
@@ -368,7 +375,7 @@ def _subtracts(deviation: ErrorDynamics, name: str) -> bool:
     return e.size == states[name].size and np.allclose(e, (x - x_ref)[rows], rtol=ROUNDING, atol=ROUNDING)
 
 
-def _state_rows(
+def _read_state_limits(
     deviation: ErrorDynamics,
     limits: Mapping[str, tuple[ArrayLike, ArrayLike]],
     hard: Sequence[str],
@@ -389,7 +396,7 @@ def _state_rows(
     for name, pair in limits.items():
         place = model.states.slice(name)
         size = model.states[name].size
-        if not _subtracts(deviation, name):
+        if not _is_error_a_difference(deviation, name):
             raise DesignError(
                 f"the error of state '{name}' is not a difference: a limit of it is not linear; leave it to R and Q."
             )
@@ -409,9 +416,9 @@ def _state_rows(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
+def _mpc_facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
-    size, limits = (m + len(rows.soft)) * count, rows.count * count
+    size, limits = (m + len(rows.soft_limited)) * count, rows.count * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [
@@ -429,8 +436,8 @@ def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout) -
 
 def _limit_facts(rows: Rows, states: Layout) -> list[ReportEntry]:
     """Return the facts about which limits are hard and which soft."""
-    soft = [states.labels[rows.states[i]] for i in rows.soft]
-    hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft]
+    soft = [states.labels[rows.states[i]] for i in rows.soft_limited]
+    hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited]
     rates = ["rates of controls"] if rows.change is not None else []
     facts = [ReportEntry("hard limits", ", ".join(["controls", *rates, *hard]), remark="kept, or alarm")]
     return facts + (

@@ -104,7 +104,7 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
 
 def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive semidefinite."""
-    smallest = _smallest_eigenvalue(weight, labels, what, strict=False)
+    smallest = _smallest_relative_eigenvalue(weight, labels, what, strict=False)
     if smallest < -ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
@@ -114,7 +114,7 @@ def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> N
 
 def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive definite."""
-    smallest = _smallest_eigenvalue(weight, labels, what, strict=True)
+    smallest = _smallest_relative_eigenvalue(weight, labels, what, strict=True)
     if smallest <= ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive definite: with its diagonal scaled to one its smallest eigenvalue is "
@@ -122,7 +122,9 @@ def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
         )
 
 
-def _smallest_eigenvalue(weight: Array, labels: tuple[str, ...], what: str, *, strict: bool) -> float:
+def _smallest_relative_eigenvalue(
+    weight: Array, labels: tuple[str, ...], what: str, *, strict: bool
+) -> float:
     diagonal = np.diag(weight)
     bad = np.flatnonzero(diagonal <= 0 if strict else diagonal < 0)
     if bad.size:

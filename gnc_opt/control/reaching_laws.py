@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.super_twisting import check_gains
+from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import as_vector
 
@@ -242,7 +242,7 @@ def read_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -> Array:
 def check_bound(law: Law, bound: float, what: str) -> None:
     """Raise `DesignError` if disturbances up to ``bound`` may be stronger than the law."""
     if isinstance(law, SuperTwisting):
-        check_gains(law.k1, law.k2, bound, what)
+        check_super_twisting_gains(law.k1, law.k2, bound, what)
     elif bound >= law.gain:
         raise DesignError(
             f"{what} may be disturbed by {bound:.6g}, not less than the gain {law.gain:.6g} of its reaching law: "

@@ -28,7 +28,7 @@ _DYNAMICS_CHECK_TOLERANCE = 1e-3
 """Error of a rate, as a share of its terms, above which a warning is given."""
 
 
-def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
+def reference_residual_text(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return which state is furthest from obeying the model, when and by how much; "" if all do."""
     lengths = np.diff(edges)
     pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
@@ -40,10 +40,10 @@ def residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     rates = [model.f(t, x(t), u(t)) for t in (times, times + h / 2, times + h)]
     left = np.abs((last - first) / h - (rates[0] + 4 * rates[1] + rates[2]) / 6)  # Simpson's rule
     rounded = 8 * np.finfo(float).eps * (np.abs(first) + np.abs(last)) / h
-    return _told(model, times, np.maximum(left - rounded, 0.0), first, u(times))
+    return _residual_text(model, times, np.maximum(left - rounded, 0.0), first, u(times))
 
 
-def _told(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
+def _residual_text(model: Model, times: Array, left: Array, x: Array, u: Array) -> str:
     terms = np.abs(model.f(times, x, u)) + left
     for j, t in enumerate(times):
         a, b = model.linearize(float(t), x[:, j], u[:, j])
@@ -113,8 +113,8 @@ class Reference(Strict):
     def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
         expect(solution, Trajectory, "what Reference() got", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
-        _check_alike(phases)
-        self._set(
+        _require_same_layouts(phases)
+        self._set_functions(
             phases[0].model,
             [phase.x for phase in phases],
             [phase.u for phase in phases],
@@ -193,8 +193,8 @@ class Reference(Strict):
                 raise ArgumentError(
                     f"the {of} of a reference are {shown(function)}: give a function of time."
                 )
-        over = _checked if vectorized else _over_times
-        reference._set(
+        over = _check_vectorized if vectorized else _vectorize
+        reference._set_functions(
             model,
             [over(x, model.states)],
             [over(u, model.controls)],
@@ -208,7 +208,7 @@ class Reference(Strict):
             )
         return reference
 
-    def _set(
+    def _set_functions(
         self,
         model: Model,
         x: list[Callable[[Array], Array]],
@@ -226,7 +226,7 @@ class Reference(Strict):
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
         end = self.final_time
         held = tail == "hold"
-        self._tail = self._evaluate(u, end, None) if held else trim(model, end, self.x(end))
+        self._tail = self._evaluate_pieces(u, end, None) if held else trim(model, end, self.x(end))
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -243,16 +243,16 @@ class Reference(Strict):
 
     def x(self, t: ArrayLike) -> Array:
         """Return the states, (n_states,) at one time t (s), (n_states, n_times) at many."""
-        return self._evaluate(self._x, t, None)
+        return self._evaluate_pieces(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
         """Return the controls, (n_controls,) at one time t (s), (n_controls, n_times) at many."""
-        return self._evaluate(self._u, t, self._tail)
+        return self._evaluate_pieces(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
+        owners, left, right = _cut_steps(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
@@ -261,7 +261,9 @@ class Reference(Strict):
         np.add.at(total.T, owners, means.T)
         return total
 
-    def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
+    def _evaluate_pieces(
+        self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
+    ) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))
         slack = SAME_TIME * max(self.duration, 1.0)
         if np.any(times < self.initial_time - slack):
@@ -333,7 +335,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 def _warn_of_residual(
     model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
 ) -> None:
-    found = residual(model, x, u, np.unique(edges))
+    found = reference_residual_text(model, x, u, np.unique(edges))
     if found:
         warn_user(
             f"the reference does not obey '{model.name}': {found}; give the u that makes the model move along x, or an "
@@ -341,7 +343,7 @@ def _warn_of_residual(
         )
 
 
-def _pieces(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _cut_steps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces that marks cut steps into: which step each belongs to, its beginning and its end."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1
@@ -354,29 +356,29 @@ def _pieces(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], A
     return owners, left, right
 
 
-def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def many(times: Array) -> Array:
+def _vectorize(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
+    def evaluate_many(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
         rows = [as_point(function(float(t)), layout.size, what) for t in times]
-        return _require_finite(np.array(rows).T, times, layout)
+        return _require_finite_reference(np.array(rows).T, times, layout)
 
-    return many
+    return evaluate_many
 
 
-def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def many(times: Array) -> Array:
+def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
+    def evaluate_many(times: Array) -> Array:
         values = np.asarray(function(times), dtype=float)
         if values.shape != (layout.size, times.size):
             raise ArgumentError(
                 f"the {layout.kind}s of a vectorized reference have the shape {values.shape} at {times.size} times, "
                 f"not {(layout.size, times.size)}: return a column for every time, or leave out vectorized."
             )
-        return _require_finite(values, times, layout)
+        return _require_finite_reference(values, times, layout)
 
-    return many
+    return evaluate_many
 
 
-def _require_finite(values: Array, times: Array, layout: Layout) -> Array:
+def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Array:
     """Return values (size, n) of a reference; raise `ArgumentError` where one is not finite."""
     finite = np.all(np.isfinite(values), axis=0)
     if not np.all(finite):
@@ -386,7 +388,7 @@ def _require_finite(values: Array, times: Array, layout: Layout) -> Array:
     return values
 
 
-def _check_alike(phases: Sequence[TrajectoryPhase]) -> None:
+def _require_same_layouts(phases: Sequence[TrajectoryPhase]) -> None:
     """Raise `ArgumentError` if the states or controls of two phases differ."""
     first = phases[0]
     names = (first.model.states.labels, first.model.controls.labels)

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.design_report import number_text
+from gnc_opt.control.design_report import format_number
 from gnc_opt.control.sampled_data import SampledStep
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import EQUAL, TINY
@@ -51,7 +51,7 @@ class Mode:
     rank_gap: float
 
 
-def steady(
+def solve_algebraic_riccati(
     a: Array, b: Array, q: Array, r: Array, n: Array, labels: tuple[str, ...], *, sampled: bool = False
 ) -> Steady:
     """Return the stabilising solution, or raise `DesignError` with the mode that has none."""
@@ -66,7 +66,7 @@ def steady(
             f"the Riccati equation has no stabilising solution ({error}): weigh the errors and controls less "
             "unequally, or scale the model's units."
         ) from error
-    gain = gain_of(a, b, r, n, p, sampled=sampled)
+    gain = feedback_gain(a, b, r, n, p, sampled=sampled)
     poles = np.linalg.eigvals(a - b @ gain)
     size = np.abs(poles) if sampled else poles.real
     if not np.all(size < (1.0 if sampled else 0.0)):
@@ -75,26 +75,26 @@ def steady(
             "weigh the errors and controls less unequally, or scale the model's units."
         )
     order = np.argsort(-size)
-    return Steady(gain, p, poles[order], residual(a, b, q, r, n, p, sampled=sampled))
+    return Steady(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
 
 
-def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
+def feedback_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
     """Return K (n_controls, n_errors) for the cost to go P (after the step, if sampled)."""
     if sampled:
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
     return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
 
 
-def backward_step(step: SampledStep, p: Array) -> tuple[Array, Array]:
+def riccati_backward_step(step: SampledStep, p: Array) -> tuple[Array, Array]:
     """Return K of a control step and the cost to go before it, from the cost to go P after it."""
-    gain = gain_of(step.a, step.b, step.r, step.n, p, sampled=True)
+    gain = feedback_gain(step.a, step.b, step.r, step.n, p, sampled=True)
     before = step.q + step.a.T @ p @ step.a - (step.b.T @ p @ step.a + step.n.T).T @ gain
     return gain, 0.5 * (before + before.T)
 
 
-def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
+def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
     """Return the largest entry of the Riccati equation's left side relative to its largest term."""
-    gain = gain_of(a, b, r, n, p, sampled=sampled)
+    gain = feedback_gain(a, b, r, n, p, sampled=sampled)
     quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
     terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
     diagonal = np.sqrt(np.maximum(np.diag(p), TINY))
@@ -105,11 +105,11 @@ def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, samp
 
 def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if a mode that does not decay is out of the controls' reach."""
-    for mode in unreached(a, b, labels):
+    for mode in uncontrollable_modes(a, b, labels):
         if not _decays(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
-                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
                 f"(smallest singular value of [lambda - A, B]: "
                 f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
             )
@@ -117,22 +117,22 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
 
 def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
     """Raise `DesignError` if a mode that does not decay has no cost."""
-    for mode in unreached(a.T, q.T, labels):
+    for mode in uncontrollable_modes(a.T, q.T, labels):
         if not _decays(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
-                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_join_names(mode.states)} "
                 "costs nothing and does not decay "
                 f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
             )
 
 
-def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
+def uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not reach, by a staircase."""
     size = a.shape[0]
-    balanced, scale = _balanced(a)
+    balanced, scale = _balance(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
-    rate = np.linalg.norm(_balanced(a)[0], 2)
+    rate = np.linalg.norm(_balance(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -160,7 +160,7 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     return modes
 
 
-def _balanced(a: Array) -> tuple[Array, Array]:
+def _balance(a: Array) -> tuple[Array, Array]:
     """Return ``a`` balanced by a diagonal similarity, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
@@ -170,9 +170,9 @@ def _balanced(a: Array) -> tuple[Array, Array]:
 def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
-    rate = float(np.linalg.norm(_balanced(a)[0], 2))
+    rate = float(np.linalg.norm(_balance(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
 
 
-def _list(names: tuple[str, ...]) -> str:
+def _join_names(names: tuple[str, ...]) -> str:
     return ", ".join(f"'{name}'" for name in names)

@@ -28,7 +28,7 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.tolerances import EQUAL, SAME_TIME
 
 
-def whole_steps(duration: float, step: float, what: str) -> int:
+def count_whole_steps(duration: float, step: float, what: str) -> int:
     """Return the number of steps in a duration (s); raise an error unless it is a multiple."""
     count = round(duration / step)
     if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):
@@ -38,22 +38,22 @@ def whole_steps(duration: float, step: float, what: str) -> int:
     return count
 
 
-def started_steps(duration: float, step: float) -> int:
+def count_started_steps(duration: float, step: float) -> int:
     """Return how many steps begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 
 
-def is_first(phase: Any) -> Any:
+def is_period_start(phase: Any) -> Any:
     """Return whether a phase (SX), which counts steps from 0, is at its beginning."""
     return phase < 0.5
 
 
-def next_phase(phase: Any, count: int) -> Any:
+def advance_phase(phase: Any, count: int) -> Any:
     """Return the phase (SX) after a step: 0 again after ``count`` of them."""
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
 
 
-def in_order(times: Sequence[Any]) -> list[Any]:
+def sort_symbolic(times: Sequence[Any]) -> list[Any]:
     """Return SX scalars in ascending order."""
     times = list(times)
     for last in range(len(times) - 1, 0, -1):
@@ -62,7 +62,7 @@ def in_order(times: Sequence[Any]) -> list[Any]:
     return times
 
 
-def real_polynomial(poles: Any) -> Array | None:
+def polynomial_from_poles(poles: Any) -> Array | None:
     """Return the coefficients (n + 1,), highest order first, of the polynomial with these roots."""
     polynomial = np.atleast_1d(np.poly(poles))
     if np.any(np.abs(polynomial.imag) > EQUAL * np.abs(polynomial)):
@@ -73,7 +73,7 @@ def real_polynomial(poles: Any) -> Array | None:
 _ROUNDING = float(np.finfo(float).eps)
 
 
-def continuous_poles(poles: Any, dt: float | None) -> Any:
+def to_continuous_poles(poles: Any, dt: float | None) -> Any:
     """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s)."""
     if dt is None:
         return poles
@@ -100,20 +100,20 @@ class SampledStep:
     n: Array
 
 
-def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
+def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
     """Return the exact step of constant A, B and cost over dt (s)."""
-    flow = _generator(a, b, _stacked(q, r, n))
+    flow = _van_loan_generator(a, b, _cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
-    phi, cost = _blocks(scipy.linalg.expm(flow * (dt / 2**halvings)))
-    with np.errstate(over="ignore", invalid="ignore"):  # `_step` refuses what overflows
+    phi, cost = _transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
+    with np.errstate(over="ignore", invalid="ignore"):  # `_build_sampled_step` refuses what overflows
         for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
             cost = cost + phi.T @ cost @ phi
             phi = phi @ phi
-    return _step(phi, cost, a.shape[0], dt)
+    return _build_sampled_step(phi, cost, a.shape[0], dt)
 
 
-def sample_along(
+def discretize_time_varying(
     linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
 ) -> SampledStep:
     """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
@@ -122,16 +122,16 @@ def sample_along(
     steps = np.repeat(np.diff(edges) / _SUBSTEPS, _SUBSTEPS)
     middles = np.repeat(edges[:-1], _SUBSTEPS) + steps * np.tile(np.arange(_SUBSTEPS) + 0.5, edges.size - 1)
     a, b = linearize((middles[:, None] + steps[:, None] * np.sqrt(3) / 6 * [-1.0, 1.0]).ravel())
-    weight = _stacked(q, r, n)
+    weight = _cost_matrix(q, r, n)
     phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
     for k, h in enumerate(steps):
-        first, second = (_generator(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
+        first, second = (_van_loan_generator(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second
         exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
-        step, part = _blocks(scipy.linalg.expm(exponent))
+        step, part = _transition_and_cost(scipy.linalg.expm(exponent))
         cost = cost + phi.T @ part @ phi
         phi = step @ phi
-    return _step(phi, cost, q.shape[0], dt)
+    return _build_sampled_step(phi, cost, q.shape[0], dt)
 
 
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
@@ -146,25 +146,25 @@ def spectral_radius(matrix: Array) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
 
-def _stacked(q: Array, r: Array, n: Array) -> Array:
+def _cost_matrix(q: Array, r: Array, n: Array) -> Array:
     return np.block([[q, n], [n.T, r]])
 
 
-def _generator(a: Array, b: Array, weight: Array) -> Array:
+def _van_loan_generator(a: Array, b: Array, weight: Array) -> Array:
     size = weight.shape[0]
     m = np.zeros((size, size))
     m[: a.shape[0]] = np.hstack([a, b])
     return np.block([[-m.T, weight], [np.zeros((size, size)), m]])
 
 
-def _blocks(flow: Array) -> tuple[Array, Array]:
+def _transition_and_cost(flow: Array) -> tuple[Array, Array]:
     size = flow.shape[0] // 2
     phi = flow[size:, size:]
     cost = phi.T @ flow[:size, size:]
     return phi, 0.5 * (cost + cost.T)
 
 
-def _step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
+def _build_sampled_step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
     if not (np.all(np.isfinite(phi)) and np.all(np.isfinite(cost))):
         raise DesignError(
             f"the plant grows beyond all numbers within a control step of {dt:g} s: design with a shorter step."

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers, read_positive, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, Limits, authority_margin, read_limits, saturated
+from gnc_opt.control.control_limits import Authority, Limits, authority_margin_fact, read_limits, saturate
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (
     GROWTH,
@@ -30,12 +30,12 @@ from gnc_opt.control.decoupling import (
     GuardedLaw,
     Inverse,
     Memory,
+    build_guarded_controller,
+    build_guarded_inverse,
     check_zero_dynamics,
-    guarded_controller,
-    guarded_inverse,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, given_for, output_errors
+from gnc_opt.control.input_output_linearization import OutputErrors, Outputs, component_value, output_errors
 from gnc_opt.control.reaching_laws import (
     Boundary,
     ExponentialRate,
@@ -46,14 +46,14 @@ from gnc_opt.control.reaching_laws import (
     read_bounds,
 )
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.sampled_data import real_polynomial, spectral_radius, zero_order_hold
+from gnc_opt.control.sampled_data import polynomial_from_poles, spectral_radius, zero_order_hold
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
 
 
-def _command(
+def _sliding_mode_command(
     s: Any,
     drift: Any,
     errors: OutputErrors,
@@ -63,19 +63,21 @@ def _command(
 ) -> tuple[list[Memory], Any]:
     """Return the memory and the command of the law."""
     n, dt = errors.size, switching.dt
-    wanted, twist = switching.demand(s, drift)
-    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.watch(s)]
+    wanted, twist = switching.required_input(s, drift)
+    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.alarm_memory(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
     s_hat, q = ca.SX.sym("s_hat", n), ca.SX.sym("disturbance", n)
     u = inverse(wanted - observer.estimate(s, s_hat, q))
-    known = drift + errors.decoupling @ saturated(u, switching.limits)
+    known = drift + errors.decoupling @ saturate(u, switching.limits)
     s_next, q_next = observer.update(s, s_hat, q, known, dt)
     return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
 
 
-def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
+def _require_sampled_decay(
+    labels: Sequence[str], coefficients: Sequence[Array], switching: Switching
+) -> None:
     """Raise `DesignError` for steps over which large sampled errors grow."""
     if switching.dt is None:
         return
@@ -94,7 +96,7 @@ def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switchi
             )
 
 
-def _weigh(c: Array, chain: Any, order: int) -> Any:
+def _sum_weighted_derivatives(c: Array, chain: Any, order: int) -> Any:
     """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
@@ -131,7 +133,7 @@ class Switching:
         """The |s| within which disturbances at their bounds may hold each surface, continuous control."""
         return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
 
-    def demand(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
+    def required_input(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
         """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
@@ -142,13 +144,13 @@ class Switching:
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
-    def watch(self, s: Any, *, stays: bool = True) -> list[Memory]:
-        """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_exceeded`."""
+    def alarm_memory(self, s: Any, *, stays: bool = True) -> list[Memory]:
+        """Return the memory of the alarm for disturbances above the gain; ``stays``: `gain_alarm_memory`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
-        return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
+        return gain_alarm_memory(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
     def facts(self) -> list[ReportEntry]:
         """Return the bands of s and the sampling limit."""
@@ -160,17 +162,19 @@ class Switching:
             facts.append(ReportEntry("sampling limit", 2 / slope, "s", remark))
         return facts
 
-    def reserve(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
+    def authority_margin_facts(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
         """Return the fact about the authority that is left on the reference beyond a finite switching gain."""
         if isinstance(self.reaching, SuperTwisting):  # its command has no bound
-            return authority_margin(reference, self.limits, dt=self.dt, required=True)
+            return authority_margin_fact(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
-        def need(times: Array) -> Array:
-            matrices = errors.pair.along(reference, times, errors.decoupling)
+        def switching_gain_demand(times: Array) -> Array:
+            matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
-        return authority_margin(reference, self.limits, gain=need, dt=self.dt, required=True)
+        return authority_margin_fact(
+            reference, self.limits, gain=switching_gain_demand, dt=self.dt, required=True
+        )
 
 
 def read_switching(
@@ -190,12 +194,12 @@ def read_switching(
         reaching,
         boundary,
         bounds,
-        _read_step(reaching, boundary, dt, needed=memory),
+        _read_step_length(reaching, boundary, dt, needed=memory),
         read_limits(model, limits),
     )
 
 
-def _read_step(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
+def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
     """Return dt; `DesignError` if missing or, in the layer, dt slope >= 2 (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer)):
         raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")
@@ -220,7 +224,7 @@ LAYER_EXIT_MIN_STEPS = 10
 """Control steps in a row outside the boundary layer after which that is no noise."""
 
 
-def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
+def gain_alarm_memory(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
     r"""Return the alarm's memory for a relay with full gain beyond ``edge`` > 0; unless ``stays``: s grows."""
     if edge <= 0:
         return []
@@ -313,24 +317,24 @@ def design_sliding_mode(
     """
     reference = read_plant(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
-    coefficients = _coefficients(errors, slopes)
+    coefficients = _surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
     switching = read_switching(*law, memory=observer is not None)
-    _require_decay(errors.labels, coefficients, switching)
-    inverse = guarded_inverse(errors, reference, guard)
+    _require_sampled_decay(errors.labels, coefficients, switching)
+    inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
-    s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
-    drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
-    memory, u = _command(s, drift, errors, inverse, switching, observer)
+    s = ca.vertcat(*[_sum_weighted_derivatives(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_sum_weighted_derivatives(c[:-1], chain, 1) for c, chain in pairs])
+    memory, u = _sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         *_surface_facts(errors, coefficients, switching),
         inverse.fact,
         *zeros,
-        *switching.reserve(errors, reference),
+        *switching.authority_margin_facts(errors, reference),
     ]
-    return guarded_controller(
+    return build_guarded_controller(
         name,
         errors.pair,
         reference,
@@ -342,11 +346,11 @@ def design_sliding_mode(
     )
 
 
-def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
+def _surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     """Return c_0, ..., c_{r-2}, 1 of each surface."""
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.degrees, strict=True)):
-        given = _slope_of(errors, slopes, label, i) if r > 1 else []
+        given = _read_slope(errors, slopes, label, i) if r > 1 else []
         try:
             poles = np.asarray(given, dtype=complex)
         except (TypeError, ValueError):
@@ -360,7 +364,7 @@ def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
                 f"output '{label}' has relative degree {r}: give lambda, or {r - 1} pole{'s' * (r > 2)}, "
                 f"not {poles.size}."
             )
-        polynomial = real_polynomial(poles)
+        polynomial = polynomial_from_poles(poles)
         if polynomial is None or not np.all(poles.real < 0):
             raise DesignError(
                 f"the surface of output '{label}' has the poles {poles}: give lambda > 0, or poles with negative "
@@ -370,9 +374,9 @@ def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     return found
 
 
-def _slope_of(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
+def _read_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = given_for(label, slopes, errors, "the surface")
+        slope = component_value(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

@@ -19,7 +19,7 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.errors import DesignError
 
 
-def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
+def check_super_twisting_gains(k1: float, k2: float, bound: float, what: str) -> None:
     """Raise `DesignError` unless k2 > bound and k1 > sqrt(k2 + bound)."""
     if k2 <= bound:
         raise DesignError(
@@ -67,7 +67,7 @@ class SuperTwistingObserver:
         read_positive(self.k1, "the gain k1 of an observer")
         read_positive(self.k2, "the gain k2 of an observer")
         read_positive(self.bound, "the bound of an observer", or_zero=True)
-        check_gains(self.k1, self.k2, self.bound, "what the observer estimates")
+        check_super_twisting_gains(self.k1, self.k2, self.bound, "what the observer estimates")
 
     def estimate(self, s: Any, s_hat: Any, q: Any) -> Any:
         """Return the estimate of the unknown rate, SX."""

@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Limits, authority_margin, read_limits
+from gnc_opt.control.control_limits import Limits, authority_margin_fact, read_limits
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_sample_times, reference_signal_layout
 from gnc_opt.control.lqr import regulator_facts
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference import Reference
@@ -105,15 +105,17 @@ def design_tvlqr(
     deviation = ErrorDynamics(model)
     gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
-    step, start = _law(deviation)
-    facts = [*_facts(deviation, reference, gains), *authority_margin(reference, bounds)]
+    step, start = _tvlqr_law(deviation)
+    facts = [*_tvlqr_facts(deviation, reference, gains), *authority_margin_fact(reference, bounds)]
     regulator = Controller(
         name=name,
         step=step,
         start=start,
         states=model.states,
         commands=model.controls,
-        signals=reference_signals(reference, Variable("K", model.controls.size * deviation.errors.size)),
+        signals=reference_signal_layout(
+            reference, Variable("K", model.controls.size * deviation.errors.size)
+        ),
         memory=Layout("memory", (), "a law without memory"),
         schedule=GainSchedule(gains, ReferenceSchedule(reference)),
         dt=dt,
@@ -123,7 +125,7 @@ def design_tvlqr(
     return with_dropout_handling(regulator)
 
 
-def _law(deviation: ErrorDynamics) -> tuple[Any, Any]:
+def _tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     states, controls, errors = (
         layout.size for layout in (deviation.model.states, deviation.model.controls, deviation.errors)
     )
@@ -135,12 +137,12 @@ def _law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     return law(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
-def _facts(
+def _tvlqr_facts(
     deviation: ErrorDynamics,
     reference: Reference,
     gains: Gains,
 ) -> list[ReportEntry]:
-    times = reference_times(reference, 40)
+    times = reference_sample_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

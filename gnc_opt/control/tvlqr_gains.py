@@ -15,8 +15,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, backward_step, gain_of, steady
-from gnc_opt.control.sampled_data import SampledStep, sample, sample_along
+from gnc_opt.control.riccati import Steady, feedback_gain, riccati_backward_step, solve_algebraic_riccati
+from gnc_opt.control.sampled_data import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
@@ -45,14 +45,14 @@ class ContinuousGains:
             )
         starts = [piece[0] for piece in self.pieces]
         k = max(int(np.searchsorted(starts, t, "right")) - 1, 0)
-        return _unpacked(self.pieces[k][2](max(t, starts[0])), self.terminal.shape[0])
+        return _unpack_upper_triangle(self.pieces[k][2](max(t, starts[0])), self.terminal.shape[0])
 
     def K(self, t: float) -> Array:
         """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
         if t >= self.reference.final_time:
             return self.tail
-        b = _along(self.deviation, self.reference, t)[1]
-        return gain_of(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
+        b = _linearize_on_reference(self.deviation, self.reference, t)[1]
+        return feedback_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +98,22 @@ def riccati_gains(
     dt: float | None = None,
 ) -> Gains:
     """Return the gains along a reference, continuous or (with dt, s) sampled."""
-    end = None if terminal is None else _terminal(terminal, deviation)
+    end = None if terminal is None else _read_terminal_weight(terminal, deviation)
     if dt is not None:
-        return _sampled(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
+        return _sampled_gains(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     regulator = _tail_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
-    tail = regulator.gain if regulator is not None else gain_of(a, b, cost.r, cost.n, last, sampled=False)
-    pieces = _integrate(deviation, reference, cost, last)
+    tail = (
+        regulator.gain if regulator is not None else feedback_gain(a, b, cost.r, cost.n, last, sampled=False)
+    )
+    pieces = _integrate_riccati(deviation, reference, cost, last)
     return ContinuousGains(reference, deviation, cost.r, cost.n, pieces, last, tail, regulator)
 
 
-def _terminal(terminal: Weight, deviation: ErrorDynamics) -> Array:
+def _read_terminal_weight(terminal: Weight, deviation: ErrorDynamics) -> Array:
     weight = read_weight(terminal, deviation.errors, "the terminal weight")
     require_semidefinite(weight, deviation.errors.labels, "the terminal weight")
     return weight
@@ -127,7 +129,7 @@ def _tail_regulator(
 ) -> Steady | None:
     """The steady regulator after the end; with a terminal weight the design can do without one."""
     try:
-        return steady(*plant, *cost, deviation.errors.labels, sampled=sampled)
+        return solve_algebraic_riccati(*plant, *cost, deviation.errors.labels, sampled=sampled)
     except DesignError as error:
         if end is None:
             told = str(error).rstrip(".")
@@ -135,12 +137,12 @@ def _tail_regulator(
         return None
 
 
-def _along(deviation: ErrorDynamics, reference: Reference, t: float) -> tuple[Array, Array]:
+def _linearize_on_reference(deviation: ErrorDynamics, reference: Reference, t: float) -> tuple[Array, Array]:
     """Return A and B on the reference at t (s)."""
     return deviation.linearize(t, reference.x(t), reference.u(t))
 
 
-def _integrate(
+def _integrate_riccati(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
@@ -152,20 +154,28 @@ def _integrate(
     edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
     edges = edges[np.append(True, np.diff(edges) > ROUNDING * (end - start))]
     edges[-1] = end
-    packed, pieces = _packed(last), []
+    packed, pieces = _pack_upper_triangle(last), []
     for left, right in reversed(list(itertools.pairwise(edges))):
         nudge = SAME_TIME * (right - left)
 
-        def slope(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
-            a, b = _along(deviation, reference, min(max(t, low), high))  # this side of the jumps
-            p = _unpacked(y, size)
+        def riccati_rate(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
+            a, b = _linearize_on_reference(
+                deviation, reference, min(max(t, low), high)
+            )  # this side of the jumps
+            p = _unpack_upper_triangle(y, size)
             half = b.T @ p + n.T
             flow = a.T @ p
-            return -_packed(flow + flow.T - half.T @ inverse @ half + q)
+            return -_pack_upper_triangle(flow + flow.T - half.T @ inverse @ half + q)
 
         scale = max(float(np.max(np.abs(packed))), TINY)
         found = scipy.integrate.solve_ivp(
-            slope, (right, left), packed, method="DOP853", rtol=1e-11, atol=1e-13 * scale, dense_output=True
+            riccati_rate,
+            (right, left),
+            packed,
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-13 * scale,
+            dense_output=True,
         )
         if not found.success or not np.all(np.isfinite(found.y[:, -1])):
             raise DesignError(
@@ -177,12 +187,12 @@ def _integrate(
     return tuple(reversed(pieces))
 
 
-def _sampled(
+def _sampled_gains(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
-    resting = sample(a, b, *cost, dt)
+    resting = discretize(a, b, *cost, dt)
     regulator = _tail_regulator(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )
@@ -190,18 +200,18 @@ def _sampled(
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
 
-    def linearize(times: Array) -> tuple[Array, Array]:
+    def linearize_in_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.tail_control[:, None], reference.u(within))
         return deviation.linearize_many(within, reference.x(within), u)
 
     steps = [
-        sample_along(linearize, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))
+        discretize_time_varying(linearize_in_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))
         for k in range(count)
     ]
     gains, costs = [], [p]
     for step in reversed(steps):
-        gain, p = backward_step(step, p)
+        gain, p = riccati_backward_step(step, p)
         gains.append(gain)
         costs.append(p)
     tail = (
@@ -211,11 +221,11 @@ def _sampled(
     return SampledGains(t_0, dt, (*steps, resting), *ordered, tail, regulator)
 
 
-def _packed(p: Array) -> Array:
+def _pack_upper_triangle(p: Array) -> Array:
     return np.asarray(p[np.triu_indices(p.shape[0])])
 
 
-def _unpacked(packed: Array, size: int) -> Array:
+def _unpack_upper_triangle(packed: Array, size: int) -> Array:
     p = np.zeros((size, size))
     p[np.triu_indices(size)] = packed
     return p + np.triu(p, 1).T

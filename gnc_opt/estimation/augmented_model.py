@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.sampled_data import whole_steps
+from gnc_opt.control.sampled_data import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, in_words, unknown_name
-from gnc_opt.estimation.error_space import Space, flat, product
+from gnc_opt.estimation.error_space import Space, euclidean_space, product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
@@ -46,12 +46,12 @@ class Channel:
         """Name of its bias among the estimated quantities."""
         return f"{self.name}_bias"
 
-    def past(self, steps: int) -> str:
+    def delayed_name(self, steps: int) -> str:
         """Name of the measurement delayed by so many steps."""
         return f"{self.name}_{steps}_ago"
 
     @property
-    def counted(self) -> bool:
+    def is_sample_counted(self) -> bool:
         """Whether not every control step brings a new sample."""
         return self.period > 1 or self.delay > 0
 
@@ -61,14 +61,19 @@ class AugmentedModel:
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
-        self.channels = tuple(_channel(model, m, dt) for m in measurements)
-        parts = [(v, _state_space(model, v)) for v in model.states.variables]
+        self.channels = tuple(_build_channel(model, m, dt) for m in measurements)
+        parts = [(v, _state_error_space(model, v)) for v in model.states.variables]
         for channel in self.channels:
             unit, name = channel.variable.unit, channel.name
-            if channel.measurement.biased:
-                parts.append((Variable(channel.bias, channel.space.errors, unit), flat(channel.space.errors)))
+            if channel.measurement.has_bias:
+                parts.append(
+                    (
+                        Variable(channel.bias, channel.space.errors, unit),
+                        euclidean_space(channel.space.errors),
+                    )
+                )
             for k in range(1, channel.delay + 1):
-                parts.append((Variable(channel.past(k), channel.variable.size, unit), channel.space))
+                parts.append((Variable(channel.delayed_name(k), channel.variable.size, unit), channel.space))
             names = [v.name for v, _ in parts]
             if len(set(names)) < len(names):
                 raise ArgumentError(
@@ -77,8 +82,8 @@ class AugmentedModel:
         owner = f"the estimator of '{model.name}'"
         self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
         self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
-        self.space = product([space for _, space in parts])
-        self.vehicle = product([space for _, space in parts[: len(model.states.variables)]])
+        self.space = product_space([space for _, space in parts])
+        self.vehicle = product_space([space for _, space in parts[: len(model.states.variables)]])
         t, own, u, p = model.arguments()
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
@@ -88,14 +93,14 @@ class AugmentedModel:
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
 
-        def rate(at: Any, own: Any) -> Any:
+        def model_rate(at: Any, own: Any) -> Any:
             return model.function(at, own, u, model.parameter_values)
 
         own, rest = ca.vertsplit(x, [0, n, self.states.size])
-        k1 = rate(t, own)
-        k2 = rate(t + h / 2, own + h / 2 * k1)
-        k3 = rate(t + h / 2, own + h / 2 * k2)
-        k4 = rate(t + h, own + h * k3)
+        k1 = model_rate(t, own)
+        k2 = model_rate(t + h / 2, own + h / 2 * k1)
+        k3 = model_rate(t + h / 2, own + h / 2 * k2)
+        k4 = model_rate(t + h, own + h * k3)
         after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
@@ -109,18 +114,18 @@ class AugmentedModel:
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        whole = ca.diagcat(last @ change @ vehicle.move_slope(own), rest)
+        whole = ca.diagcat(last @ change @ vehicle.retraction_slope(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
-        half = ca.diagcat(last @ change @ vehicle.move_slope(middle), rest)
+        half = ca.diagcat(last @ change @ vehicle.retraction_slope(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:
         """Return the constant slope (m, n_errors) of a measurement linear in the errors, else ``None``."""
-        biased, m = channel.measurement.biased, channel.space.errors
+        biased, m = channel.measurement.has_bias, channel.space.errors
         if channel.measurement.difference is not None:
             return None
         if channel.delay:
-            names = [channel.past(channel.delay)]
+            names = [channel.delayed_name(channel.delay)]
         elif channel.name not in self.model.states or (biased and m != channel.space.size):
             return None
         else:
@@ -130,7 +135,7 @@ class AugmentedModel:
             slope[:, self.errors.slice(name)] = ca.SX.eye(m)
         return slope
 
-    def now(self, channel: Channel) -> Any:
+    def undelayed_output(self, channel: Channel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
         model = self.model
         time, xs, _, p = model.arguments()
@@ -141,38 +146,40 @@ class AugmentedModel:
         else:
             here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
             y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
-        if channel.measurement.biased:
+        if channel.measurement.has_bias:
             y = channel.space.retraction(y, x[self.states.slice(channel.bias)])
         return ca.Function("now", [t, x], [y])
 
-    def observed(self, channel: Channel) -> Any:
+    def delayed_output(self, channel: Channel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output at t (s) without noise."""
         if not channel.delay:
-            return self.now(channel)
+            return self.undelayed_output(channel)
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
-        return ca.Function("observed", [t, x], [x[self.states.slice(channel.past(channel.delay))]])
+        return ca.Function("observed", [t, x], [x[self.states.slice(channel.delayed_name(channel.delay))]])
 
     @property
-    def remembers(self) -> bool:
+    def has_delay_lines(self) -> bool:
         """Whether there are delay lines."""
         return any(channel.delay for channel in self.channels)
 
-    def shift(self) -> Any:
+    def shift_delay_lines(self) -> Any:
         """Return ``(t, x) -> x`` with the delay lines moved on by one."""
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         parts = {name: x[self.states.slice(name)] for name in self.states.names}
         new = dict(parts)
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                new[channel.past(k)] = self.now(channel)(t, x) if k == 1 else parts[channel.past(k - 1)]
+                new[channel.delayed_name(k)] = (
+                    self.undelayed_output(channel)(t, x) if k == 1 else parts[channel.delayed_name(k - 1)]
+                )
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
-    def spread(self, states: Array, bias: str) -> Array:
+    def initial_standard_deviations(self, states: Array, bias: str) -> Array:
         """Return the standard deviations (n_errors,): given ones of states and biases, delay lines 0."""
         sigma = np.zeros(self.errors.size)
         sigma[: states.size] = states
         for channel in self.channels:
-            if channel.measurement.biased:
+            if channel.measurement.has_bias:
                 place = self.errors.slice(channel.bias)
                 sigma[place] = channel.measurement.values(bias, channel.space.errors)
         return sigma
@@ -183,33 +190,35 @@ class AugmentedModel:
         found[: x.size] = x
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                found[self.states.slice(channel.past(k))] = self.now(channel)(t, found).full()[:, 0]
+                found[self.states.slice(channel.delayed_name(k))] = self.undelayed_output(channel)(
+                    t, found
+                ).full()[:, 0]
         return found
 
 
-def _state_space(model: Model, variable: Variable) -> Space:
+def _state_error_space(model: Model, variable: Variable) -> Space:
     """Return the space of a state, with the model's own difference and retraction."""
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
 
-    def whole(x: Any) -> Any:
+    def embed_in_state(x: Any) -> Any:
         return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
-    def difference(x: Any, ref: Any) -> Any:
-        return model.error_expression(whole(x), whole(ref))[at]
+    def variable_difference(x: Any, ref: Any) -> Any:
+        return model.error_expression(embed_in_state(x), embed_in_state(ref))[at]
 
-    def retraction(ref: Any, e: Any) -> Any:
+    def variable_retraction(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.retraction_expression(whole(ref), error)[place]
+        return model.retraction_expression(embed_in_state(ref), error)[place]
 
-    return Space(variable.size, errors[variable.name].size, difference, retraction)
+    return Space(variable.size, errors[variable.name].size, variable_difference, variable_retraction)
 
 
-def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
+def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel:
     name = measurement.of
     if name in model.states:
         variable = model.states[name]
-        space = _state_space(model, variable)
+        space = _state_error_space(model, variable)
     elif name in model.outputs:
         variable = model.outputs[name]
         if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
@@ -217,22 +226,24 @@ def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
                 f"output '{name}' of model '{model.name}' depends on a control, not known when it is measured: "
                 "name one of states alone."
             )
-        space = flat(variable.size)
+        space = euclidean_space(variable.size)
     else:
         raise unknown_name(
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
-        space = _with_difference(space, measurement.difference, name)
+        space = _replace_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
         measurement.values(each, space.errors)
     what = f"of the measurement of '{name}'"
-    period = 1 if measurement.period is None else whole_steps(measurement.period, dt, f"the period {what}")
+    period = (
+        1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")
+    )
     if period < 1:
         raise ArgumentError(
             f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
         )
-    delay = whole_steps(measurement.delay, dt, f"the delay {what}")
+    delay = count_whole_steps(measurement.delay, dt, f"the delay {what}")
     if delay * space.errors > _MOST_LATE:
         raise ArgumentError(
             f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
@@ -241,7 +252,7 @@ def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
     return Channel(measurement, variable, space, period, delay)
 
 
-def _with_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     try:
         found = function(x, ref)

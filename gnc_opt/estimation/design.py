@@ -14,7 +14,7 @@ from gnc_opt.arguments import expect, read_integer, read_label, read_positive, s
 from gnc_opt.arrays import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.riccati import steady, unreached
+from gnc_opt.control.riccati import solve_algebraic_riccati, uncontrollable_modes
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.estimation.augmented_model import AugmentedModel
@@ -139,11 +139,11 @@ class FilterDesign:
         self.hold = read_integer(
             options.hold, f"the number of steps without samples that '{name}' bridges", 0
         )
-        self.x0 = _read_state(model, x0, name)
+        self.x0 = _read_initial_state(model, x0, name)
         self.t0 = float(as_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
         if not np.isfinite(self.t0):
             raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
-        _check_way_back(model, self.x0)
+        _check_retraction_inverse(model, self.x0)
         given = measurements if isinstance(measurements, Sequence) else [measurements]
         for each in given:
             expect(each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)')
@@ -157,18 +157,18 @@ class FilterDesign:
                 )
         self.augmented = AugmentedModel(model, given, self.dt)
         sigma0, process_noise = deviations
-        read = _deviations(model, sigma0, f"sigma0 of '{name}'")
+        read = _read_standard_deviations(model, sigma0, f"sigma0 of '{name}'")
         missing = [n for n in model.states.names if n not in sigma0]
         if missing:
             raise ArgumentError(
                 f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
             )
         self.limits = read_limits(model, options.limits)
-        self.sigma0 = self.augmented.spread(read, "bias")
-        noise = _deviations(
+        self.sigma0 = self.augmented.initial_standard_deviations(read, "bias")
+        noise = _read_standard_deviations(
             model, {} if process_noise is None else process_noise, f"process_noise of '{name}'"
         )
-        self.noise = self.augmented.spread(noise, "bias_walk")
+        self.noise = self.augmented.initial_standard_deviations(noise, "bias_walk")
 
     def estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
@@ -179,7 +179,7 @@ class FilterDesign:
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
         first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
         for channel in augmented.channels:
-            if channel.counted:
+            if channel.is_sample_counted:
                 first[filter_.memory.slice(f"{channel.name}_next")] = channel.delay
         x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
         return Estimator(
@@ -197,10 +197,10 @@ class FilterDesign:
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
-            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._facts())),
+            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._filter_facts())),
         )
 
-    def _facts(self) -> list[ReportEntry]:
+    def _filter_facts(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
             ReportEntry("estimated", ", ".join(labels)),
@@ -220,22 +220,25 @@ class FilterDesign:
                     f"sigma; {when}{late}{gate}",
                 )
             )
-        facts += self._steady_facts(labels)
+        facts += self._steady_state_facts(labels)
         what = "steps in a row without a sample that are predicted; then no estimate"
         return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
-    def _steady_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
+    def _steady_state_facts(self, labels: tuple[str, ...]) -> list[ReportEntry]:
         """Return the unobservable states and the steady accuracy of the linear model at the first state."""
-        F, Q, H, R = self._linear()
+        F, Q, H, R = self._linear_model()
         where = "by the linear model at the first state, no command"
         unseen = sorted(
-            {label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index
+            {label for mode in uncontrollable_modes(F.T, H.T, labels) for label in mode.states},
+            key=labels.index,
         )
         facts = [ReportEntry("unobservable states", ", ".join(unseen) or "nothing", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:
-            regulator = steady(F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True)
+            regulator = solve_algebraic_riccati(
+                F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True
+            )
         except (
             DesignError
         ):  # unobservable states, or states without noise: their variance has no positive steady value
@@ -253,19 +256,26 @@ class FilterDesign:
             ),
         ]
 
-    def _linear(self) -> tuple[Array, Array, Array, Array]:
+    def _linear_model(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the first state without command."""
         augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
         x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
-        shift, after = augmented.shift(), augmented.flow(self.dt)(self.t0, x, u)
+        shift, after = augmented.shift_delay_lines(), augmented.flow(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, early, late = augmented.transition(self.t0, x, after, u, self.dt, density)
-        delays = tangent.fit(partial(shift, self.t0), space, space, x, None)[1]
+        delays = tangent.fit_linear_model(partial(shift, self.t0), space, space, x, None)[1]
         rows = []
         for channel in augmented.channels:
-            observed, direct = partial(augmented.observed(channel), self.t0), augmented.direct_slope(channel)
-            rows.append(tangent.fit(observed, space, channel.space, x, None)[1] if direct is None else direct)
+            observed, direct = (
+                partial(augmented.delayed_output(channel), self.t0),
+                augmented.direct_slope(channel),
+            )
+            rows.append(
+                tangent.fit_linear_model(observed, space, channel.space, x, None)[1]
+                if direct is None
+                else direct
+            )
         outputs = [F @ delays, F @ early @ F.T + late, ca.vertcat(*rows)]
         found = ca.Function("linear", [x], outputs)(first)
         matrices = [np.asarray(m.full()) for m in found]
@@ -273,7 +283,7 @@ class FilterDesign:
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 
-def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
+def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
     """Return the expected state (n_states,)."""
     what = f"the first state of '{name}'"
     if isinstance(x0, Mapping):
@@ -288,7 +298,7 @@ def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str
     return x
 
 
-def _deviations(model: Model, given: Deviations, what: str) -> Array:
+def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Array:
     """Return standard deviations by name as (n_errors,); those left out are 0."""
     expect(given, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
     found = np.zeros(model.errors.size)
@@ -302,7 +312,7 @@ def _deviations(model: Model, given: Deviations, what: str) -> Array:
     return found
 
 
-def _check_way_back(model: Model, x0: Array) -> None:
+def _check_retraction_inverse(model: Model, x0: Array) -> None:
     """Refuse a retraction that is not the way back of its difference, to first order at the first state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
     there = model.error_expression(model.retraction_expression(x, e), x)

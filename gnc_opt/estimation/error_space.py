@@ -42,35 +42,35 @@ class Space:
         slope = ca.jacobian(self.difference(own, reference), own)
         return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
 
-    def move_slope(self, x: Any) -> Any:
+    def retraction_slope(self, x: Any) -> Any:
         """Return R (size, errors) at an SX column x."""
         own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
         slope = ca.jacobian(self.retraction(own, error), error)
         return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
 
 
-def flat(size: int) -> Space:
+def euclidean_space(size: int) -> Space:
     """Return the space in which errors are differences."""
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
-def product(spaces: Sequence[Space]) -> Space:
+def product_space(spaces: Sequence[Space]) -> Space:
     """Return the space of stacked columns."""
-    sizes = [0, *_sums(s.size for s in spaces)]
-    errors = [0, *_sums(s.errors for s in spaces)]
+    sizes = [0, *_cumulative_sums(s.size for s in spaces)]
+    errors = [0, *_cumulative_sums(s.errors for s in spaces)]
 
-    def difference(x: Any, ref: Any) -> Any:
+    def stacked_difference(x: Any, ref: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
         return ca.vertcat(*[s.difference(own, other) for s, own, other in parts])
 
-    def retraction(ref: Any, e: Any) -> Any:
+    def stacked_retraction(ref: Any, e: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(ref, sizes), ca.vertsplit(e, errors), strict=True)
         return ca.vertcat(*[s.retraction(own, error) for s, own, error in parts])
 
-    return Space(sizes[-1], errors[-1], difference, retraction)
+    return Space(sizes[-1], errors[-1], stacked_difference, stacked_retraction)
 
 
-def _sums(numbers: Any) -> list[int]:
+def _cumulative_sums(numbers: Any) -> list[int]:
     total, found = 0, []
     for number in numbers:
         total += number

@@ -96,17 +96,17 @@ class Estimator:
         """
         sample = as_point(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
         command = as_point(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
-        x, after = self.update(float(t), sample, self.first if z is None else self._memory(z))
+        x, after = self.update(float(t), sample, self.first if z is None else self._estimator_memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the states of memories (n_memory,) or (n_memory, n), predictions for the times of the memories."""
-        told, names = self._memory(memory), [f"{name}_hat" for name in self.states.names]
+        told, names = self._estimator_memory(memory), [f"{name}_hat" for name in self.states.names]
         return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the state errors, (n_errors, n_errors) per memory (n_memory,)."""
-        column = self._memory(memory)[self.memory.slice(COVARIANCE)]
+        column = self._estimator_memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
         full = np.zeros((size, size, *column.shape[1:]))
@@ -114,7 +114,7 @@ class Estimator:
         own = full[:states, :states]
         return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
-    def _memory(self, given: ArrayLike) -> Array:
+    def _estimator_memory(self, given: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, which come first in that of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
         memory = read_numbers(given, what)
@@ -164,11 +164,13 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"controller '{controller.name}' is fed by an estimator already: give the one inside."
         )
     controller.step_length(estimator.dt)
-    fed = _places(controller.states, estimator.states, "state", controller.name, estimator.name)
-    sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
-    _check_names(controller, estimator)
-    step, start = _functions(controller, controller.step, estimator, fed, sent)
-    easy = controller.easy and _functions(controller, controller.easy, estimator, fed, sent)[0]
+    fed = _match_variables(controller.states, estimator.states, "state", controller.name, estimator.name)
+    sent = _match_variables(
+        estimator.commands, controller.commands, "command", estimator.name, controller.name
+    )
+    _require_distinct_names(controller, estimator)
+    step, start = _combined_law_functions(controller, controller.step, estimator, fed, sent)
+    easy = controller.easy and _combined_law_functions(controller, controller.easy, estimator, fed, sent)[0]
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -195,7 +197,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _functions(
+def _combined_law_functions(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
     """Return the law and the first memory of both, of the controller's law or its easy form."""
@@ -213,7 +215,7 @@ def _functions(
     return step, initial_state_function(t, y, r, begun)
 
 
-def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+def _match_variables(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
     """Return the rows of all wanted variables among those that are there."""
     rows: list[int] = []
     for v in wanted.variables:
@@ -231,7 +233,7 @@ def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) ->
     return rows
 
 
-def _check_names(controller: Controller, estimator: Estimator) -> None:
+def _require_distinct_names(controller: Controller, estimator: Estimator) -> None:
     for name in estimator.memory.names:
         if name in controller.memory:
             raise ArgumentError(

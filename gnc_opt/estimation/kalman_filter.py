@@ -38,9 +38,15 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.control_limits import Authority, saturated
+from gnc_opt.control.control_limits import Authority, saturate
 from gnc_opt.estimation.augmented_model import AugmentedModel, Channel
-from gnc_opt.estimation.linearization import Approximation, Map, Tangent, cholesky, solved_left
+from gnc_opt.estimation.linearization import (
+    Approximation,
+    Map,
+    Tangent,
+    cholesky_semidefinite,
+    solve_lower_left,
+)
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 
@@ -48,12 +54,12 @@ LOST = "lost_steps"
 """The entry that counts control steps in a row that should have brought a sample and brought none."""
 
 
-def counters(channels: Sequence[Channel]) -> list[Variable]:
+def counter_variables(channels: Sequence[Channel]) -> list[Variable]:
     """Return the entries of a memory that are counted in, `LOST` last."""
     entries = []
     for channel in channels:
         entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
-        if channel.counted:
+        if channel.is_sample_counted:
             entries.append(Variable(f"{channel.name}_next"))
     return [*entries, Variable(LOST)]
 
@@ -65,16 +71,16 @@ class Tally:
         self.entries = {name: z[memory.slice(name)] for name in memory.names}
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
-    def due(self, channel: Channel) -> Any:
+    def is_sample_due(self, channel: Channel) -> Any:
         """Return whether a sample is expected now."""
-        return self.entries[f"{channel.name}_next"] < 0.5 if channel.counted else ca.SX(1)
+        return self.entries[f"{channel.name}_next"] < 0.5 if channel.is_sample_counted else ca.SX(1)
 
-    def good(self, channel: Channel, sample: Any) -> Any:
+    def is_sample_valid(self, channel: Channel, sample: Any) -> Any:
         """Return whether one is, and has come."""
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
-        return ca.logic_and(whole, self.due(channel)) if channel.counted else whole
+        return ca.logic_and(whole, self.is_sample_due(channel)) if channel.is_sample_counted else whole
 
-    def take(self, channel: Channel, good: Any, nis: Any) -> Any:
+    def count_sample(self, channel: Channel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
         taken = good
@@ -82,16 +88,16 @@ class Tally:
             passes = nis <= float(scipy.stats.chi2.ppf(gate, channel.space.errors))
             taken = ca.logic_and(good, passes)
             self.entries[f"{name}_refused"] += ca.logic_and(good, ca.logic_not(passes))
-        due = self.due(channel)
+        due = self.is_sample_due(channel)
         self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
         self.entries[f"{name}_taken"] += taken
-        if channel.counted:
+        if channel.is_sample_counted:
             left = self.entries[f"{name}_next"]
             self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
         return taken
 
-    def told(self, x: Any, hold: int) -> Any:
+    def invalidate_after_hold(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
         lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
         self.entries[LOST] = lost
@@ -120,19 +126,19 @@ class KalmanFilter:
         self.augmented, self.linearization = augmented, linearization
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
-        self.pattern = self._pattern()
-        self.memory = self._layout()
+        self.pattern = self._covariance_pattern()
+        self.memory = self._memory_layout()
 
-    def _layout(self) -> Layout:
+    def _memory_layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
-        entries += [Variable(COVARIANCE, self.pattern.nnz()), *counters(augmented.channels)]
+        entries += [Variable(COVARIANCE, self.pattern.nnz()), *counter_variables(augmented.channels)]
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
-    def _pattern(self) -> Any:
+    def _covariance_pattern(self) -> Any:
         """Return the sparsity of the lower triangle of P: the entries that can differ from zero."""
         augmented, n = self.augmented, self.augmented.errors.size
-        if not self.linearization.keeps_zeros:
+        if not self.linearization.preserves_sparsity:
             return ca.Sparsity.lower(n)
         t, x, u = (
             ca.SX.sym("t"),
@@ -140,11 +146,13 @@ class KalmanFilter:
             ca.SX.sym("u", augmented.model.controls.size),
         )
         F, early, late = augmented.transition(t, x, x, u, augmented.dt, self.density)
-        maps = [_mask(F)]
-        if augmented.remembers:
-            maps.append(_mask(self._tangent_of_shift(t, x)[1]))
-        rows = np.vstack([_mask(view.slope) for view in self._views(t, x, ca.SX(n, n))])
-        P = np.eye(n, dtype=bool) | _mask(early) | _mask(late)
+        maps = [_structural_nonzeros(F)]
+        if augmented.has_delay_lines:
+            maps.append(_structural_nonzeros(self._linearize_delay_shift(t, x)[1]))
+        rows = np.vstack(
+            [_structural_nonzeros(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
+        )
+        P = np.eye(n, dtype=bool) | _structural_nonzeros(early) | _structural_nonzeros(late)
         while True:
             new = P.copy()
             for each in maps:
@@ -156,12 +164,12 @@ class KalmanFilter:
                 return ca.DM(ca.sparsify(ca.DM(np.tril(P).astype(float)))).sparsity()
             P = new
 
-    def _state(self, z: Any) -> tuple[Any, Any]:
+    def _unpack_memory(self, z: Any) -> tuple[Any, Any]:
         """Return the augmented state and its covariance in a memory."""
         half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
         return z[: self.augmented.states.size], ca.tril2symm(half)
 
-    def _memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
+    def _pack_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
         """Return the column of the memory with another state and covariance."""
         new = dict(entries)
         for name in self.augmented.states.names:
@@ -169,9 +177,9 @@ class KalmanFilter:
         new[COVARIANCE] = ca.project(ca.tril(P), self.pattern).nz[:]
         return ca.vertcat(*[new[name] for name in self.memory.names])
 
-    def _tangent_of_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
-        shift, space = self.augmented.shift(), self.augmented.space
-        return Tangent().fit(lambda own: shift(t, own), space, space, x, None)[:2]
+    def _linearize_delay_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
+        shift, space = self.augmented.shift_delay_lines(), self.augmented.space
+        return Tangent().fit_linear_model(lambda own: shift(t, own), space, space, x, None)[:2]
 
     # --- update -------------------------------------------------------------------------------------------
 
@@ -181,34 +189,40 @@ class KalmanFilter:
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
-        x, P = self._state(z)
-        views, tally = self._views(t, x, P), Tally(self.memory, z)
+        x, P = self._unpack_memory(z)
+        views, tally = self._linearize_measurements(t, x, P), Tally(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
-            good = tally.good(channel, sample)
-            nu = solved_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
+            good = tally.is_sample_valid(channel, sample)
+            nu = solve_lower_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
             gated = channel.measurement.gate is not None
-            after, found, nis = _joseph(P, view.slope, nu, ca.SX(1) if gated else good, error)
-            taken = tally.take(channel, good, nis)
-            error, P = (_chosen(taken, after, error), _chosen(taken, found, P)) if gated else (after, found)
+            after, found, nis = _joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
+            taken = tally.count_sample(channel, good, nis)
+            error, P = (
+                (_select_matrix(taken, after, error), _select_matrix(taken, found, P))
+                if gated
+                else (after, found)
+            )
         x = augmented.space.retraction(x, error)
-        told = tally.told(x[: augmented.model.states.size], self.hold)
-        outputs = ca.cse([told, self._memory(tally.entries, x, P)])
+        told = tally.invalidate_after_hold(x[: augmented.model.states.size], self.hold)
+        outputs = ca.cse([told, self._pack_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
-    def _views(self, t: Any, x: Any, P: Any) -> list[_View]:
+    def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_View]:
         """Return how the measurements see the errors of x at t."""
         augmented, views = self.augmented, []
         for channel in augmented.channels:
-            observed, space = augmented.observed(channel), channel.space
+            observed, space = augmented.delayed_output(channel), channel.space
             slope = augmented.direct_slope(channel)
             if slope is None:
-                y, slope, left = self.linearization.fit(partial(observed, t), augmented.space, space, x, P)
+                y, slope, left = self.linearization.fit_linear_model(
+                    partial(observed, t), augmented.space, space, x, P
+                )
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
             noise = ca.SX(ca.diag(ca.DM(channel.measurement.values("sigma", space.errors) ** 2)))
-            root = cholesky(noise + left)
-            views.append(_View(y, solved_left(root, slope), root))
+            root = cholesky_semidefinite(noise + left)
+            views.append(_View(y, solve_lower_left(root, slope), root))
         return views
 
     # --- prediction ---------------------------------------------------------------------------------------
@@ -219,14 +233,14 @@ class KalmanFilter:
         augmented = self.augmented
         t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
         command = ca.SX.sym("u", augmented.model.controls.size)
-        u = saturated(command, self.limits)
+        u = saturate(command, self.limits)
         entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
-        x, P = self._state(z)
+        x, P = self._unpack_memory(z)
         space = augmented.space
-        if augmented.remembers:
-            shift = augmented.shift()
-            x, P = self.linearization.carry(
-                lambda own: shift(t, own), space, x, P, *self._tangent_of_shift(t, x)
+        if augmented.has_delay_lines:
+            shift = augmented.shift_delay_lines()
+            x, P = self.linearization.propagate_covariance(
+                lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
             )
         h = augmented.dt / self.substeps
         flow = augmented.flow(h)
@@ -234,9 +248,11 @@ class KalmanFilter:
             begin = t + i * h
             after = flow(begin, x, u)
             F, early, late = augmented.transition(begin, x, after, u, h, self.density)
-            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P + early, after, F)
+            x, P = self.linearization.propagate_covariance(
+                _flow_with_held_command(flow, begin, u), space, x, P + early, after, F
+            )
             P = P + late
-        outputs = ca.cse([self._memory(entries, x, P)])
+        outputs = ca.cse([self._pack_memory(entries, x, P)])
         return ca.Function("predict", [t, command, z], outputs, ["t", "u", "z"], ["z_next"])
 
 
@@ -249,7 +265,7 @@ class _View:
     root: Any
 
 
-def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
+def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
     """Return the error and P updated by whitened components with slopes H (m, n), and the NIS."""
     nis = ca.SX(0)
     for i in range(H.shape[0]):
@@ -264,30 +280,30 @@ def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, 
             # left h is k where rounding is left out: with it in its place no difference is left in that column
             (j,) = h.sparsity().row()
             left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
-            P = _mirrored(left, j)
+            P = _mirror_row(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P, nis
 
 
-def _chosen(condition: Any, yes: Any, no: Any) -> Any:
+def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
     """Return the one matrix or the other, symmetric both of them if they are square."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
-def _mirrored(matrix: Any, j: int) -> Any:
+def _mirror_row(matrix: Any, j: int) -> Any:
     """Return the symmetric matrix of the lower part, with its row j from its column j."""
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _held(flow: Any, t: Any, u: Any) -> Map:
+def _flow_with_held_command(flow: Any, t: Any, u: Any) -> Map:
     """Return the flow from t under a held command as a function of the state alone."""
     return lambda x: flow(t, x, u)
 
 
-def _mask(matrix: Any) -> Any:
+def _structural_nonzeros(matrix: Any) -> Any:
     """Return where a matrix is not zero by its structure, bool array."""
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -37,18 +37,20 @@ class Tangent:
     """By the Jacobian at the mean; f takes and returns an SX column, x and P are SX symbols."""
 
     @property
-    def keeps_zeros(self) -> bool:
+    def preserves_sparsity(self) -> bool:
         """Whether errors that f does not connect stay uncorrelated to the last bit."""
         return True
 
-    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+    def propagate_covariance(
+        self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
+    ) -> tuple[Any, Any]:
         """Return the tangent's value, and P propagated with its slope."""
         return value, slope @ P @ slope.T
 
-    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
+    def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return f at the mean, the slope of its error and no remainder."""
         value = f(x)
-        slope = target.error_slope(value) @ ca.jacobian(value, x) @ source.move_slope(x)
+        slope = target.error_slope(value) @ ca.jacobian(value, x) @ source.retraction_slope(x)
         return value, slope, ca.SX(target.errors, target.errors)
 
 
@@ -57,22 +59,26 @@ class Regression:
     """By 2 n + 1 points."""
 
     @property
-    def keeps_zeros(self) -> bool:
+    def preserves_sparsity(self) -> bool:
         """As of `Tangent`: points mix all errors."""
         return False
 
-    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+    def propagate_covariance(
+        self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
+    ) -> tuple[Any, Any]:
         """Return the mean of f(x) and the covariance of its error, from the points alone."""
-        mean, spread, remainder, _ = self._images(f, space, space, x, P)
+        mean, spread, remainder, _ = self._map_sigma_points(f, space, space, x, P)
         return mean, spread @ spread.T + remainder
 
-    def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
+    def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the slope of its error and the covariance of the residual."""
-        value, spread, remainder, root = self._images(f, source, target, x, P)
-        return value, solved_right(spread, root), remainder
+        value, spread, remainder, root = self._map_sigma_points(f, source, target, x, P)
+        return value, solve_lower_right(spread, root), remainder
 
-    def _images(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any, Any]:
-        root = cholesky(P)
+    def _map_sigma_points(
+        self, f: Map, source: Space, target: Space, x: Any, P: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        root = cholesky_semidefinite(P)
         square, c = 3.0, math.sqrt(3.0)
         centre = f(x)
         sums, differences = [], []
@@ -90,7 +96,7 @@ class Regression:
 Approximation: TypeAlias = Tangent | Regression
 
 
-def cholesky(P: Any) -> Any:
+def cholesky_semidefinite(P: Any) -> Any:
     """Return L (n, n), lower, with P = L L' of a symmetric SX that may be singular; reads the lower part."""
     n = P.shape[0]
     root = ca.SX.zeros(n, n)
@@ -106,7 +112,7 @@ def cholesky(P: Any) -> Any:
     return root
 
 
-def solved_left(root: Any, b: Any) -> Any:
+def solve_lower_left(root: Any, b: Any) -> Any:
     """Return L^-1 b of a lower SX L; components with a zero on the diagonal are zero."""
     rows: list[Any] = []
     for i in range(root.shape[0]):
@@ -118,7 +124,7 @@ def solved_left(root: Any, b: Any) -> Any:
     return ca.vertcat(*rows)
 
 
-def solved_right(a: Any, root: Any) -> Any:
+def solve_lower_right(a: Any, root: Any) -> Any:
     """Return F with F L = a of a lower SX L; columns with a zero on the diagonal are zero."""
     columns: dict[int, Any] = {}
     for j in reversed(range(root.shape[0])):

@@ -116,7 +116,7 @@ class Measurement:
             )
 
     @property
-    def biased(self) -> bool:
+    def has_bias(self) -> bool:
         """Whether a constant or drifting error is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampled_data import in_order
+from gnc_opt.control.sampled_data import sort_symbolic
 from gnc_opt.errors import DesignError
 from gnc_opt.planning.problem.arcs import Arc
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -54,19 +54,21 @@ class Prediction:
 
     def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
         """Return their mean (SX) over a step; after the end they keep the final state at rest."""
-        late = _share(begin, length, tau[-1] - self.ending.length)
-        over, rest = _share(begin, length, tau[-1]), self.plan.reference.tail_control
+        late = _share_of_step_after(begin, length, tau[-1] - self.ending.length)
+        over, rest = _share_of_step_after(begin, length, tau[-1]), self.plan.reference.tail_control
         before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
     @cached_property
-    def ends(self) -> Any:
+    def terminal_conditions_function(self) -> Any:
         """``(t, x, tau, nu) -> (psi, gradient of nu' psi)``, columns."""
         model = self.plan.reference.model
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
         nu, after = ca.SX.sym("nu", model.errors.size), x
-        for begin, end in itertools.pairwise(self._edges(t, tau)):
-            after = self._arc(begin, after, self.controls(0.5 * (begin + end), tau), end - begin)
+        for begin, end in itertools.pairwise(self._arc_boundaries(t, tau)):
+            after = self._arc_propagation_function(
+                begin, after, self.controls(0.5 * (begin + end), tau), end - begin
+            )
         psi = model.error_expression(after, ca.SX(self.plan.final))
         return ca.Function("ends", [t, x, tau, nu], [psi, ca.jtimes(psi, tau, nu, True)])
 
@@ -75,18 +77,18 @@ class Prediction:
         """``(t, tau) -> x``: the state at t from which the plan leads to its end; after the end, that."""
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
         x = ca.SX(self.plan.final)
-        for begin, end in reversed(list(itertools.pairwise(self._edges(t, tau)))):
-            x = self._arc(end, x, self.controls(0.5 * (begin + end), tau), begin - end)
+        for begin, end in reversed(list(itertools.pairwise(self._arc_boundaries(t, tau)))):
+            x = self._arc_propagation_function(end, x, self.controls(0.5 * (begin + end), tau), begin - end)
         return ca.Function("reference", [t, tau], [x])
 
-    def _edges(self, t: Any, tau: Any) -> list[Any]:
+    def _arc_boundaries(self, t: Any, tau: Any) -> list[Any]:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
-        return [t, *in_order([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
+        return [t, *sort_symbolic([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
 
     @cached_property
-    def _arc(self) -> Any:
+    def _arc_propagation_function(self) -> Any:
         """``(t, x, u, length) -> x`` with constant controls."""
         model = self.plan.reference.model
         f, p = model.function, model.parameter_values
@@ -103,7 +105,7 @@ class Prediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _share(begin: Any, length: float, since: Any) -> Any:
+def _share_of_step_after(begin: Any, length: float, since: Any) -> Any:
     """Return which share of a step is later than a time."""
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
@@ -169,7 +171,7 @@ class SwitchingPlan:
             )
         if leg.final_time_bounds.fixed[0] or leg.duration_bounds.fixed[0]:
             raise DesignError(f"the plan '{name}' ends at a fixed time: leave the end free and minimise it.")
-        first, switches = _switches(solution, leg)
+        first, switches = _read_switches(solution, leg)
         return cls(
             reference,
             first,
@@ -179,10 +181,10 @@ class SwitchingPlan:
         )
 
 
-def _switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
+def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the first controls, and time, channel and jump of each switch."""
 
-    def level(arc: Arc, channel: int) -> float:
+    def bound_level(arc: Arc, channel: int) -> float:
         bounds = leg.control_bounds
         return float((bounds.upper if arc.kind.sign > 0 else bounds.lower)[channel])
 
@@ -196,9 +198,9 @@ def _switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple
                 f"'{label}' of the plan '{solution.problem_name}' is not known to be on its limits{where}: refine the "
                 "solution, or follow it by design_tvlqr() if it is not bang-bang."
             )
-        first[channel] = level(arcs[0], channel)
+        first[channel] = bound_level(arcs[0], channel)
         switches += [
-            (float(after.start), channel, level(after, channel) - level(before, channel))
+            (float(after.start), channel, bound_level(after, channel) - bound_level(before, channel))
             for before, after in itertools.pairwise(arcs)
         ]
     return first, sorted(switches)

@@ -34,7 +34,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.dropout import with_dropout_handling
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ArgumentError, DesignError, shown
@@ -67,7 +67,7 @@ class Optimum:
     curvature: float
 
 
-def find_optimum(prediction: Prediction) -> Optimum:
+def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
     """Return the optimum next to the plan; `DesignError` if its conditions fail."""
     plan = prediction.plan
     name, tau = plan.reference.model.name, plan.times.copy()
@@ -79,22 +79,24 @@ def find_optimum(prediction: Prediction) -> Optimum:
             "such a plan cannot be corrected by them; follow it by design_tvlqr()."
         )
     d = _DIFFERENCE_STEP_SHARE * duration
-    first, _, _ = _derivatives(prediction, tau, d)
-    if not _steers(first.S):
+    first, _, _ = _terminal_derivatives(prediction, tau, d)
+    if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
         )
 
     def conditions(y: Array) -> Array:
         """Return the gradient of L, and psi as the moves of switch times that correct it, in the duration."""
-        psi, slope = prediction.ends(plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :])
+        psi, slope = prediction.terminal_conditions_function(
+            plan.initial_time, plan.initial, y[: tau.size] * duration, y[tau.size :]
+        )
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
-        return np.concatenate([stationary, psi.full()[:, 0] / _lengths(first.S) / duration])
+        return np.concatenate([stationary, psi.full()[:, 0] / _row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
-    optimum, gradient, psi = _derivatives(prediction, found.x[: tau.size] * duration, d)
-    missed = np.max(np.abs(psi) / _lengths(optimum.S))
-    if not np.isfinite(missed) or missed > _MET * duration or not _steers(optimum.S):
+    optimum, gradient, psi = _terminal_derivatives(prediction, found.x[: tau.size] * duration, d)
+    missed = np.max(np.abs(psi) / _row_norms(optimum.S))
+    if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
             f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
             "smaller reserve or a shorter last part."
@@ -113,31 +115,44 @@ def find_optimum(prediction: Prediction) -> Optimum:
     return optimum
 
 
-def _lengths(S: Array) -> Array:
+def _row_norms(S: Array) -> Array:
     return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
 
 
-def _steers(S: Array) -> bool:
+def _has_full_row_rank(S: Array) -> bool:
     """Whether every condition at the end can be moved by itself."""
-    sizes = np.linalg.svd(S / _lengths(S)[:, None], compute_uv=False)
+    sizes = np.linalg.svd(S / _row_norms(S)[:, None], compute_uv=False)
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum, Array, Array]:
+def _terminal_derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum, Array, Array]:
     """Return S, H and the multipliers of least squares at these times, with the gradient of L and psi."""
     plan = prediction.plan
     nothing = np.zeros(plan.reference.model.errors.size)
 
-    def ends(times: Array, nu: Array = nothing) -> tuple[Array, Array]:
-        psi, slope = prediction.ends(plan.initial_time, plan.initial, times, nu)
+    def evaluate_terminal_conditions(times: Array, nu: Array = nothing) -> tuple[Array, Array]:
+        psi, slope = prediction.terminal_conditions_function(plan.initial_time, plan.initial, times, nu)
         return psi.full()[:, 0], slope.full()[:, 0]
 
     moves = d * np.eye(tau.size)
-    S = np.stack([(ends(tau + m)[0] - ends(tau - m)[0]) / (2 * d) for m in moves], axis=1)
+    S = np.stack(
+        [
+            (evaluate_terminal_conditions(tau + m)[0] - evaluate_terminal_conditions(tau - m)[0]) / (2 * d)
+            for m in moves
+        ],
+        axis=1,
+    )
     g = np.eye(tau.size)[-1]
     nu = np.linalg.lstsq(S.T, -g, rcond=None)[0]
-    psi, slope = ends(tau, nu)
-    H = np.stack([(ends(tau + m, nu)[1] - ends(tau - m, nu)[1]) / (2 * d) for m in moves], axis=1)
+    psi, slope = evaluate_terminal_conditions(tau, nu)
+    H = np.stack(
+        [
+            (evaluate_terminal_conditions(tau + m, nu)[1] - evaluate_terminal_conditions(tau - m, nu)[1])
+            / (2 * d)
+            for m in moves
+        ],
+        axis=1,
+    )
     H = 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
@@ -224,12 +239,12 @@ def design_neighbouring_optimal(
     if reserve >= 1:
         raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
     read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
-    ending = _read_ending(last, reserve, plan)
-    prediction = _accurate(plan, ending, weight)
-    optimum = find_optimum(prediction)
+    ending = _read_regulated_end(last, reserve, plan)
+    prediction = _refine_prediction(plan, ending, weight)
+    optimum = find_neighbouring_optimum(prediction)
     guidance = _Guidance(prediction, optimum, weight, inner, step, delay)
-    signals = reference_signals(plan.reference)
-    law_, start = guidance.functions(signals.size)
+    signals = reference_signal_layout(plan.reference)
+    law_, start = guidance.law_functions(signals.size)
     own = (
         Variable("switching_times", plan.times.size - 1, "s"),
         Variable("final_time", 1, "s"),
@@ -264,14 +279,14 @@ def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
                 f"the regulator '{regulator.name}' has the {what} {list(found.names)}, the plan {list(needed.names)}: "
                 "design it with the model of the plan."
             )
-    if regulator.signals.labels != reference_signals(plan.reference).labels:
+    if regulator.signals.labels != reference_signal_layout(plan.reference).labels:
         raise ArgumentError(
             f"the regulator '{regulator.name}' takes {list(regulator.signals.names)} beside the state, where a "
             "reference is given to it: use one with constant gains, such as design_lqr() about the final state."
         )
 
 
-def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
+def _read_regulated_end(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
     length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
@@ -281,11 +296,11 @@ def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedE
     return RegulatedEnd(length, reserve)
 
 
-def _accurate(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
+def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
     """Return the prediction with so many steps per arc that it leads the plan to its end."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:
-        psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).ends(
+        psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).terminal_conditions_function(
             plan.initial_time, plan.initial, plan.times, nothing
         )[0]
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
@@ -313,11 +328,11 @@ class _Guidance:
         return self.prediction.plan
 
     @cached_property
-    def correct(self) -> Any:
+    def correction_function(self) -> Any:
         """``(t, x, tau) -> (tau, miss)``: one correction of what takes effect after t + delay."""
         plan, best = self.plan, self.optimum
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial.size), ca.SX.sym("tau", best.tau.size)
-        psi, slope = self.prediction.ends(t, x, tau, best.nu)
+        psi, slope = self.prediction.terminal_conditions_function(t, x, tau, best.nu)
         duration = plan.times[-1] - plan.initial_time
         price = _TIME / duration
         system = best.S.T @ self.weight @ best.S + price * best.H
@@ -328,9 +343,11 @@ class _Guidance:
         )
         step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
         miss = ca.sqrt(psi.T @ self.weight @ psi)
-        return ca.Function("correct", [t, x, tau], [self._in_turn(t, tau, open_, tau + open_ * step), miss])
+        return ca.Function(
+            "correct", [t, x, tau], [self._order_switching_times(t, tau, open_, tau + open_ * step), miss]
+        )
 
-    def _in_turn(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
+    def _order_switching_times(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
         """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
         soonest, found = t + self.delay, ca.vertsplit(new)
         before: dict[int, Any] = {}
@@ -340,13 +357,13 @@ class _Guidance:
         found[-1] = ca.fmax(found[-1], soonest)
         return ca.vertcat(*found)
 
-    def functions(self, n_signals: int) -> tuple[Any, Any]:
+    def law_functions(self, n_signals: int) -> tuple[Any, Any]:
         """Return the law and its first memory."""
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
-        tau, miss = self.correct(t, x, planned)
+        tau, miss = self.correction_function(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
@@ -387,5 +404,5 @@ class _Guidance:
                 "",
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
-            ReportEntry("operations", str(self.correct.n_instructions()), "", "of a correction"),
+            ReportEntry("operations", str(self.correction_function.n_instructions()), "", "of a correction"),
         ]

@@ -40,15 +40,15 @@ _A_LITTLE = 0.02
 """Share of the range of a state (of its limit, where there is only one) by which a start beyond it counts as on it."""
 
 
-def remaining(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
+def remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
     """Return the rest of a phase from ``begin`` (s); starts slightly beyond a limit are on it."""
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
-    return problem.with_time(initial=begin, duration=left).with_initial(**_within(leg, start))
+    return problem.with_time(initial=begin, duration=left).with_initial(**_clip_to_limits(leg, start))
 
 
-def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
+def _clip_to_limits(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
     """Return states, those that are a little beyond a limit on it, as estimates along a limit are."""
     names, lower, upper = leg.model.states, leg.numbers.states.lower, leg.numbers.states.upper
     width = upper - lower
@@ -62,7 +62,7 @@ def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
     return found
 
 
-def check_remaining(problem: Problem) -> None:
+def check_remaining_problem(problem: Problem) -> None:
     """Raise `ArgumentError` if the remaining problem of one phase differs from the whole in its conditions."""
     (leg,) = problem.phases.values()
     names = [n for n in problem.parameters.names if n in leg.model.parameters]
@@ -79,14 +79,14 @@ def check_remaining(problem: Problem) -> None:
                 "would ask it anew of each rest: limit the final value of a state that has the integrand as its rate, "
                 "give time(duration=...), or write numbers for what holds at the start."
             )
-    if not _additive(problem, leg):
+    if not _is_cost_additive(problem, leg):
         raise ArgumentError(
             f"the cost of problem '{problem.name}' weighs the rest of a flight by what was flown before, so that a "
             "Replanner would change the plan: write a sum of integrals and a function of the end."
         )
 
 
-def _additive(problem: Problem, leg: Phase) -> bool:
+def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
     """Whether the optimal remainder is independent of the past: the cost's gradient keeps its direction."""
     rest = ca.vertcat(leg.ends("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols())
     before = ca.vertcat(leg.ends("initial"), leg.initial_time)
@@ -97,12 +97,12 @@ def _additive(problem: Problem, leg: Phase) -> bool:
         y, b = numbers.uniform(2.0, 3.0, rest.numel()), numbers.uniform(0.0, 1.0, before.numel())
         later, flown = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
         flown[n + 1 : n + 1 + len(leg.integrands)] += numbers.uniform(0.1, 0.5, len(leg.integrands))
-        if not _parallel(gradient(b, flown), gradient(later, y)):
+        if not _are_parallel(gradient(b, flown), gradient(later, y)):
             return False
     return True
 
 
-def _parallel(first: Any, second: Any) -> bool:
+def _are_parallel(first: Any, second: Any) -> bool:
     a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive at these numbers
@@ -206,22 +206,22 @@ class Replanner:
         return self.solver.solution
 
     @cached_property
-    def _drift(self) -> Any:
+    def _propagation_function(self) -> Any:
         """``(t, x, u, dt) -> x`` after a control step under held controls."""
         model = self.model
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
         dt, p = ca.SX.sym("dt"), model.parameter_values
 
-        def rate(t: Any, x: Any, _: Any) -> Any:
+        def model_rate(t: Any, x: Any, _: Any) -> Any:
             return model.function(t, x, u, p)
 
-        return ca.Function("drift", [t, x, u, dt], [dormand_prince(rate, t, x, dt, _PREDICTED)])
+        return ca.Function("drift", [t, x, u, dt], [dormand_prince(model_rate, t, x, dt, _PREDICTED)])
 
     @property
     def description(self) -> str:
         """The data that determine its plans, for the fingerprint of a flight."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join((*about, repr((self.every, self.latency, self.last)), _named(self.follow)))
+        return " ".join((*about, repr((self.every, self.latency, self.last)), _qualified_name(self.follow)))
 
     @property
     def model(self) -> Model:
@@ -294,7 +294,7 @@ class Replanner:
         """Return the state (n_states,) to which the controls of a plan lead from x at t until then (s)."""
         for begin in t + dt * np.arange(round((until - t) / dt)):
             u = plan.mean_control([begin], dt)
-            x = np.asarray(self._drift(float(begin), x, u, dt).full()[:, 0])
+            x = np.asarray(self._propagation_function(float(begin), x, u, dt).full()[:, 0])
         return x
 
     def solved(self, begin: float, x: Array, near: Solution) -> Solution:
@@ -302,7 +302,7 @@ class Replanner:
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
         (leg,) = self.plan.phases.values()
-        problem = remaining(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
+        problem = remaining_problem(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
         plan = self.solver.solve(problem, near=near)
         expect(plan, Solution, "what the resolver of a Replanner solved", "let it return a Solution")
         (found,) = plan.phases.values()
@@ -323,7 +323,7 @@ class Replanner:
             raise ArgumentError(
                 "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
             )
-        check_remaining(plan.need_problem("solve again"))
+        check_remaining_problem(plan.need_problem("solve again"))
         if not callable(getattr(self.solver, "solve", None)):
             raise ArgumentError(
                 f"the resolver of a Replanner returned {shown(self.solver)}, which has no solve(): write lambda: "
@@ -331,5 +331,5 @@ class Replanner:
             )
 
 
-def _named(function: Any) -> str:
+def _qualified_name(function: Any) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

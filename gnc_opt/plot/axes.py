@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.style import QUIET, line_look, name_text, per_unit
+from gnc_opt.plot.style import QUIET, derivative_unit, line_style, variable_name_text
 from gnc_opt.tolerances import ROUNDING, magnitude
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
@@ -23,9 +23,9 @@ HAMILTONIAN_ROUNDING_SHARE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
 
-def component_labels(signal: Any) -> list[str]:
+def component_legend_labels(signal: Any) -> list[str]:
     """Return what the legend calls each component of a signal."""
-    return [name_text(label) for label in signal.labels]
+    return [variable_name_text(label) for label in signal.labels]
 
 
 def cost_unit(solution: Solution) -> str:
@@ -36,37 +36,37 @@ def cost_unit(solution: Solution) -> str:
 def hamiltonian_unit(solution: Solution) -> str:
     """Return the unit of the cost per second; "" for a time or without a unit."""
     unit = cost_unit(solution)
-    return "" if unit in ("", "s") else per_unit(unit, "s")
+    return "" if unit in ("", "s") else derivative_unit(unit, "s")
 
 
 def draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
     """Draw rows of ``values`` (n_components, n_times), each in its look; a label that the axis has is not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
     for i, row in enumerate(values):
-        ax.plot(t, row, label=None if labels[i] in known else labels[i], **line_look(i))
+        ax.plot(t, row, label=None if labels[i] in known else labels[i], **line_style(i))
 
 
-def leave_room(ax: Axes, least: float) -> None:
+def set_minimum_y_range(ax: Axes, least: float) -> None:
     """Show at least ``least`` to both sides of the data, lest rounding errors fill the axis."""
     low, high = ax.get_ylim()
     if high - low < least:
         ax.set_ylim(low - least, high + least)
 
 
-def _heights(line: Line2D) -> Array:
+def _line_y_data(line: Line2D) -> Array:
     return np.asarray(line.get_ydata(), dtype=float)
 
 
-def span_phases(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
+def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
     """Show all phases, with a dotted line between one and the next, and noise as zero."""
-    reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_heights, ax.lines)), default=0.0)
-    leave_room(ax, ROUNDING * float(magnitude(reach)))
+    reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_line_y_data, ax.lines)), default=0.0)
+    set_minimum_y_range(ax, ROUNDING * float(magnitude(reach)))
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
 
 
-def sample(
+def sample_densely(
     function: Callable[..., Any], breaks: Array, per_piece: int = 24, gaps: bool = False
 ) -> tuple[Array, Array]:
     """Evaluate ``function(t, side=...)`` densely between breaks, with its one-sided limits at them.
@@ -96,12 +96,12 @@ def sample(
     return times.ravel(), values.reshape(n, -1)
 
 
-def chosen_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
+def select_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
     """Return the named phase, or all of them in order."""
     return list(solution.phases.values()) if phase is None else [solution.phase(phase)]
 
 
-def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
+def select_variable_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
     """Return the names of states ("states") or controls ("controls") to draw; raise for unknown ones."""
     layouts = [getattr(leg, kind) for leg in legs]
     known = list(dict.fromkeys(name for layout in layouts for name in layout.names))
@@ -111,7 +111,7 @@ def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] 
     return known if names is None else list(names)
 
 
-def zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
+def find_zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
     """Return the times at which samples (n_times,) change sign; ``negligible`` ones have no sign."""
     clear = np.abs(values) > negligible
     t, values = t[clear], values[clear]

@@ -16,13 +16,13 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
+    apply_style,
     axis_label,
     legend_above,
     legend_on_top,
-    line_look,
-    name_text,
+    line_style,
     new_figure,
-    style,
+    variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
@@ -93,7 +93,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     drawn = limit is not None and limit <= (1 + _LIMIT_MAX_DISTANCE) * reach
     if limit is not None and drawn:
         reach = max(reach, 1.1 * limit)
-    with style():
+    with apply_style():
         figure = new_figure(3.7 if len(others) == 2 else 5.2)
         unit = campaign.layouts["error"][name].unit
         for ax, other in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
@@ -101,23 +101,25 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if drawn:
                 ax.add_patch(Circle((0, 0), limit, fill=False, **_LIMIT))
-            ax.set_xlabel(axis_label(f"error of {name_text(f'{name}[0]')}", unit))
-            ax.set_ylabel(axis_label(f"error of {name_text(f'{name}[{other}]')}", unit))
+            ax.set_xlabel(axis_label(f"error of {variable_name_text(f'{name}[0]')}", unit))
+            ax.set_ylabel(axis_label(f"error of {variable_name_text(f'{name}[{other}]')}", unit))
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, symmetric=True))
-        legend_on_top(figure, _dispersion_legend(campaign, name, passed, finite, drawn))
+        legend_on_top(figure, _dispersion_legend_handles(campaign, name, passed, finite, drawn))
     return figure
 
 
-def _dispersion_legend(campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool) -> list[Any]:
-    handles = [Line2D([], [], label=f"{_runs(np.sum(passed))} within all limits", **_PASSED)]
+def _dispersion_legend_handles(
+    campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool
+) -> list[Any]:
+    handles = [Line2D([], [], label=f"{_run_count_text(np.sum(passed))} within all limits", **_PASSED)]
     if not campaign.limits:
-        handles = [Line2D([], [], label=f"{_runs(np.sum(passed))}", **_PASSED)]
+        handles = [Line2D([], [], label=f"{_run_count_text(np.sum(passed))}", **_PASSED)]
     if not np.all(passed):
         unseen = int(np.sum(~finite))
         beyond = f" ({unseen} without an end)" if unseen else ""
-        handles.append(Line2D([], [], label=f"{_runs(np.sum(~passed))} not{beyond}", **_FAILED))
+        handles.append(Line2D([], [], label=f"{_run_count_text(np.sum(~passed))} not{beyond}", **_FAILED))
     if name in campaign.limits:
         unit = campaign.layouts["error"][name].unit
         text = f"limit {campaign.limits[name]:.3g} {unit}".rstrip()
@@ -147,7 +149,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     chosen = list(names) if names is not None else list(campaign.limits) or list(shown_measures(campaign))
     if not chosen:
         raise ArgumentError("the campaign measures nothing: give target= or limits= to monte_carlo().")
-    with style():
+    with apply_style():
         figure = new_figure(0.5 + 2.0 * len(chosen))
         axes = figure.subplots(len(chosen), 2, squeeze=False)
         for (left, right), name in zip(axes, chosen, strict=True):
@@ -157,7 +159,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
             _draw_distribution(right, campaign, name, finite)
             for ax, height in ((left, 0.88), (right, 0.3)):  # where there are rarely data
                 _draw_limit(ax, campaign.limits.get(name), finite, height)
-                ax.set_xlabel(axis_label(measure_text(name), campaign.unit(name)))
+                ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
                 ax.xaxis.set_major_locator(MaxNLocator(5))
         handles = [
             Line2D([], [], label="runs up to a value", **_CURVE),
@@ -234,31 +236,31 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     >>> figure = plot_envelope(campaign, "overshoot", levels=(0.1, 0.5, 0.9))
     """
     found = campaign.envelope(name, levels)
-    with style():
+    with apply_style():
         figure = new_figure(3.4)
         ax = figure.subplots()
         for i, level in enumerate(found.levels):
-            look = line_look(i)
+            look = line_style(i)
             low, high = (
                 np.where(np.isfinite(end[i]), end[i], found.values[i]) for end in (found.low, found.high)
             )
             ax.fill_between(found.times, low, high, color=look["color"], alpha=0.25, linewidth=0)
             ax.plot(found.times, found.values[i], label=f"{100 * level:g} %", **look)
         ax.set_xlabel(axis_label("time", "s"))
-        ax.set_ylabel(axis_label(name_text(name), found.unit))
+        ax.set_ylabel(axis_label(variable_name_text(name), found.unit))
         ax.set_xlim(found.times[0], found.times[-1])
         legend_above(ax)
     return figure
 
 
-def measure_text(name: str) -> str:
+def measure_axis_label(name: str) -> str:
     """Return the name of a measure for an axis: ``"final error of r_L"``, ``"effort of F_B"``."""
     kind, bracket, rest = name.partition("(")
     if bracket and rest.endswith(")"):
         words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")
-        return f"{words} {name_text(rest[:-1])}"
-    return f"final error of {name_text(name)}"
+        return f"{words} {variable_name_text(rest[:-1])}"
+    return f"final error of {variable_name_text(name)}"
 
 
-def _runs(count: Any) -> str:
+def _run_count_text(count: Any) -> str:
     return f"{int(count)} run{'s' * (int(count) != 1)}"

@@ -18,25 +18,25 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
-    chosen_names,
-    chosen_phases,
-    component_labels,
+    component_legend_labels,
     draw_components,
+    draw_phase_boundaries,
+    find_zero_crossings,
     hamiltonian_unit,
-    leave_room,
-    sample,
-    span_phases,
-    zero_crossings,
+    sample_densely,
+    select_phases,
+    select_variable_names,
+    set_minimum_y_range,
 )
 from gnc_opt.plot.style import (
     COLORS,
+    apply_style,
     axis_label,
+    derivative_unit,
     legend_above,
     legend_on_top,
-    name_text,
     new_figure,
-    per_unit,
-    style,
+    variable_name_text,
 )
 
 _FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
@@ -83,14 +83,16 @@ def plot_controls(
     >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
     2
     """
-    legs = chosen_phases(solution, phase)
+    legs = select_phases(solution, phase)
     known = {c.name: c for leg in legs for c in leg.composed_controls}
     composed = [
         c
         for name, c in known.items()
-        if (name in names if names is not None else _as_stated(c, known.values()))
+        if (name in names if names is not None else _is_declared_control(c, known.values()))
     ]
-    names = chosen_names(legs, "controls", names if names is None else [n for n in names if n not in known])
+    names = select_variable_names(
+        legs, "controls", names if names is None else [n for n in names if n not in known]
+    )
     sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
     parts = [(name, i) for name in names for i in range(sizes[name])]
     if not parts and not composed:
@@ -98,27 +100,27 @@ def plot_controls(
             f"'{solution.problem_name}' has no controls to draw: draw its states by plot_states()."
         )
     columns = 1 if solution.problem is None else 2
-    with style():
-        figure, grid = _axes(len(parts) + len(composed), columns)
+    with apply_style():
+        figure, grid = _control_axes_grid(len(parts) + len(composed), columns)
         for axes, (name, i) in zip(grid, parts, strict=False):
             for leg in legs:
                 if name in leg.controls:
-                    shown = component_labels(leg.control(name))[i]
+                    shown = component_legend_labels(leg.control(name))[i]
                     _draw_control(axes[0], leg, name, i, shown)
                     if columns == 2:
-                        _draw_switching(axes, solution, leg, name, i, shown)
+                        _draw_switching_function(axes, solution, leg, name, i, shown)
         for axes, control in zip(grid[len(parts) :], composed, strict=True):
-            _draw_composed(axes[0], legs, control)
+            _draw_composed_control(axes[0], legs, control)
             for ax in axes[1:]:
                 ax.remove()
         for ax in figure.axes:
-            span_phases(ax, legs)
+            draw_phase_boundaries(ax, legs)
         _label_times(figure)
-        legend_on_top(figure, _control_legend(columns == 2))
+        legend_on_top(figure, _control_legend_handles(columns == 2))
     return figure
 
 
-def _axes(rows: int, columns: int) -> tuple[Figure, Any]:
+def _control_axes_grid(rows: int, columns: int) -> tuple[Figure, Any]:
     """Return a figure and its axes (rows, columns) with a row for each control; more than three share two columns."""
     stacks = 1 if rows <= MOST_ROWS else 2
     height = -(-rows // stacks)
@@ -143,11 +145,11 @@ def _label_times(figure: Figure) -> None:
 
 def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:
     signal = leg.control(name)
-    t, polynomial = sample(signal, leg.breaks, gaps=True)
+    t, polynomial = sample_densely(signal, leg.breaks, gaps=True)
     ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
     nodes = np.atleast_2d(signal(leg.point_times))[i]
     ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.0, zorder=4)
-    t, flown = sample(leg.saturated_control(name), leg.flown.jumps)
+    t, flown = sample_densely(leg.saturated_control(name), leg.flown.jumps)
     ax.plot(t, flown[i], zorder=3, **_FLOWN)
     row = leg.controls.slice(name).start + i
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
@@ -160,48 +162,48 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 
-def _as_stated(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
+def _is_declared_control(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
     """Whether a control was stated as it is, and not as components that are drawn themselves."""
     whole = isinstance(control, VectorControl)
     return not any(whole and isinstance(c, AssembledControl) and c.parts[:2] == control.parts for c in others)
 
 
-def _draw_composed(ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl) -> None:
+def _draw_composed_control(ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl) -> None:
     """Draw all components of a control that is made of two, as flown."""
     for leg in legs:
         if control in leg.composed_controls:
             signal = leg.saturated_control(control.name)
-            draw_components(ax, *sample(signal, leg.flown.jumps), component_labels(signal))
-    ax.set_ylabel(axis_label(name_text(control.name), control.variable.unit))
+            draw_components(ax, *sample_densely(signal, leg.flown.jumps), component_legend_labels(signal))
+    ax.set_ylabel(axis_label(variable_name_text(control.name), control.variable.unit))
     if control.variable.size > 1:
         legend_above(ax)
 
 
-def _draw_switching(
+def _draw_switching_function(
     axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str
 ) -> None:
     """Draw into the second axis; mark changes of sign in both."""
 
-    def switching(t: Array, side: Any) -> Any:
+    def evaluate_switching_function(t: Array, side: Any) -> Any:
         return solution.switching_function(name, t, leg.name, side)
 
-    t, values = sample(switching, leg.breaks)
+    t, values = sample_densely(evaluate_switching_function, leg.breaks)
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
-    per = per_unit(hamiltonian_unit(solution), leg.control(name).unit)
+    per = derivative_unit(hamiltonian_unit(solution), leg.control(name).unit)
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
-    negligible = _negligible_switching(solution, leg, name, i)
-    leave_room(axes[1], negligible)
-    on_bound = _on_a_bound(
+    negligible = _negligible_switching_value(solution, leg, name, i)
+    set_minimum_y_range(axes[1], negligible)
+    on_bound = _is_control_at_bound(
         leg, leg.controls.slice(name).start + i, t
     )  # between them it is zero up to rounding
-    for crossing in zero_crossings(t[on_bound], values[i][on_bound], negligible):
+    for crossing in find_zero_crossings(t[on_bound], values[i][on_bound], negligible):
         for ax in axes:
             ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
 
 
-def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
+def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
     """Return whether the applied control is on one of its bounds (n_times,)."""
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     flown = leg.flown(t)[row]
@@ -209,7 +211,7 @@ def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
     return room <= _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 
 
-def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
+def _negligible_switching_value(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
     """Return the switching function that changes H by 1e-7 of its terms over the control's range."""
     t, rows = leg.point_times, leg.controls.slice(name)
     row = rows.start + i
@@ -220,7 +222,7 @@ def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: 
     return float(HAMILTONIAN_ROUNDING_SHARE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
 
 
-def _control_legend(with_switching: bool) -> list[Any]:
+def _control_legend_handles(with_switching: bool) -> list[Any]:
     handles = [
         Line2D([], [], label="applied", **_FLOWN),
         Line2D([], [], label="polynomial and nodes", marker=".", markersize=4, **_POLYNOMIAL),

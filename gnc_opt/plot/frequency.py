@@ -14,12 +14,12 @@ from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
+    apply_style,
     axis_label,
     legend_on_top,
-    line_look,
-    name_text,
+    line_style,
     new_figure,
-    style,
+    variable_name_text,
 )
 
 Kind: TypeAlias = Literal["bode", "nyquist", "sensitivity", "margins"]
@@ -60,11 +60,13 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
             'times, or draw their "margins".'
         )
     draw, *size = _KINDS[kind]
-    with style():
+    with apply_style():
         figure = new_figure(*size)
         draw(figure, response, response.commands.labels[0] if command is None else command)
         if kind != "margins" and response.times.size > 1:
-            handles = [Line2D([], [], label=f"{t:g} s", **line_look(i)) for i, t in enumerate(response.times)]
+            handles = [
+                Line2D([], [], label=f"{t:g} s", **line_style(i)) for i, t in enumerate(response.times)
+            ]
             legend_on_top(figure, handles)
     return figure
 
@@ -74,11 +76,11 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     gain, phase = figure.subplots(2, 1, sharex=True)
     for k in range(response.times.size):
         loop = response.channel(omega, label, k)
-        gain.loglog(omega, np.abs(loop), **line_look(k))
-        phase.semilogx(omega, np.degrees(_unwrapped(loop)), **line_look(k))
+        gain.loglog(omega, np.abs(loop), **line_style(k))
+        phase.semilogx(omega, np.degrees(_unwrapped_phase(loop)), **line_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
     phase.axhline(-180.0, color=QUIET, linewidth=0.8)
-    gain.set_ylabel(f"gain of the loop at {name_text(label)}")
+    gain.set_ylabel(f"gain of the loop at {variable_name_text(label)}")
     phase.set_ylabel(axis_label("phase", "deg"))
     phase.set_xlabel(axis_label("frequency", "rad/s"))
     phase.set_xlim(omega[0], omega[-1])
@@ -88,7 +90,7 @@ def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
     ax = figure.subplots()
     for k in range(response.times.size):
         loop = response.channel(response.frequencies, label, k)
-        ax.plot(loop.real, loop.imag, **line_look(k))
+        ax.plot(loop.real, loop.imag, **line_style(k))
     ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
     alpha = float(np.fmin.reduce(response.disk_margins))  # open instants have none
     if 0 < alpha < 2:
@@ -110,7 +112,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
     for k in range(response.times.size):
         s = response.sensitivity(omega, k)
         for ax, matrix in ((left, s), (right, np.eye(s.shape[1]) - s)):
-            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **line_look(k))
+            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **line_style(k))
     for ax, text in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
         ax.axhline(1.0, color=QUIET, linewidth=0.8)
         ax.set_xlabel(axis_label("frequency", "rad/s"))
@@ -121,7 +123,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
 
 def _draw_margins(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
-    look = line_look(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
+    look = line_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
     rows: tuple[tuple[Any, str], ...] = (
         (alpha, "disk margin"),
@@ -144,7 +146,7 @@ _KINDS: dict[str, Any] = {
 """What draws a figure, and its height and width (inch)."""
 
 
-def _unwrapped(loop: Any) -> Any:
+def _unwrapped_phase(loop: Any) -> Any:
     """Return the phase (rad), continuous, that is nearest to a lag of half a turn where the gain is one."""
     phase = np.unwrap(np.angle(loop))
     at = int(np.argmin(np.abs(np.log(np.abs(loop) + 1e-300))))

@@ -15,12 +15,20 @@ from gnc_opt.arrays import Array
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
+    apply_style,
     axis_label,
     legend_on_top,
     new_figure,
-    style,
 )
-from gnc_opt.plot.view import AXIS, VEHICLE_HALF_EDGES, Moved, View, motion, span, sphere
+from gnc_opt.plot.view import (
+    AXIS,
+    VEHICLE_HALF_EDGES,
+    Moved,
+    View,
+    ellipsoid_points,
+    motion_time_span,
+    sample_motion,
+)
 
 PATH_SAMPLES = 400
 """Points of a drawn path."""
@@ -47,13 +55,13 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     >>> from gnc_opt.plot import View, plot_motion
     >>> figure = plot_motion(solution, View("q"))
     """
-    begin, end = span(moved, view)
-    path = motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
-    few = motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
+    begin, end = motion_time_span(moved, view)
+    path = sample_motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
+    few = sample_motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
     bodies = {name: np.ravel(np.asarray(place, dtype=float)) for name, place in view.bodies.items()}
     extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
-    with style():
+    with apply_style():
         figure = new_figure(5.2)
         width, depth = np.ptp(extent[:2], axis=1)
         azimuth = -62 if width >= depth else -28  # the longer axis runs across the figure
@@ -73,11 +81,11 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             drawn.append(_draw_box(ax, place, np.eye(3), size, COLORS[i % len(COLORS)]))
             handles.append(Line2D([], [], color=COLORS[i % len(COLORS)], linewidth=6, alpha=0.4, label=name))
         for name in view.keep_out:
-            surface = sphere(*view.volume(name))
+            surface = ellipsoid_points(*view.volume(name))
             ax.plot_wireframe(*surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2)
             drawn.append(surface.reshape(3, -1))
             handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label=name))
-        _frame_space(ax, np.hstack(drawn), path.unit, view.down)
+        _set_equal_scales(ax, np.hstack(drawn), path.unit, view.down)
         legend_on_top(figure, handles)
     return figure
 
@@ -97,7 +105,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 
 """Corners of each face, in the order of `itertools.product`."""
 
 
-def _frame_space(ax: Any, points: Array, unit: str, down: bool) -> None:
+def _set_equal_scales(ax: Any, points: Array, unit: str, down: bool) -> None:
     """Equal scales on all axes, limits around all points, labels with units."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from gnc_opt.planning.solution.history import History
-from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
+from gnc_opt.plot.style import COLORS, QUIET, apply_style, legend_on_top, new_figure
 
 _COLORMAP = "viridis_r"
 
@@ -52,7 +52,7 @@ def plot_refinement(history: History) -> Figure:
     >>> figure = plot_refinement(solution.history)
     """
     phases = list(history.passes[0].meshes)
-    with style():
+    with apply_style():
         heights = [2.4, *([0.5 + 0.17 * len(history.passes)] * len(phases))]
         figure = new_figure(sum(heights) + 0.7 * len(heights))
         axes = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
@@ -72,7 +72,7 @@ def plot_refinement(history: History) -> Figure:
             pad=0.01,
             ticks=ticks,
         )
-        legend_on_top(figure, _legend(history))
+        legend_on_top(figure, _refinement_legend_handles(history))
     return figure
 
 
@@ -122,7 +122,7 @@ def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> Non
     ax.grid(False)
 
 
-def _legend(history: History) -> list[Any]:
+def _refinement_legend_handles(history: History) -> list[Any]:
     handles = [
         Line2D([], [], label="iterations in order", **_PATH),
         Line2D([], [], label=f"returned: {history.status.value.replace('_', ' ')}", **_CHOSEN),

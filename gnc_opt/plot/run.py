@@ -9,7 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
-from gnc_opt.plot.style import QUIET, axis_label, legend_above, line_look, name_text, new_figure, style
+from gnc_opt.plot.style import (
+    QUIET,
+    apply_style,
+    axis_label,
+    legend_above,
+    line_style,
+    new_figure,
+    variable_name_text,
+)
 from gnc_opt.simulation.run import Logged, Run
 
 Kind: TypeAlias = Literal["states", "controls", "errors"]
@@ -49,7 +57,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
         raise ArgumentError(f"a run has no {shown(kind)} to draw: {did_you_mean(str(kind), known)}")
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
-    with style():
+    with apply_style():
         figure = new_figure(1.2 + 1.6 * len(names))
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
@@ -57,10 +65,12 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
             if kind == "states":
                 _draw_reference(ax, run, name)
             elif kind == "controls" and name in run.layouts["command"]:
-                _draw(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
-            looks = [{"label": name_text(label), **line_look(i)} for i, label in enumerate(signal.labels)]
-            _draw(ax, signal, looks)
-            ax.set_ylabel(axis_label(name_text(signal.name), signal.unit))
+                _draw_signal(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
+            looks = [
+                {"label": variable_name_text(label), **line_style(i)} for i, label in enumerate(signal.labels)
+            ]
+            _draw_signal(ax, signal, looks)
+            ax.set_ylabel(axis_label(variable_name_text(signal.name), signal.unit))
             legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
         axes[-1].set_xlabel("time (s)")
@@ -74,7 +84,7 @@ def _draw_reference(ax: Axes, run: Run, name: str) -> None:
         ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
 
 
-def _draw(ax: Axes, signal: Logged, looks: Sequence[dict[str, Any]]) -> None:
+def _draw_signal(ax: Axes, signal: Logged, looks: Sequence[dict[str, Any]]) -> None:
     """Draw the components of a signal, the last look for all further ones."""
     for i, row in enumerate(signal.values):
         look = {"label": "_", **looks[min(i, len(looks) - 1)]}

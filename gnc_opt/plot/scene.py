@@ -19,7 +19,17 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.environment import imported
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.view import AXIS, PLUME, VEHICLE_HALF_EDGES, Motion, Moved, View, motion, span, sphere
+from gnc_opt.plot.view import (
+    AXIS,
+    PLUME,
+    VEHICLE_HALF_EDGES,
+    Motion,
+    Moved,
+    View,
+    ellipsoid_points,
+    motion_time_span,
+    sample_motion,
+)
 
 _INSTANTS = (41, 241)
 """Fewest and most instants of a motion."""
@@ -34,7 +44,7 @@ def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, 
 
     Motions that are not ``regular`` do not count for the limits of the axes.
     """
-    data = _described(shown, view, regular or {})
+    data = _scene_dict(shown, view, regular or {})
     try:
         plotly = Path(imported("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
     except GncOptError as error:
@@ -47,30 +57,31 @@ def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, 
         '<button type="button">Play</button> <input type="range" min="0" value="0" aria-label="time"> '
         '<output></output> <select aria-label="what moves"></select></p></div>'
         + "".join(
-            f'<script type="text/plain" id="{name}">{_packed(part)}</script>' for name, part in packed.items()
+            f'<script type="text/plain" id="{name}">{_compress_json(part)}</script>'
+            for name, part in packed.items()
         )
         + f"<script>{script}</script>"
     )
 
 
-def _packed(data: bytes) -> str:
+def _compress_json(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, compresslevel=9, mtime=0)).decode("ascii")
 
 
-def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
-    spans = np.array([span(moved, view) for moved in shown.values()])
+def _scene_dict(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
+    spans = np.array([motion_time_span(moved, view) for moved in shown.values()])
     n = int(np.clip(_SCENE_MAX_SAMPLES // len(shown), *_INSTANTS))
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
-    motions = {name: motion(moved, view, times) for name, moved in shown.items()}
+    motions = {name: sample_motion(moved, view, times) for name, moved in shown.items()}
     motions = {name: each for name, each in motions.items() if np.all(np.isfinite(each.position))}
     if not motions:
         raise GncOptError("no motion has finite positions: there is nothing to show.")
     usual = [each.position for name, each in motions.items() if regular.get(name, True)]
     usual = usual or [each.position for each in motions.values()]
-    volumes = {name: sphere(*view.volume(name)) for name in view.keep_out}
+    volumes = {name: ellipsoid_points(*view.volume(name)) for name in view.keep_out}
     bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
     still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
-    low, high, size = _extent([*usual, *still], view)
+    low, high, size = _bounding_box([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
     return {
@@ -86,11 +97,11 @@ def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, boo
         "bodies": bodies,
         "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
-        "motions": {name: _sampled(each, digits) for name, each in motions.items()},
+        "motions": {name: _motion_dict(each, digits) for name, each in motions.items()},
     }
 
 
-def _sampled(each: Motion, digits: int) -> dict[str, Any]:
+def _motion_dict(each: Motion, digits: int) -> dict[str, Any]:
     """Numbers of one motion; of the body's axes the first two, the third stands upright on them."""
     axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
     return {
@@ -100,7 +111,7 @@ def _sampled(each: Motion, digits: int) -> dict[str, Any]:
     }
 
 
-def _extent(points: list[Array], view: View) -> tuple[Array, Array, float]:
+def _bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
     """Return the lowest and highest corner of the drawing, with a margin, and its largest extent."""
     everything = np.hstack(points)
     low, high = everything.min(axis=1), everything.max(axis=1)

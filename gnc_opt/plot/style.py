@@ -53,7 +53,7 @@ _STYLE: dict[str, Any] = {
 
 
 @contextmanager
-def style() -> Iterator[None]:
+def apply_style() -> Iterator[None]:
     """Apply the style inside a ``with`` block; settings outside are left alone."""
     with matplotlib.rc_context(_STYLE):
         yield
@@ -82,24 +82,24 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     cut: dict[str, Any] = {}
-    if not _fits(figure):
+    if not _labels_fit(figure):
         labels = [
             axis.label for ax in figure.axes if ax.name == "3d" for axis in (ax.xaxis, ax.yaxis, ax.zaxis)
         ]
         drawn = [*figure.get_default_bbox_extra_artists(), *labels]
         cut = {"bbox_inches": "tight", "pad_inches": 0.1, "bbox_extra_artists": drawn}
-    with style():
+    with apply_style():
         figure.savefig(target, dpi=dpi, **cut)
     return target
 
 
-def _fits(figure: Figure) -> bool:
+def _labels_fit(figure: Figure) -> bool:
     """Whether the layout keeps all labels inside; where it does not, they are looked for by drawing twice."""
     arranged = figure.get_layout_engine() is not None
     return arranged and not any(ax.name == "3d" for ax in figure.axes)
 
 
-def line_look(i: int) -> dict[str, Any]:
+def line_style(i: int) -> dict[str, Any]:
     """Return colour and dashes of the i-th line of an axis."""
     return {"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % len(DASHES)]}
 
@@ -109,7 +109,7 @@ def axis_label(quantity: str, unit: str) -> str:
     return f"{quantity} ({unit_text(unit)})" if unit else quantity
 
 
-def name_text(name: str) -> str:
+def variable_name_text(name: str) -> str:
     """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words."""
     base, _, subscript = name.partition("[")[0].partition("_")
     index = name[name.index("[") :] if "[" in name else ""
@@ -120,7 +120,7 @@ def name_text(name: str) -> str:
     return f"${symbol}{lowered}${index}"
 
 
-def per_unit(unit: str, other: str) -> str:
+def derivative_unit(unit: str, other: str) -> str:
     """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
     if not other:
         return unit

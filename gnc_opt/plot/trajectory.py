@@ -16,27 +16,27 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import (
     BOUND,
     HAMILTONIAN_ROUNDING_SHARE,
-    chosen_names,
-    chosen_phases,
-    component_labels,
+    component_legend_labels,
     cost_unit,
     data_range,
     draw_components,
+    draw_phase_boundaries,
     hamiltonian_unit,
-    leave_room,
-    sample,
-    span_phases,
+    sample_densely,
+    select_phases,
+    select_variable_names,
+    set_minimum_y_range,
 )
 from gnc_opt.plot.style import (
     COLORS,
+    apply_style,
     axis_label,
+    derivative_unit,
     legend_above,
     legend_on_top,
-    name_text,
     new_figure,
     number_text,
-    per_unit,
-    style,
+    variable_name_text,
 )
 
 _AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
@@ -69,12 +69,12 @@ def plot_states(
     >>> print(len(plot_states(solution).axes))  # one for each state
     2
     """
-    return _draw_each(
+    return _draw_state_axes(
         solution,
         phase,
         names,
         lambda leg, name: leg.state(name),
-        lambda name, unit: axis_label(name_text(name), unit),
+        lambda name, unit: axis_label(variable_name_text(name), unit),
         _draw_bounds_in_view,
     )
 
@@ -105,12 +105,14 @@ def plot_costates(
     >>> print(len(plot_costates(solution, ["v"]).axes))
     1
     """
-    return _draw_each(
+    return _draw_state_axes(
         solution,
         phase,
         names,
         lambda leg, name: leg.costate(name),
-        lambda name, unit: axis_label(f"costate of {name_text(name)}", per_unit(cost_unit(solution), unit)),
+        lambda name, unit: axis_label(
+            f"costate of {variable_name_text(name)}", derivative_unit(cost_unit(solution), unit)
+        ),
     )
 
 
@@ -136,26 +138,26 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
     time (s)
     """
-    legs = chosen_phases(solution, phase)
+    legs = select_phases(solution, phase)
     at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
-    along = [sample(_flown_hamiltonian(solution, leg), leg.flown.jumps) for leg in legs]
+    along = [sample_densely(_applied_hamiltonian_function(solution, leg), leg.flown.jumps) for leg in legs]
     low, high = data_range(np.concatenate(at_points))
-    with style():
+    with apply_style():
         figure = new_figure(3.4)
         ax = figure.subplots()
         ax.axhspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0, zorder=1)
         for leg, points, (t, values) in zip(legs, at_points, along, strict=True):
             ax.plot(t, values[0], zorder=2, **_ALONG_FLOWN)
             ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
-        leave_room(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
-        span_phases(ax, legs)
+        set_minimum_y_range(ax, HAMILTONIAN_ROUNDING_SHARE * max(abs(low), abs(high)))
+        draw_phase_boundaries(ax, legs)
         ax.set_xlabel("time (s)")
         ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
-        legend_on_top(figure, _hamiltonian_legend(low, high), columns=2)
+        legend_on_top(figure, _hamiltonian_legend_handles(low, high), columns=2)
     return figure
 
 
-def _draw_each(
+def _draw_state_axes(
     solution: Solution,
     phase: str | None,
     names: Sequence[str] | None,
@@ -164,20 +166,20 @@ def _draw_each(
     decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
 ) -> Figure:
     """One axis per state, the phases that have it one after the other; ``decorate`` may add to it."""
-    legs = chosen_phases(solution, phase)
-    names = chosen_names(legs, "states", names)
-    with style():
+    legs = select_phases(solution, phase)
+    names = select_variable_names(legs, "states", names)
+    with apply_style():
         figure = new_figure(0.5 + 2.1 * len(names))
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
             for leg in legs:
                 if name in leg.states:
                     signal = signal_of(leg, name)
-                    draw_components(ax, *sample(signal, leg.breaks), component_labels(signal))
+                    draw_components(ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal))
                     ax.set_ylabel(label_of(name, leg.state(name).unit))
                     if decorate is not None:
                         decorate(ax, leg, name)
-            span_phases(ax, legs)
+            draw_phase_boundaries(ax, legs)
             if max(leg.states[name].size for leg in legs if name in leg.states) > 1:
                 legend_above(ax)
         axes[-1].set_xlabel("time (s)")
@@ -192,16 +194,16 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
             ax.plot(leg.breaks[[0, -1]], [level, level], **BOUND)
 
 
-def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
+def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
     functions = solution.functions(leg.name)
 
-    def hamiltonian(t: Array, side: Any) -> Array:
+    def evaluate_hamiltonian(t: Array, side: Any) -> Array:
         return functions.hamiltonian(t, leg.x(t, side), leg.flown(t, side), leg.lam(t, side))
 
-    return hamiltonian
+    return evaluate_hamiltonian
 
 
-def _hamiltonian_legend(low: float, high: float) -> list[Any]:
+def _hamiltonian_legend_handles(low: float, high: float) -> list[Any]:
     ends = number_text(low), number_text(high)
     told = (
         f"{ends[0]} to {ends[1]}"

@@ -68,7 +68,7 @@ class View:
         for name in self.keep_out:
             self.volume(name)
         for name, position in self.bodies.items():
-            _three(position, f"the position of '{name}'")
+            _read_three_numbers(position, f"the position of '{name}'")
 
     def volume(self, name: str) -> tuple[Array, Array]:
         """Return centre (3,) and semi-axes (3,) of a volume to keep out of."""
@@ -77,10 +77,10 @@ class View:
         except (TypeError, ValueError):
             raise ArgumentError(f"'{name}' to keep out of is no (centre, radius): give both.") from None
         axes = read_numbers(radius, f"the radius of '{name}'").reshape(-1)
-        axes = np.full(3, axes[0]) if axes.size == 1 else _three(axes, f"the radius of '{name}'")
+        axes = np.full(3, axes[0]) if axes.size == 1 else _read_three_numbers(axes, f"the radius of '{name}'")
         if not np.all(axes > 0):
             raise ArgumentError(f"the radius of '{name}' is {shown(radius)}: give a length > 0.")
-        return _three(centre, f"the centre of '{name}'"), axes
+        return _read_three_numbers(centre, f"the centre of '{name}'"), axes
 
 
 @dataclass(frozen=True)
@@ -94,33 +94,39 @@ class Motion:
     unit: str
 
 
-def span(moved: Moved, view: View) -> tuple[float, float]:
+def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the first and the last time (s) at which there is something to see."""
-    parts = _parts(moved, view)
+    parts = _trajectory_parts(moved, view)
     return parts[0].begin, parts[-1].end
 
 
-def motion(moved: Moved, view: View, times: Array) -> Motion:
+def sample_motion(moved: Moved, view: View, times: Array) -> Motion:
     """Return samples of a motion at times (n,), s; before its begin and after its end it stands still."""
-    parts = _parts(moved, view)
+    parts = _trajectory_parts(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
     owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
     groups = [(part, at[owner == k]) for k, part in enumerate(parts) if np.any(owner == k)]
 
-    def of(names: Names) -> Array:
+    def stack_values(names: Names) -> Array:
         return np.concatenate(
-            [np.vstack([part.values(n, t) for n in _each(names)]) for part, t in groups], axis=1
+            [np.vstack([part.values(n, t) for n in _as_name_list(names)]) for part, t in groups], axis=1
         )
 
     position, unit = np.zeros((3, times.size)), ""
     if view.position is not None:
-        position = _in_space(of(view.position), f"the position {', '.join(_each(view.position))}")
-        unit = parts[0].unit(_each(view.position)[0])
-    dcm = None if view.attitude is None else _dcm(of(view.attitude), ", ".join(_each(view.attitude)))
+        position = _to_three_rows(
+            stack_values(view.position), f"the position {', '.join(_as_name_list(view.position))}"
+        )
+        unit = parts[0].unit(_as_name_list(view.position)[0])
+    dcm = (
+        None
+        if view.attitude is None
+        else _attitude_matrix(stack_values(view.attitude), ", ".join(_as_name_list(view.attitude)))
+    )
     force = None
     if view.force is not None:
-        force = _in_space(of(view.force), f"the force {', '.join(_each(view.force))}")
+        force = _to_three_rows(stack_values(view.force), f"the force {', '.join(_as_name_list(view.force))}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return Motion(times, position, dcm, force, unit)
 
@@ -140,7 +146,7 @@ class _Part:
     def values(self, name: str, t: Array) -> Array:
         """Of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
-        values = np.atleast_2d(self._signal(whole)(t))
+        values = np.atleast_2d(self._find_signal(whole)(t))
         if not bracket:
             return values
         labels = Variable(whole, len(values)).labels
@@ -149,7 +155,7 @@ class _Part:
         k = labels.index(name)
         return values[k : k + 1]
 
-    def _signal(self, name: str) -> Any:
+    def _find_signal(self, name: str) -> Any:
         if name in self.layouts["state"]:
             return self.source.state(name)
         try:
@@ -158,14 +164,14 @@ class _Part:
             known = [*self.layouts["state"].names, *self.layouts["control"].names]
             raise unknown_name("state or control", name, "the motion", known) from None
 
-    def has(self, names: Names) -> bool:
-        return all(name.partition("[")[0] in self.layouts["state"] for name in _each(names))
+    def has_states(self, names: Names) -> bool:
+        return all(name.partition("[")[0] in self.layouts["state"] for name in _as_name_list(names))
 
     def unit(self, name: str) -> str:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _parts(moved: Moved, view: View) -> list[_Part]:
+def _trajectory_parts(moved: Moved, view: View) -> list[_Part]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
         parts = [_Part(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
@@ -175,28 +181,28 @@ def _parts(moved: Moved, view: View) -> list[_Part]:
             for leg in moved.phases.values()
         ]
     names = view.position if view.position is not None else view.attitude or ()
-    found = [part for part in parts if part.has(names)]
+    found = [part for part in parts if part.has_states(names)]
     if not found:  # say so in the words of what was given
-        for name in _each(names):
+        for name in _as_name_list(names):
             parts[0].source.state(name.partition("[")[0])
     return sorted(found, key=lambda part: part.begin)
 
 
-def _each(names: Names) -> list[str]:
+def _as_name_list(names: Names) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 
 # --- geometry -------------------------------------------------------------------------------------------
 
 
-def sphere(centre: Array, semi_axes: Array) -> Array:
+def ellipsoid_points(centre: Array, semi_axes: Array) -> Array:
     """Return points of an ellipsoid, (3, 13, 25): from pole to pole, and around."""
     around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
     unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
 
 
-def _in_space(values: Array, what: str) -> Array:
+def _to_three_rows(values: Array, what: str) -> Array:
     """Three rows: of two components the second is drawn upwards, and one is."""
     nothing = np.zeros(values.shape[1])
     if len(values) == 1:
@@ -208,7 +214,7 @@ def _in_space(values: Array, what: str) -> Array:
     return values
 
 
-def _dcm(attitude: Array, name: str) -> Array:
+def _attitude_matrix(attitude: Array, name: str) -> Array:
     kinds = {3: mrp_to_dcm, 4: quaternion_to_dcm}
     if len(attitude) not in kinds:
         raise ArgumentError(
@@ -218,7 +224,7 @@ def _dcm(attitude: Array, name: str) -> Array:
     return np.asarray(kinds[len(attitude)](attitude), dtype=float)
 
 
-def _three(value: ArrayLike, what: str) -> Array:
+def _read_three_numbers(value: ArrayLike, what: str) -> Array:
     numbers = read_numbers(value, what).reshape(-1)
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {shown(value)}: give three finite numbers.")

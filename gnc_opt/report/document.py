@@ -36,12 +36,13 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
     return {stem: save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures}
 
 
-def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
+def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str:
     """Return a page: sections of HTML below their titles, empty ones left out."""
     shown = {name: body for name, body in sections.items() if body}
-    links = "".join(f'<a href="#{_anchor(name)}">{name}</a>' for name in shown)
+    links = "".join(f'<a href="#{_section_anchor(name)}">{name}</a>' for name in shown)
     bodies = "".join(
-        f'<section id="{_anchor(name)}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
+        f'<section id="{_section_anchor(name)}"><h2>{name}</h2>{body}</section>'
+        for name, body in shown.items()
     )
     name = escape(title)
     written = f"{date.today().isoformat()}, gnc_opt {package_version('gnc_opt')}"
@@ -54,31 +55,31 @@ def document(title: str, headline: str, sections: Mapping[str, str]) -> str:
     )
 
 
-def pictures(figures: Mapping[Path, str]) -> str:
+def figures_html(figures: Mapping[Path, str]) -> str:
     """Return SVG files with their captions as part of a page."""
-    return "".join(_picture(path, caption) for path, caption in figures.items())
+    return "".join(_svg_html(path, caption) for path, caption in figures.items())
 
 
-def picture(files: Mapping[str, Path], stem: str, caption: str) -> str:
+def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
     """Return the figure of a stem with its caption; nothing if there is no such figure."""
-    return pictures({files[stem]: caption}) if stem in files else ""
+    return figures_html({files[stem]: caption}) if stem in files else ""
 
 
-def chip(word: str, tone: str) -> str:
+def status_label_html(word: str, tone: str) -> str:
     """Return a word that stands out; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
 
-def command_text(command: str | None) -> str:
+def command_html(command: str | None) -> str:
     """Return the command that writes the same page."""
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""
 
 
-def _anchor(title: str) -> str:
+def _section_anchor(title: str) -> str:
     return title.lower().replace(" ", "-")
 
 
-def _picture(path: Path, caption: str) -> str:
+def _svg_html(path: Path, caption: str) -> str:
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     name = escape(caption)
     source = f"data:image/svg+xml;base64,{data}"

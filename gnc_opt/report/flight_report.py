@@ -11,13 +11,13 @@ import numpy as np
 from gnc_opt.arguments import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.document import (
-    chip,
-    command_text,
-    document,
-    picture,
-    pictures,
+    command_html,
+    figure_html,
+    figures_html,
+    html_document,
     report_folder,
     save_figures,
+    status_label_html,
     write_page,
 )
 from gnc_opt.report.page import TRAJECTORY_CAPTION
@@ -64,14 +64,14 @@ def write_run_report(
     ['report.html', 'run.npz']
     """
     folder = report_folder(directory)
-    motion = "" if view is None else _scene({title: run}, view)
-    files = save_figures(folder, _run_figures(run, view))
+    motion = "" if view is None else _scene_section({title: run}, view)
+    files = save_figures(folder, _draw_run_figures(run, view))
     sections = {
-        "Overview": picture(files, "trajectory", TRAJECTORY_CAPTION) + preformatted(str(run)),
+        "Overview": figure_html(files, "trajectory", TRAJECTORY_CAPTION) + preformatted(str(run)),
         "Motion": motion,
-        "States": picture(files, "states", "States of the plant over time."),
-        "Controls": picture(files, "controls", "Commands and applied controls over time."),
-        "Errors": picture(files, "errors", "Errors of the states relative to the reference over time."),
+        "States": figure_html(files, "states", "States of the plant over time."),
+        "Controls": figure_html(files, "controls", "Commands and applied controls over time."),
+        "Errors": figure_html(files, "errors", "Errors of the states relative to the reference over time."),
         "Parameters": table(
             ("parameter", "value", "unit"),
             zip(
@@ -81,10 +81,10 @@ def write_run_report(
                 strict=True,
             ),
         ),
-        "Software": command_text(command) + table(("", ""), [("seed", run.seed)]),
+        "Software": command_html(command) + table(("", ""), [("seed", run.seed)]),
     }
-    headline = chip(str(run.outcome), "good" if run.outcome.ok else "bad")
-    page = write_page(folder, document(title, headline, sections))
+    headline = status_label_html(str(run.outcome), "good" if run.outcome.ok else "bad")
+    page = write_page(folder, html_document(title, headline, sections))
     return [page, run.save(folder / "run.npz"), *files.values()]
 
 
@@ -134,23 +134,23 @@ def write_campaign_report(
     if not len(campaign):
         raise GncOptError("no run of the campaign has ended: there is nothing to report.")
     folder = report_folder(directory)
-    motion = "" if view is None else _any_run(campaign, view, runs)
-    files = save_figures(folder, _campaign_figures(campaign))
+    motion = "" if view is None else _sample_runs_section(campaign, view, runs)
+    files = save_figures(folder, _draw_campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
         "Overview": preformatted(str(campaign)),
         "Motion": motion,
-        "Distributions": picture(
+        "Distributions": figure_html(
             files, "distributions", "Distribution of each measure over all runs, with its limit."
         ),
-        "Dispersions": pictures(
+        "Dispersions": figures_html(
             {
                 path: f"Errors of {stem.removeprefix('dispersion_')} at the end of all runs, by pairs of components."
                 for stem, path in files.items()
                 if stem.startswith("dispersion_")
             }
         ),
-        "Envelopes": pictures(
+        "Envelopes": figures_html(
             {
                 path: (
                     f"{stem.removeprefix('envelope_')} over time: 1st, 50th and 99th percentile of the runs, "
@@ -161,31 +161,32 @@ def write_campaign_report(
             }
         ),
         "Failures": table(("run", "cause"), failures),
-        "Software": command_text(command)
+        "Software": command_html(command)
         + table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
     }
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open"
     headline = (
-        chip(f"{passed.passed} of {len(campaign)} passed", tone) + f"pass rate {passed}, 95 % confidence"
+        status_label_html(f"{passed.passed} of {len(campaign)} passed", tone)
+        + f"pass rate {passed}, 95 % confidence"
     )
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     saved = campaign.save(folder / "campaign.npz")
-    page = write_page(folder, document(title, headline, sections))
+    page = write_page(folder, html_document(title, headline, sections))
     return [page, saved, statistics, *files.values()]
 
 
 # --- motion -----------------------------------------------------------------------------------------------
 
 
-def _scene(shown: dict[str, Run], view: View, regular: dict[str, bool] | None = None) -> str:
+def _scene_section(shown: dict[str, Run], view: View, regular: dict[str, bool] | None = None) -> str:
     from gnc_opt.plot.scene import scene_html
 
     return scene_html(shown, view, regular=regular)
 
 
-def _any_run(campaign: Campaign, view: View, runs: int) -> str:
+def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]
     flown, regular = {}, {}
@@ -196,13 +197,13 @@ def _any_run(campaign: Campaign, view: View, runs: int) -> str:
         name = f"run {index}: {word}"
         flown[name], regular[name] = campaign.rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return count + _scene(flown, view, regular)
+    return count + _scene_section(flown, view, regular)
 
 
 # --- figures ----------------------------------------------------------------------------------------------
 
 
-def _run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
+def _draw_run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
     from gnc_opt.plot.path import plot_motion
     from gnc_opt.plot.run import plot_run
 
@@ -214,7 +215,7 @@ def _run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
         yield "errors", plot_run(run, "errors")
 
 
-def _campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
+def _draw_campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
     from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 
     if campaign.measures:

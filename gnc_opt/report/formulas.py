@@ -53,7 +53,7 @@ class Formulas:
     _repeated: set[int] = field(default_factory=set)
     _sizes: dict[int, int] = field(default_factory=dict)
 
-    def admit(self, expressions: Any) -> bool:
+    def is_short_enough(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; note what occurs in it twice."""
         uses: Counter[int] = Counter()
         waiting = ca.vertsplit(ca.densify(expressions))
@@ -69,42 +69,42 @@ class Formulas:
         self._repeated |= {place for place, count in uses.items() if count > 1}
         return True
 
-    def terms(self, expression: Any) -> list[str]:
+    def split_terms(self, expression: Any) -> list[str]:
         """Return a formula as its terms, signs included, between which a line may break."""
-        return list(self._terms(expression, ""))
+        return list(self._split_terms(expression, ""))
 
     def _operands(self, node: Any) -> list[Any]:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
-    def _terms(self, node: Any, sign: str) -> Iterator[str]:
+    def _split_terms(self, node: Any, sign: str) -> Iterator[str]:
         if (
             node.element_hash() not in self.names
             and node.n_dep() == 2
             and node.op() in (ca.OP_ADD, ca.OP_SUB)
         ):
-            yield from self._terms(node.dep(0), sign)
+            yield from self._split_terms(node.dep(0), sign)
             if node.op() == ca.OP_ADD:
-                yield from self._terms(node.dep(1), "+")
+                yield from self._split_terms(node.dep(1), "+")
                 return
-            yield _operator("−") + self._operand(node.dep(1), _PRODUCT)
+            yield _operator_mathml("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
             return
-        text, binding = self._written(node)
+        text, binding = self._to_mathml(node)
         if sign and binding == _SIGNED:
             yield text  # its own minus
         else:
-            yield (_operator(sign) if sign else "") + text
+            yield (_operator_mathml(sign) if sign else "") + text
 
-    def _size(self, node: Any) -> int:
+    def _expression_size(self, node: Any) -> int:
         place = node.element_hash()
         if place not in self._sizes:
-            self._sizes[place] = 1 + sum(self._size(operand) for operand in self._operands(node))
+            self._sizes[place] = 1 + sum(self._expression_size(operand) for operand in self._operands(node))
         return self._sizes[place]
 
-    def _operand(self, node: Any, least: int) -> str:
+    def _operand_to_mathml(self, node: Any, least: int) -> str:
         """Return an operand, in parentheses if it binds less than ``least``."""
-        text, binding = self._written(node)
-        size, place = self._size(node), node.element_hash()
+        text, binding = self._to_mathml(node)
+        size, place = self._expression_size(node), node.element_hash()
         long = size >= AUXILIARY_LONG_NODES or (place in self._repeated and size >= AUXILIARY_MIN_NODES)
         if long and place not in self.names:
             known = {formula: name for name, formula in self.auxiliary}
@@ -114,75 +114,88 @@ class Formulas:
             self.names[place], binding = known[text], _ATOM
             text = known[text]
             self._sizes.clear()
-        return text if binding >= least else _parentheses(text)
+        return text if binding >= least else _add_parentheses(text)
 
-    def _written(self, node: Any) -> tuple[str, int]:
+    def _to_mathml(self, node: Any) -> tuple[str, int]:
         """Return MathML and how tightly it binds."""
         place = node.element_hash()
         if place in self.names:
             return self.names[place], _ATOM
         if node.is_constant():
             value = float(node)
-            return number_math(value), _ATOM if value >= 0 else _SIGNED
+            return number_mathml(value), _ATOM if value >= 0 else _SIGNED
         if node.is_symbolic():
-            return name_math(node.name()), _ATOM
-        return self._operation(node.op(), [node.dep(i) for i in range(node.n_dep())])
+            return name_mathml(node.name()), _ATOM
+        return self._operation_to_mathml(node.op(), [node.dep(i) for i in range(node.n_dep())])
 
-    def _operation(self, op: int, parts: list[Any]) -> tuple[str, int]:
+    def _operation_to_mathml(self, op: int, parts: list[Any]) -> tuple[str, int]:
         if op in (ca.OP_ADD, ca.OP_SUB):
-            second = self._operand(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
-            return self._operand(parts[0], _SUM) + _operator("+" if op == ca.OP_ADD else "−") + second, _SUM
+            second = self._operand_to_mathml(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
+            return self._operand_to_mathml(parts[0], _SUM) + _operator_mathml(
+                "+" if op == ca.OP_ADD else "−"
+            ) + second, _SUM
         if op == ca.OP_MUL:
-            second = self._operand(parts[1], _ATOM)
+            second = self._operand_to_mathml(parts[1], _ATOM)
             if parts[0].is_constant() and float(parts[0]) < 0:
-                return number_math(float(parts[0])) + _TIMES + second, _SIGNED
-            return self._operand(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
+                return number_mathml(float(parts[0])) + _TIMES + second, _SIGNED
+            return self._operand_to_mathml(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
         if op == ca.OP_NEG:
-            return "<mo form='prefix'>−</mo>" + self._operand(parts[0], _PRODUCT), _SIGNED
+            return "<mo form='prefix'>−</mo>" + self._operand_to_mathml(parts[0], _PRODUCT), _SIGNED
         if op == ca.OP_TWICE:
-            return "<mn>2</mn>" + _TIMES + self._operand(parts[0], _ATOM), _PRODUCT
+            return "<mn>2</mn>" + _TIMES + self._operand_to_mathml(parts[0], _ATOM), _PRODUCT
         if op in (ca.OP_DIV, ca.OP_INV):
             above, below = (
-                ("<mn>1</mn>", parts[0]) if op == ca.OP_INV else (self._operand(parts[0], _SUM), parts[1])
+                ("<mn>1</mn>", parts[0])
+                if op == ca.OP_INV
+                else (self._operand_to_mathml(parts[0], _SUM), parts[1])
             )
-            return f"<mfrac><mrow>{above}</mrow><mrow>{self._operand(below, _SUM)}</mrow></mfrac>", _ATOM
+            return (
+                f"<mfrac><mrow>{above}</mrow><mrow>{self._operand_to_mathml(below, _SUM)}</mrow></mfrac>",
+                _ATOM,
+            )
         if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
-            power = "<mn>2</mn>" if op == ca.OP_SQ else self._operand(parts[1], _SUM)
-            return f"<msup><mrow>{self._operand(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>", _ATOM
+            power = "<mn>2</mn>" if op == ca.OP_SQ else self._operand_to_mathml(parts[1], _SUM)
+            return (
+                f"<msup><mrow>{self._operand_to_mathml(parts[0], _ATOM)}</mrow><mrow>{power}</mrow></msup>",
+                _ATOM,
+            )
         if op == ca.OP_SQRT:
-            return f"<msqrt>{self._operand(parts[0], _SUM)}</msqrt>", _ATOM
+            return f"<msqrt>{self._operand_to_mathml(parts[0], _SUM)}</msqrt>", _ATOM
         if op == ca.OP_FABS:
-            return f"<mo>|</mo>{self._operand(parts[0], _SUM)}<mo>|</mo>", _ATOM
+            return f"<mo>|</mo>{self._operand_to_mathml(parts[0], _SUM)}<mo>|</mo>", _ATOM
         if op in _RELATIONS:
-            both = [self._operand(part, _SUM) for part in parts]
+            both = [self._operand_to_mathml(part, _SUM) for part in parts]
             return f"{both[0]}<mo>{_RELATIONS[op]}</mo>{both[1]}", _SUM - 1
         if op == ca.OP_IF_ELSE_ZERO:
-            value, condition = self._operand(parts[1], _PRODUCT), self._operand(parts[0], _SUM - 1)
+            value, condition = (
+                self._operand_to_mathml(parts[1], _PRODUCT),
+                self._operand_to_mathml(parts[0], _SUM - 1),
+            )
             return f"{value}<mtext> if </mtext>{condition}", _SUM - 1
         if op == ca.OP_NOT:
-            return f"<mo>¬</mo>{self._operand(parts[0], _ATOM)}", _ATOM
-        return call_math(
-            _FUNCTIONS.get(op, f"operation {op}"), [self._operand(part, _SUM) for part in parts]
+            return f"<mo>¬</mo>{self._operand_to_mathml(parts[0], _ATOM)}", _ATOM
+        return function_call_mathml(
+            _FUNCTIONS.get(op, f"operation {op}"), [self._operand_to_mathml(part, _SUM) for part in parts]
         ), _ATOM
 
 
-def call_math(name: str, arguments: Iterable[str]) -> str:
+def function_call_mathml(name: str, arguments: Iterable[str]) -> str:
     """Return a function with its arguments."""
-    return f"<mi>{escape(name)}</mi>{_parentheses('<mo>,</mo>'.join(arguments))}"
+    return f"<mi>{escape(name)}</mi>{_add_parentheses('<mo>,</mo>'.join(arguments))}"
 
 
-def symbol_names(symbols: Mapping[str, Any]) -> dict[int, str]:
+def component_names_mathml(symbols: Mapping[str, Any]) -> dict[int, str]:
     """Return MathML by ``element_hash`` for the components of symbols, given by their names."""
     found = {}
     for name, symbol in symbols.items():
         elements = ca.vertsplit(symbol)
         for i, element in enumerate(elements):
             label = name if len(elements) == 1 else f"{name}[{i}]"
-            found[element.element_hash()] = name_math(label)
+            found[element.element_hash()] = name_mathml(label)
     return found
 
 
-def name_math(label: str, *, dotted: bool = False) -> str:
+def name_mathml(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its rate."""
     name, _, index = label.partition("[")
     base, _, subscript = name.partition("_")
@@ -197,29 +210,29 @@ def name_math(label: str, *, dotted: bool = False) -> str:
     return f"<mrow>{text}{left}<mn>{escape(index[:-1])}</mn>{right}</mrow>"
 
 
-def number_math(value: float) -> str:
+def number_mathml(value: float) -> str:
     """Return a number with six digits, its exponent typeset."""
     digits, _, exponent = f"{abs(value):.6g}".partition("e")
     text = f"<mn>{digits}</mn>"
     if exponent:
-        power = f"<msup><mn>10</mn><mrow>{_signed(int(exponent))}</mrow></msup>"
+        power = f"<msup><mn>10</mn><mrow>{_signed_number_mathml(int(exponent))}</mrow></msup>"
         text = power if digits == "1" else f"{text}<mo>·</mo>{power}"
     return ("<mo form='prefix'>−</mo>" if value < 0 else "") + text
 
 
-def math(content: str) -> str:
+def inline_formula(content: str) -> str:
     """Return an inline formula."""
     return f"<math>{content}</math>"
 
 
-def _signed(value: int) -> str:
+def _signed_number_mathml(value: int) -> str:
     return f"<mo form='prefix'>−</mo><mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
 
 
-def _operator(sign: str) -> str:
+def _operator_mathml(sign: str) -> str:
     return f"<mo form='infix'>{sign}</mo>"
 
 
-def _parentheses(text: str) -> str:
+def _add_parentheses(text: str) -> str:
     stretchy = "" if "<mfrac" in text or "<msqrt" in text else ' stretchy="false"'
     return f"<mrow><mo{stretchy}>(</mo>{text}<mo{stretchy}>)</mo></mrow>"

@@ -32,11 +32,13 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        **_members(found, "starts", "finished", "seed", "interrupted"),
+        **_select_attributes(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                **_members(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok", "standing"),
+                **_select_attributes(
+                    minimum, "objective", "hits", "trajectories", "refined", "verdict_ok", "standing"
+                ),
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
                 "solution": summary_dict(minimum.solution),
@@ -81,21 +83,21 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "build_s": spent.build_s,
                 "solve_s": spent.solve_s,
                 "scheme": next(iter(solution.phases.values())).scheme,
-                "mesh": _mesh(solution),
+                "mesh": _mesh_text(solution),
                 "max_defect": quality and quality.max_defect,
                 "max_defect_where": quality and quality.defect_location,
                 "max_bound_violation": quality and quality.max_bound_violation,
                 "max_bound_violation_where": quality and quality.bound_location,
                 "propagation_error": quality and quality.propagation_error,
                 "terminal_error_where": quality and quality.propagation_location,
-                "bound": _bound(solution),
+                "bound": _lower_bound_dict(solution),
                 "outside_tables": [str(found) for found in left_tables(solution)],
-                "verdict": None if verdict is None else _verdict(verdict),
+                "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
-                "structure": [_arc(arc) for arc in solution.structure],
-                "refinement": None if solution.history is None else _refinement(solution.history),
+                "structure": [_arc_dict(arc) for arc in solution.structure],
+                "refinement": None if solution.history is None else _refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
-                "phases": [_phase(leg) for leg in solution.phases.values()],
+                "phases": [_phase_dict(leg) for leg in solution.phases.values()],
                 "provenance": dict(solution.provenance),
             }
         )
@@ -124,56 +126,56 @@ def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict 
     return target
 
 
-def _mesh(solution: Solution) -> str:
+def _mesh_text(solution: Solution) -> str:
     """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
     if len(solution.phases) == 1:
         return str(solution.phase().mesh)
     return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
 
 
-def _bound(solution: Solution) -> dict[str, Any] | None:
+def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
     bound = solution.bound
     if bound is None:
         return None
     return {
-        **_members(bound, "value", "certified", "theorem"),
+        **_select_attributes(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
     }
 
 
-def _verdict(verdict: Verdict) -> dict[str, Any]:
+def _verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
-    conditions = [{**_members(c, *members), "result": c.result.value} for c in verdict.conditions]
-    return {**_members(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
+    conditions = [{**_select_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**_select_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
-def _arc(arc: Arc) -> dict[str, Any]:
-    return {**_members(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+def _arc_dict(arc: Arc) -> dict[str, Any]:
+    return {**_select_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
 
 
-def _refinement(history: History) -> dict[str, Any]:
+def _refinement_dict(history: History) -> dict[str, Any]:
     return {
         "status": history.status.value,
         "passes": len(history.passes),
         "error": history.final.error,
-        **_members(history, "tolerance", "seconds"),
+        **_select_attributes(history, "tolerance", "seconds"),
     }
 
 
-def _phase(leg: PhaseSolution) -> dict[str, Any]:
+def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        **_members(leg, "name", "initial_time", "final_time"),
+        **_select_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
-        "states": _layout(leg.states),
-        "controls": _layout(leg.controls),
+        "states": _layout_list(leg.states),
+        "controls": _layout_list(leg.controls),
     }
 
 
-def _members(value: Any, *names: str) -> dict[str, Any]:
+def _select_attributes(value: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 
-def _layout(layout: Layout) -> list[dict[str, Any]]:
+def _layout_list(layout: Layout) -> list[dict[str, Any]]:
     return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]

@@ -17,8 +17,8 @@ from gnc_opt.planning.solution.summary import (
     objective_text,
 )
 from gnc_opt.planning.solution.verdict import REMEDIES, ConditionResult, Verdict, most_severe
-from gnc_opt.report.document import chip, command_text, document, picture
-from gnc_opt.report.problem_statement import problem_statement
+from gnc_opt.report.document import command_html, figure_html, html_document, status_label_html
+from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.text import table
 
 TRAJECTORY_CAPTION = (
@@ -40,7 +40,7 @@ CAPTIONS = {
 """Captions of the figures that every report has, by file stem."""
 
 
-def page(
+def solution_page_html(
     solution: Solution,
     verdict: Verdict | None,
     files: Mapping[str, Path],
@@ -50,58 +50,58 @@ def page(
 ) -> str:
     """Return the page as HTML."""
 
-    def shown(*stems: str) -> str:
-        return "".join(picture(files, stem, CAPTIONS[stem]) for stem in stems)
+    def join_figures(*stems: str) -> str:
+        return "".join(figure_html(files, stem, CAPTIONS[stem]) for stem in stems)
 
     sections = {
-        "Overview": _overview(solution, verdict, files),
+        "Overview": _overview_section(solution, verdict, files),
         "Motion": motion,
-        "Problem": "" if solution.problem is None else problem_statement(solution.problem),
-        "States": shown("states") if "trajectory" in files else "",
-        "Costates and Hamiltonian": shown("costates", "hamiltonian"),
-        "Arcs": _arcs(solution),
-        "Refinement": _refinement(solution.history) + shown("refinement"),
-        "Conditions": _conditions(verdict),
-        "Multipliers": _multipliers(solution),
-        "Software": _software(solution, command),
+        "Problem": "" if solution.problem is None else problem_statement_html(solution.problem),
+        "States": join_figures("states") if "trajectory" in files else "",
+        "Costates and Hamiltonian": join_figures("costates", "hamiltonian"),
+        "Arcs": _arcs_table(solution),
+        "Refinement": _refinement_table(solution.history) + join_figures("refinement"),
+        "Conditions": _conditions_table(verdict),
+        "Multipliers": _multipliers_table(solution),
+        "Software": _software_versions_table(solution, command),
     }
-    return document(solution.problem_name, _headline(solution, verdict), sections)
+    return html_document(solution.problem_name, _headline_text(solution, verdict), sections)
 
 
 # --- first section ----------------------------------------------------------------------------------------
 
 
-def _headline(solution: Solution, verdict: Verdict | None) -> str:
+def _headline_text(solution: Solution, verdict: Verdict | None) -> str:
     """Return the status of solver and optimality check, and the objective, in one line."""
     solved = solution.status.solved
-    chips = chip(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
+    chips = status_label_html(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
     if verdict is not None:
         tone = "good" if verdict.ok else "bad" if verdict.failed else "open"
-        chips += chip("strict local minimum" if verdict.minimum else verdict.word, tone)
+        chips += status_label_html("strict local minimum" if verdict.minimum else verdict.word, tone)
     sense = "maximised" if solution.maximised else "minimised"
     return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"
 
 
-def _overview(solution: Solution, verdict: Verdict | None, files: Mapping[str, Path]) -> str:
-    trajectory = picture(files, "trajectory", TRAJECTORY_CAPTION) or picture(
+def _overview_section(solution: Solution, verdict: Verdict | None, files: Mapping[str, Path]) -> str:
+    trajectory = figure_html(files, "trajectory", TRAJECTORY_CAPTION) or figure_html(
         files, "states", CAPTIONS["states"]
     )
-    controls = picture(files, "controls", CAPTIONS["controls"])
-    return _check(solution, verdict) + trajectory + controls + _facts(solution)
+    controls = figure_html(files, "controls", CAPTIONS["controls"])
+    return _verdict_section(solution, verdict) + trajectory + controls + _solve_facts_table(solution)
 
 
-def _check(solution: Solution, verdict: Verdict | None) -> str:
+def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if not solution.status.solved:
         rows = [("what to do", solution.status.remedy)]
         rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
         return table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
-    failing = "".join(f"<p>{escape(text)}</p>" for text in what_fails(verdict))
-    return failing + table(("check", "result", "largest residual", "at"), check_lines(verdict))
+    failing = "".join(f"<p>{escape(text)}</p>" for text in open_conditions_html(verdict))
+    return failing + table(("check", "result", "largest residual", "at"), verdict_table_rows(verdict))
 
 
-def check_lines(verdict: Verdict) -> list[tuple[str, str, str, str]]:
+def verdict_table_rows(verdict: Verdict) -> list[tuple[str, str, str, str]]:
     """Return group, result, largest residual and its place of three groups of conditions."""
     lines = []
     for group, found in verdict.groups.items():
@@ -111,7 +111,7 @@ def check_lines(verdict: Verdict) -> list[tuple[str, str, str, str]]:
     return lines
 
 
-def what_fails(verdict: Verdict) -> list[str]:
+def open_conditions_html(verdict: Verdict) -> list[str]:
     """Return place, size, meaning and remedy of each condition that fails or is inconclusive though necessary."""
     return [
         f"{c.name} {c.result.value.lower()} at {c.location_text}. {c.meaning} {REMEDIES.get(c.name, '')}".rstrip()
@@ -119,7 +119,7 @@ def what_fails(verdict: Verdict) -> list[str]:
     ]
 
 
-def _facts(solution: Solution) -> str:
+def _solve_facts_table(solution: Solution) -> str:
     rows = [
         (f"phase {name}", f"{leg.initial_time:.10g} s to {leg.final_time:.10g} s")
         for name, leg in solution.phases.items()
@@ -141,7 +141,7 @@ def _facts(solution: Solution) -> str:
 # --- further sections -------------------------------------------------------------------------------------
 
 
-def _conditions(verdict: Verdict | None) -> str:
+def _conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     rows = [
@@ -163,7 +163,7 @@ def residual_text(value: float) -> str:
     return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"
 
 
-def _arcs(solution: Solution) -> str:
+def _arcs_table(solution: Solution) -> str:
     rows = [
         (arc.phase, arc.channel, arc.kind.value, f"{arc.start:.12g}", f"{arc.end:.12g}")
         for arc in solution.structure
@@ -171,7 +171,7 @@ def _arcs(solution: Solution) -> str:
     return table(("phase", "channel", "arc", "from (s)", "to (s)"), rows)
 
 
-def _refinement(history: History | None) -> str:
+def _refinement_table(history: History | None) -> str:
     if history is None:
         return ""
     rows = [
@@ -194,26 +194,29 @@ def _refinement(history: History | None) -> str:
     return f"<p>{escape(history.message)}</p>" + table(titles, rows)
 
 
-def _multipliers(solution: Solution) -> str:
+def _multipliers_table(solution: Solution) -> str:
     rows = [
-        (f"constraint {label}", _exact(value), "")
+        (f"constraint {label}", _format_number(value), "")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
     ]
     rows += [
-        (f"limits of {label}", _exact(value), "")
+        (f"limits of {label}", _format_number(value), "")
         for label, value in zip(solution.free_parameters.labels, solution.parameter_multipliers, strict=True)
     ]
     for name, leg in solution.phases.items():
         ends = zip(leg.states.labels, leg.lam(leg.initial_time), leg.lam(leg.final_time, "left"), strict=True)
-        rows += [(f"costate of {label}, phase {name}", _exact(a), _exact(b)) for label, a, b in ends]
+        rows += [
+            (f"costate of {label}, phase {name}", _format_number(a), _format_number(b))
+            for label, a, b in ends
+        ]
     return table(("multiplier of", "value, or at the start", "at the end"), rows)
 
 
-def _exact(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.9g}"
 
 
-def _software(solution: Solution, command: str | None) -> str:
+def _software_versions_table(solution: Solution, command: str | None) -> str:
     rows = [(key.replace("_", " "), str(value)) for key, value in solution.provenance.items()]
     rows.append(("last solve", solution.statistics.text))
-    return command_text(command) + table(("", ""), rows)
+    return command_html(command) + table(("", ""), rows)

@@ -13,73 +13,88 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.report.formulas import Formulas, call_math, math, name_math, number_math, symbol_names
+from gnc_opt.report.formulas import (
+    Formulas,
+    component_names_mathml,
+    function_call_mathml,
+    inline_formula,
+    name_mathml,
+    number_mathml,
+)
 from gnc_opt.text import table
 
 _TIME = "<mi>t</mi>"
 
 
-def problem_statement(problem: Problem) -> str:
+def problem_statement_html(problem: Problem) -> str:
     """Return the cost, the constraints at the ends, the free parameters and every phase as HTML."""
-    writer = Formulas(_end_names(problem))
+    writer = Formulas(_boundary_names(problem))
     shown: dict[str, str] = {}
-    phases = "".join(_phase(problem, leg, shown) for leg in problem.phases.values())
-    return _cost(problem, writer) + phases + _constraints(problem, writer) + _free_parameters(problem)
+    phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
+    return (
+        _objective_section(problem, writer)
+        + phases
+        + _boundary_constraints_section(problem, writer)
+        + _free_parameters_section(problem)
+    )
 
 
 # --- cost and ends ----------------------------------------------------------------------------------------
 
 
-def _end_names(problem: Problem) -> dict[int, str]:
+def _boundary_names(problem: Problem) -> dict[int, str]:
     """Return the names of end states, times, integrals and free parameters."""
-    names = symbol_names({s.variable.name: s for s in problem.free_symbols()})
+    names = component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
     several = len(problem.phases) > 1
     for leg in problem.phases.values():
         of_phase = f"<mtext>{escape(leg.name)}</mtext>" if several else ""
-        times = {"initial": _time_name("0", of_phase), "final": _time_name("f", of_phase)}
+        times = {
+            "initial": _boundary_time_mathml("0", of_phase),
+            "final": _boundary_time_mathml("f", of_phase),
+        }
         for end, time in times.items():
-            labels = [name_math(label) for label in leg.model.states.labels]
+            labels = [name_mathml(label) for label in leg.model.states.labels]
             for label, element in zip(labels, ca.vertsplit(leg.ends(end)), strict=True):
                 names[element.element_hash()] = f"<mrow>{label}<mo>(</mo>{time}<mo>)</mo></mrow>"
         for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
             names[symbol.element_hash()] = time
         for name, (symbol, _) in leg.integrands.items():
-            names[symbol.element_hash()] = _integral_name(name)
+            names[symbol.element_hash()] = _integral_mathml(name)
     return names
 
 
-def _time_name(mark: str, of_phase: str) -> str:
+def _boundary_time_mathml(mark: str, of_phase: str) -> str:
     return f"<msub>{_TIME}<mrow><mi>{mark}</mi>{'<mo>,</mo>' if of_phase else ''}{of_phase}</mrow></msub>"
 
 
-def _integral_name(name: str) -> str:
+def _integral_mathml(name: str) -> str:
     _, numbered, index = name.partition("integral_")
-    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else name_math(name)
+    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else name_mathml(name)
 
 
-def _cost(problem: Problem, writer: Formulas) -> str:
+def _objective_section(problem: Problem, writer: Formulas) -> str:
     sense = "maximise" if problem.sense < 0 else "minimise"
     unit = f", in {problem.cost_unit}" if problem.cost_unit else ""
-    return f"<p>{sense.capitalize()} the objective{escape(unit)}:</p>" + _formulas(
+    return f"<p>{sense.capitalize()} the objective{escape(unit)}:</p>" + _equation_formulas(
         writer, [("<mi>J</mi>", problem.cost)]
     )
 
 
-def _constraints(problem: Problem, writer: Formulas) -> str:
+def _boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
     if not problem.constraints:
         return ""
     rows = [
         (label, element, box)
         for c in problem.constraints.values()
-        for label, element, box in _limited_rows(c.labels, c.expression, c.interval)
+        for label, element, box in _pair_rows_with_limits(c.labels, c.expression, c.interval)
     ]
-    return "<h3>Boundary constraints</h3>" + _limits(writer, rows)
+    return "<h3>Boundary constraints</h3>" + _constraint_formulas(writer, rows)
 
 
-def _free_parameters(problem: Problem) -> str:
+def _free_parameters_section(problem: Problem) -> str:
     box = problem.parameter_interval()
     rows = [
-        (label, range_text(box, [i]), unit)
+        (label, interval_text(box, [i]), unit)
         for i, (label, unit) in enumerate(
             zip(problem.parameters.labels, problem.parameters.units, strict=True)
         )
@@ -90,45 +105,48 @@ def _free_parameters(problem: Problem) -> str:
 # --- phases -----------------------------------------------------------------------------------------------
 
 
-def _phase(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
+def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts that an earlier one has, too, are referred to by the name of that phase."""
 
-    def once(part: str) -> str:
+    def refer_if_repeated(part: str) -> str:
         earlier = shown.setdefault(part, leg.name)
         return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
 
     initial, final = leg.times()
     span = leg.numbers.duration
-    times = [("initial time", range_text(initial, [0]), "s"), ("final time", range_text(final, [0]), "s")]
+    times = [
+        ("initial time", interval_text(initial, [0]), "s"),
+        ("final time", interval_text(final, [0]), "s"),
+    ]
     if span.lower[0] > 0 or np.isfinite(span.upper[0]):
-        times.append(("duration", range_text(span, [0]), "s"))
+        times.append(("duration", interval_text(span, [0]), "s"))
     body = [
         f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
         "<h4>Dynamics</h4>",
-        once(_dynamics(problem, leg)),
+        refer_if_repeated(_dynamics_section(problem, leg)),
         "<h4>States, controls and times</h4>",
         table(
             ("", "initial value", "final value", "limits", "unit"),
             [
-                *_state_rows(leg),
+                *_state_table_rows(leg),
                 *(
-                    (name, "", "", range_text(leg.numbers.controls, rows), unit)
-                    for name, rows, unit in _grouped(leg.model.controls)
+                    (name, "", "", interval_text(leg.numbers.controls, rows), unit)
+                    for name, rows, unit in _iterate_variables(leg.model.controls)
                 ),
                 *((name, "", "", value, unit) for name, value, unit in times),
             ],
         ),
         *(
-            ["<h4>Parameters of the model</h4>", once(values)]
-            if (values := _model_parameters(problem, leg))
+            ["<h4>Parameters of the model</h4>", refer_if_repeated(values)]
+            if (values := _model_parameters_table(problem, leg))
             else []
         ),
     ]
     return "".join(body)
 
 
-def _grouped(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
+def _iterate_variables(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
     """Yield name, rows and unit of each variable."""
     for v in layout.variables:
         place = layout.slice(v.name)
@@ -139,111 +157,128 @@ def _grouped(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
         )
 
 
-def _state_rows(leg: Phase) -> list[tuple[str, ...]]:
+def _state_table_rows(leg: Phase) -> list[tuple[str, ...]]:
     numbers = leg.numbers
     return [
-        (name, *(range_text(box, rows) for box in (numbers.initial, numbers.final, numbers.states)), unit)
-        for name, rows, unit in _grouped(leg.model.states)
+        (name, *(interval_text(box, rows) for box in (numbers.initial, numbers.final, numbers.states)), unit)
+        for name, rows, unit in _iterate_variables(leg.model.states)
     ]
 
 
-def _model_parameters(problem: Problem, leg: Phase) -> str:
+def _model_parameters_table(problem: Problem, leg: Phase) -> str:
     values = leg.model.parameter_values
     rows = [
-        (name, "free" if name.split(" [")[0] in problem.parameters else _numbers(values[rows]), unit)
-        for name, rows, unit in _grouped(leg.model.parameters)
+        (name, "free" if name.split(" [")[0] in problem.parameters else _format_numbers(values[rows]), unit)
+        for name, rows, unit in _iterate_variables(leg.model.parameters)
     ]
     return table(("parameter", "value", "unit"), rows)
 
 
-def _dynamics(problem: Problem, leg: Phase) -> str:
+def _dynamics_section(problem: Problem, leg: Phase) -> str:
     """Return the dynamics, integrals and path constraints of a phase as formulas."""
-    writer = Formulas(_names_along(problem, leg))
+    writer = Formulas(_phase_symbol_names(problem, leg))
     states = leg.model.states
     rows: list[tuple[str, Any]] = []
     for v, derivative in ((v, leg.model.derivative()[states.slice(v.name)]) for v in states.variables):
-        whole = _variable_of(leg, derivative)
+        whole = _find_variable_name(leg, derivative)
         if whole:
-            rows.append((name_math(v.name, dotted=True), whole))
+            rows.append((name_mathml(v.name, dotted=True), whole))
         else:
             labelled = zip(v.labels, ca.vertsplit(derivative), strict=True)
-            rows += [(name_math(label, dotted=True), element) for label, element in labelled]
-    text = _formulas(writer, rows)
+            rows += [(name_mathml(label, dotted=True), element) for label, element in labelled]
+    text = _equation_formulas(writer, rows)
     if leg.integrands:
-        integrals = [(f"{_integral_name(name)}", value) for name, (_, value) in leg.integrands.items()]
-        text += "<h4>Integrals over the phase, of</h4>" + _formulas(writer, integrals)
-    limited = [row for c in leg.paths.values() for row in _limited_rows(c.labels, c.expression, c.interval)]
-    return text + ("<h4>Path constraints</h4>" + _limits(writer, limited) if limited else "")
+        integrals = [(f"{_integral_mathml(name)}", value) for name, (_, value) in leg.integrands.items()]
+        text += "<h4>Integrals over the phase, of</h4>" + _equation_formulas(writer, integrals)
+    limited = [
+        row for c in leg.paths.values() for row in _pair_rows_with_limits(c.labels, c.expression, c.interval)
+    ]
+    return text + ("<h4>Path constraints</h4>" + _constraint_formulas(writer, limited) if limited else "")
 
 
-def _names_along(problem: Problem, leg: Phase) -> dict[int, str]:
+def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     """Return the names of time, states, controls, parameters and table values."""
     model = leg.model
     layouts = (model.states, model.controls, model.parameters)
-    names = symbol_names({v.name: model.symbol(v.name) for layout in layouts for v in layout.variables})
+    names = component_names_mathml(
+        {v.name: model.symbol(v.name) for layout in layouts for v in layout.variables}
+    )
     names[model.time.element_hash()] = _TIME
-    names |= symbol_names({s.variable.name: s for s in problem.free_symbols()})
+    names |= component_names_mathml({s.variable.name: s for s in problem.free_symbols()})
     writer = Formulas(names)
     for use in model.table_uses():
-        if use.value.numel() == 1 and writer.admit(use.arguments):
-            arguments = ["".join(writer.terms(argument)) for argument in ca.vertsplit(use.arguments)]
-            names[use.value.element_hash()] = call_math(use.table.name or "table", arguments)
+        if use.value.numel() == 1 and writer.is_short_enough(use.arguments):
+            arguments = ["".join(writer.split_terms(argument)) for argument in ca.vertsplit(use.arguments)]
+            names[use.value.element_hash()] = function_call_mathml(use.table.name or "table", arguments)
     return names
 
 
-def _variable_of(leg: Phase, expression: Any) -> str:
+def _find_variable_name(leg: Phase, expression: Any) -> str:
     """Return the name of the variable whose components a vector consists of, in order; "" if there is none."""
     places = [element.element_hash() for element in ca.vertsplit(expression)]
     for layout in (leg.model.states, leg.model.controls):
         for v in layout.variables:
             if [e.element_hash() for e in ca.vertsplit(leg.model.symbol(v.name))] == places:
-                return name_math(v.name)
+                return name_mathml(v.name)
     return ""
 
 
 # --- formulas ---------------------------------------------------------------------------------------------
 
 
-def _limited_rows(labels: Sequence[str], expression: Any, box: Interval) -> list[tuple[str, Any, Interval]]:
+def _pair_rows_with_limits(
+    labels: Sequence[str], expression: Any, box: Interval
+) -> list[tuple[str, Any, Interval]]:
     boxes = (Interval(box.lower[i : i + 1], box.upper[i : i + 1]) for i in range(box.lower.size))
     return list(zip(labels, ca.vertsplit(expression), boxes, strict=True))
 
 
-def _limits(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
+def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
     """Return constraints as names with formulas between their limits."""
-    if not writer.admit(ca.vertcat(*[element for _, element, _ in rows])):
-        return _too_long(rows)
+    if not writer.is_short_enough(ca.vertcat(*[element for _, element, _ in rows])):
+        return _omitted_expressions_note(rows)
     lines = []
     for label, element, box in rows:
         lower, upper = float(box.lower[0]), float(box.upper[0])
-        middle = _breakable(writer.terms(element))
-        before = math(number_math(lower) + "<mo>≤</mo>") if np.isfinite(lower) and lower != upper else ""
+        middle = _join_breakable_terms(writer.split_terms(element))
+        before = (
+            inline_formula(number_mathml(lower) + "<mo>≤</mo>")
+            if np.isfinite(lower) and lower != upper
+            else ""
+        )
         sign = "=" if lower == upper else "≤"
-        after = math(f"<mo>{sign}</mo>" + number_math(upper)) if np.isfinite(upper) else ""
+        after = inline_formula(f"<mo>{sign}</mo>" + number_mathml(upper)) if np.isfinite(upper) else ""
         lines.append((escape(label), f"{before} {middle} {after}"))
-    return _auxiliary(writer) + _lines(lines)
+    return _auxiliary_formulas(writer) + _formula_table(lines)
 
 
-def _formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
+def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
     """Return equations; a right side is an expression, or MathML."""
     expressions = ca.vertcat(*[value for _, value in rows if not isinstance(value, str)])
-    if expressions.numel() and not writer.admit(expressions):
-        return _too_long(rows)
+    if expressions.numel() and not writer.is_short_enough(expressions):
+        return _omitted_expressions_note(rows)
     lines = []
     for label, value in rows:
-        right = math(value) if isinstance(value, str) else _breakable(writer.terms(value))
-        lines.append((math(label), math("<mo>=</mo>") + " " + right))
-    return _auxiliary(writer) + _lines(lines)
+        right = (
+            inline_formula(value)
+            if isinstance(value, str)
+            else _join_breakable_terms(writer.split_terms(value))
+        )
+        lines.append((inline_formula(label), inline_formula("<mo>=</mo>") + " " + right))
+    return _auxiliary_formulas(writer) + _formula_table(lines)
 
 
-def _auxiliary(writer: Formulas) -> str:
+def _auxiliary_formulas(writer: Formulas) -> str:
     """Return the auxiliary quantities that are new since the last call."""
-    found = [(math(name), math("<mo>=</mo>" + formula)) for name, formula in writer.auxiliary[writer.shown :]]
+    found = [
+        (inline_formula(name), inline_formula("<mo>=</mo>" + formula))
+        for name, formula in writer.auxiliary[writer.shown :]
+    ]
     writer.shown = len(writer.auxiliary)
-    return _lines(found)
+    return _formula_table(found)
 
 
-def _too_long(rows: Sequence[Sequence[Any]]) -> str:
+def _omitted_expressions_note(rows: Sequence[Sequence[Any]]) -> str:
     expressions = [row[1] for row in rows if not isinstance(row[1], str)]
     function = ca.Function("f", [ca.vertcat(*ca.symvar(ca.vertcat(*expressions)))], expressions)
     names = ", ".join(dict.fromkeys(str(row[0]) if not str(row[0]).startswith("<") else "" for row in rows))
@@ -253,12 +288,12 @@ def _too_long(rows: Sequence[Sequence[Any]]) -> str:
     )
 
 
-def _breakable(terms: Iterable[str]) -> str:
+def _join_breakable_terms(terms: Iterable[str]) -> str:
     """Return terms as formulas of their own: a line may break between two of them."""
-    return " ".join(math(term) for term in terms)
+    return " ".join(inline_formula(term) for term in terms)
 
 
-def _lines(rows: Iterable[tuple[str, str]]) -> str:
+def _formula_table(rows: Iterable[tuple[str, str]]) -> str:
     body = "".join(f"<tr><td>{left}</td><td>{right}</td></tr>" for left, right in rows)
     return f'<div class="wide"><table class="formulas"><tbody>{body}</tbody></table></div>' if body else ""
 
@@ -266,16 +301,16 @@ def _lines(rows: Iterable[tuple[str, str]]) -> str:
 # --- numbers ----------------------------------------------------------------------------------------------
 
 
-def range_text(box: Interval, rows: Sequence[int]) -> str:
+def interval_text(box: Interval, rows: Sequence[int]) -> str:
     """Return "20, 0, 0", "-1 to 1", "at most 3" or "free" of some rows of an interval."""
     lower, upper = box.lower[rows], box.upper[rows]
     if np.all(lower == upper):
-        return _numbers(lower)
-    texts = [_one_range(low, high) for low, high in zip(lower, upper, strict=True)]
+        return _format_numbers(lower)
+    texts = [_scalar_interval_text(low, high) for low, high in zip(lower, upper, strict=True)]
     return texts[0] if len(set(texts)) == 1 else "; ".join(texts)
 
 
-def _one_range(lower: float, upper: float) -> str:
+def _scalar_interval_text(lower: float, upper: float) -> str:
     if lower == upper:
         return f"{lower:.6g}"
     if np.isfinite(lower) and np.isfinite(upper):
@@ -285,6 +320,6 @@ def _one_range(lower: float, upper: float) -> str:
     return f"at most {upper:.6g}" if np.isfinite(upper) else "free"
 
 
-def _numbers(values: Any) -> str:
+def _format_numbers(values: Any) -> str:
     texts = [f"{value + 0.0:.6g}" for value in np.ravel(values)]
     return texts[0] if len(set(texts)) == 1 else ", ".join(texts)

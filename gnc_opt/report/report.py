@@ -63,12 +63,12 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
-    from gnc_opt.report.page import page
+    from gnc_opt.report.page import solution_page_html
 
     folder = report_folder(directory)
-    motion = "" if view is None else _motion(solution, view)
-    files = save_figures(folder, _figures(solution, view))
-    text = page(solution, verdict, files, motion=motion, command=command)
+    motion = "" if view is None else _motion_scene(solution, view)
+    files = save_figures(folder, _draw_figures(solution, view))
+    text = solution_page_html(solution, verdict, files, motion=motion, command=command)
     summary = write_json(folder / "summary.json", solution, verdict)
     return [
         write_page(folder, text),
@@ -78,13 +78,13 @@ def write_report(
     ]
 
 
-def _motion(solution: Solution, view: View) -> str:
+def _motion_scene(solution: Solution, view: View) -> str:
     from gnc_opt.plot.scene import scene_html
 
     return scene_html({solution.problem_name: solution}, view)
 
 
-def _figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
+def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls

@@ -14,7 +14,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
+from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
 
@@ -136,7 +136,8 @@ class PiecewiseConstantNoise(Disturbance):
 
     def _steps(self, dt: float) -> int:
         return max(
-            1, whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'")
+            1,
+            count_whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'"),
         )
 
     def check(self, size: int, h: float, dt: float) -> None:
@@ -147,8 +148,8 @@ class PiecewiseConstantNoise(Disturbance):
 
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
-        drawn = ca.if_else(is_first(state[size]), noise, state[:size])
-        return ca.vertcat(drawn, next_phase(state[size], self._steps(tick.dt)))
+        drawn = ca.if_else(is_period_start(state[size]), noise, state[:size])
+        return ca.vertcat(drawn, advance_phase(state[size], self._steps(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]

@@ -32,8 +32,8 @@ from scipy.linalg import block_diag, solve_continuous_are
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
-from gnc_opt.control.riccati import steady
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
+from gnc_opt.control.riccati import solve_algebraic_riccati
 from gnc_opt.model.variables import Layout
 from gnc_opt.spacecraft import quaternion_error
 from problems._example import Array
@@ -78,7 +78,7 @@ def lqr_gains(
     a, b = ErrorDynamics(wheel_model(drive="body")).linearize(0.0, REST, np.zeros(3))
     labels = tuple(f"e[{i}]" for i in range(6))
     weights = np.diag([attitude / 4] * 3 + [rate] * 3)
-    optimum = steady(a[:6, :6], b[:6], weights, effort * np.eye(3), np.zeros((6, 3)), labels)
+    optimum = solve_algebraic_riccati(a[:6, :6], b[:6], weights, effort * np.eye(3), np.zeros((6, 3)), labels)
     return 2 * optimum.gain[:, :3], optimum.gain[:, 3:]
 
 
@@ -205,7 +205,7 @@ def design_quaternion_lqr(
     craft = wheel_model(drive="body")
     states, controls = craft.states, craft.controls
     reference = go.Reference.constant(craft, resting(target), np.zeros(3))
-    signals = reference_signals(reference)
+    signals = reference_signal_layout(reference)
     t, x, r, z = (ca.SX.sym(n, k) for n, k in (("t", 1), ("x", states.size), ("r", signals.size), ("z", 0)))
     # from the target to the body, scalar part >= 0: the other way round than q_E, so the vector part's sign differs
     error = quaternion_error(x[states.slice("q")], r[states.slice("q")])
@@ -261,7 +261,7 @@ def design_tracker(solution: go.Solution, reserve: float) -> go.Controller:
     null = np.outer(NULL, NULL) / (2 * NULL_ERROR) ** 2  # of the component along the unit null vector
     a, b = ErrorDynamics(craft).linearize(0.0, resting(reference.x(reference.final_time)[:4]), np.zeros(4))
     labels = tuple(f"e[{i}]" for i in range(6))
-    rest = steady(a[:6, :6], b[:6], body, effort, np.zeros((6, 4)), labels)
+    rest = solve_algebraic_riccati(a[:6, :6], b[:6], body, effort, np.zeros((6, 4)), labels)
     # of z' = -u with weights w and r the cost to go is (w r)^(1/2) z^2
     waiting = np.outer(NULL, NULL) / 4 / (NULL_ERROR * ACCEPTED_TORQUE)
     return go.design_tvlqr(

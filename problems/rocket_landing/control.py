@@ -51,7 +51,7 @@ from gnc_opt.control import (
     with_dropout_handling,
 )
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.feedforward import ReferenceSchedule, reference_signals
+from gnc_opt.control.feedforward import ReferenceSchedule, reference_signal_layout
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation import (
@@ -107,7 +107,7 @@ def zem_zev(reference: Reference, final_time: float) -> Controller:
 def _controller(
     name: str, reference: Reference, facts: tuple[ReportEntry, ...], thrust: Callable[..., ca.SX]
 ) -> Controller:
-    model, signals = reference.model, reference_signals(reference)
+    model, signals = reference.model, reference_signal_layout(reference)
     t, x, row, z = ca.SX.sym("t"), ca.SX.sym("x", 7), ca.SX.sym("row", signals.size), ca.SX.sym("z", 0)
     wanted = thrust(t, x[:3], x[3:6], x[6], row)
     least, most = (share * FULL for share in ENGINES)

@@ -23,7 +23,13 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver, lie_derivative, output_errors
-from gnc_opt.control.decoupling import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
+from gnc_opt.control.decoupling import (
+    GUARD,
+    GuardedLaw,
+    Memory,
+    build_guarded_controller,
+    build_guarded_inverse,
+)
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
 from problems._example import Array
 from problems.tethered_formation.model import DURATION, MAX_ANGLE, MAX_RATE, RADIUS, Orbit, tether_model
@@ -145,7 +151,7 @@ def design_swing_law(
     """
     k, reaching = gains or Gains(), reaching or predictive(dt=dt)
     errors = surface(reference, k)
-    inverse = guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_inverse(errors, reference, guard)
     pair, limits = errors.pair, predictive(dt=dt)
     slow, rate = errors.chains[0][0], errors.chains[0][1]
     sigma, effect = k.k6 * slow + rate, inverse.matrix[0]
@@ -164,7 +170,7 @@ def design_swing_law(
         Memory("sigma_hat", s_hat, sigma, s_next),
         Memory("q", q, ca.SX(0), q_next),
     )
-    return guarded_controller(
+    return build_guarded_controller(
         f"swing control by {type(reaching).__name__}",
         pair,
         reference,

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from testing.internals import name_text, number_text, per_unit, unit_text
+from testing.internals import derivative_unit, number_text, unit_text, variable_name_text
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -153,24 +153,24 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
     def step(t: np.ndarray, side: str) -> np.ndarray:
         return np.where((t > 1.0) | ((t == 1.0) & (side == "right")), 5.0, -5.0)
 
-    t, values = axes.sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
+    t, values = axes.sample_densely(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
     np.testing.assert_array_equal(t, [0, 0.5, 1, 1, 1.5, 2])
     np.testing.assert_array_equal(values, [[-5, -5, -5, 5, 5, 5]])
-    t, values = axes.sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3, gaps=True)
+    t, values = axes.sample_densely(step, np.array([0.0, 1.0, 2.0]), per_piece=3, gaps=True)
     assert np.isnan(values[0, 3]) and t.size == 8
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (name_text("omega"), r"$\omega$"),
-        (name_text("v_L[2]"), r"$v_{\mathrm{L}}$[2]"),
-        (name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
-        (name_text("mass"), "mass"),
+        (variable_name_text("omega"), r"$\omega$"),
+        (variable_name_text("v_L[2]"), r"$v_{\mathrm{L}}$[2]"),
+        (variable_name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
+        (variable_name_text("mass"), "mass"),
         (unit_text("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
-        (per_unit("s", "m"), "s/m"),
-        (per_unit("", "N m"), "1/(N m)"),
-        (per_unit("s", ""), "s"),
+        (derivative_unit("s", "m"), "s/m"),
+        (derivative_unit("", "N m"), "1/(N m)"),
+        (derivative_unit("s", ""), "s"),
         (number_text(-0.25), "−0.25"),
     ],
 )

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Formulas, name_math, problem_statement, symbol_names
+from testing.internals import Formulas, component_names_mathml, name_mathml, problem_statement_html
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -59,9 +59,9 @@ EXPRESSIONS = [
 
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)
 def test_formulas_have_the_values_of_their_expressions(expression):
-    writer = Formulas(symbol_names(NAMES))
-    assert writer.admit(expression)
-    text = "".join(writer.terms(expression))
+    writer = Formulas(component_names_mathml(NAMES))
+    assert writer.is_short_enough(expression)
+    text = "".join(writer.split_terms(expression))
     values = {"x": 1.7, "y": 0.6}
     for name, formula in writer.auxiliary:
         key = _python(ElementTree.fromstring(name))
@@ -73,10 +73,10 @@ def test_formulas_have_the_values_of_their_expressions(expression):
 
 def test_what_occurs_twice_is_written_once():
     root = ca.sqrt(1 + X**2 + Y**2)
-    writer = Formulas(symbol_names(NAMES))
+    writer = Formulas(component_names_mathml(NAMES))
     pair = ca.vertcat(X / root, ca.sin(root) + root)
-    assert writer.admit(pair)
-    texts = ["".join(writer.terms(row)) for row in ca.vertsplit(pair)]
+    assert writer.is_short_enough(pair)
+    texts = ["".join(writer.split_terms(row)) for row in ca.vertsplit(pair)]
     assert len(writer.auxiliary) == 1 and not any("msqrt" in text for text in texts)
 
 
@@ -84,12 +84,12 @@ def test_long_dynamics_are_described_instead():
     long = X
     for i in range(500):
         long = ca.sin(long) + i * Y
-    assert not Formulas(symbol_names(NAMES)).admit(long)
+    assert not Formulas(component_names_mathml(NAMES)).is_short_enough(long)
 
 
 def test_names_are_typeset_and_escaped():
-    assert "<mi>ω</mi>" in name_math("omega[1]") and "<mn>1</mn>" in name_math("omega[1]")
-    assert "<b>" not in name_math("<b>")
+    assert "<mi>ω</mi>" in name_mathml("omega[1]") and "<mn>1</mn>" in name_mathml("omega[1]")
+    assert "<b>" not in name_mathml("<b>")
 
 
 def test_statement_shows_every_number_and_unit():
@@ -107,13 +107,13 @@ def test_statement_shows_every_number_and_unit():
     problem.constrain("range", leg.final_state("v")[0] ** 2, upper=17.0)
     problem.parameter("delay", lower=0.5, upper=2.25, unit="s")
     problem.maximize(leg.final_state("mass"))
-    text = problem_statement(problem)
+    text = problem_statement_html(problem)
     plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
     for shown in ("Maximise the objective, in kg", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
                   "10 to 90", "3.71", "m/s^2", "glide slope", "3.5", "range", "17", "0.5 to 2.25"):  # fmt: skip
         assert shown in plain, shown
     ElementTree.fromstring(f"<div>{text}</div>".replace("&#8290;", "\u2062"))
-    assert problem_statement(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
+    assert problem_statement_html(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
 
 
 def rest_to_rest():

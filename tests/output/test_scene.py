@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
-from testing.internals import document, scene_html
+from testing.internals import html_document, scene_html
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -177,7 +177,7 @@ def test_what_a_browser_shows(solution, tmp_path):
     shown = {"first": solution, "back": go.solve(turning([-2, 1, 0]), mesh="6x4", tol=None)}
     page = tmp_path / "scene.html"
     shown |= {f"run {i}": solution for i in range(9)}
-    page.write_text(document("turns", "", {"Motion": scene_html(shown, VIEW)}), encoding="utf-8")
+    page.write_text(html_document("turns", "", {"Motion": scene_html(shown, VIEW)}), encoding="utf-8")
     data = carried(page.read_text("utf-8"))
     with browser() as tab:
         tab.open(page, PHONE, dark=True)

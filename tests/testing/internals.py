@@ -3,28 +3,38 @@
 
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.control.c_export.c_writer import FLOAT
-from gnc_opt.control.control_limits import clip, read_limits, saturated
+from gnc_opt.control.control_limits import clip, read_limits, saturate
 from gnc_opt.control.horizon_qp import Programme, Rows
 from gnc_opt.control.input_output_linearization import Pair, error_expressions
-from gnc_opt.control.loop_margins import margins
+from gnc_opt.control.loop_margins import stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.reaching_laws import read_bounds
-from gnc_opt.control.riccati import require_stabilizable, residual, steady, unreached
+from gnc_opt.control.riccati import (
+    require_stabilizable,
+    riccati_residual,
+    solve_algebraic_riccati,
+    uncontrollable_modes,
+)
 from gnc_opt.control.sampled_data import (
-    is_first,
-    next_phase,
-    sample,
-    sample_along,
+    advance_phase,
+    count_started_steps,
+    count_whole_steps,
+    discretize,
+    discretize_time_varying,
+    is_period_start,
     spectral_radius,
-    started_steps,
-    whole_steps,
     zero_order_hold,
 )
-from gnc_opt.control.super_twisting import check_gains
+from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import riccati_gains
-from gnc_opt.estimation.error_space import flat
-from gnc_opt.estimation.linearization import Regression, cholesky, solved_left, solved_right
-from gnc_opt.guidance.replanning import check_remaining, remaining
+from gnc_opt.estimation.error_space import euclidean_space
+from gnc_opt.estimation.linearization import (
+    Regression,
+    cholesky_semidefinite,
+    solve_lower_left,
+    solve_lower_right,
+)
+from gnc_opt.guidance.replanning import check_remaining_problem, remaining_problem
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.solve_mesh import (
     HELD_TIME_FACTORS,
@@ -98,11 +108,11 @@ from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_ord
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
 from gnc_opt.planning.verification.verify_trajectory import _solution
 from gnc_opt.plot.scene import scene_html
-from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
-from gnc_opt.plot.view import motion, span
-from gnc_opt.report.document import document
-from gnc_opt.report.formulas import Formulas, name_math, symbol_names
-from gnc_opt.report.problem_statement import problem_statement
+from gnc_opt.plot.style import derivative_unit, number_text, unit_text, variable_name_text
+from gnc_opt.plot.view import motion_time_span, sample_motion
+from gnc_opt.report.document import html_document
+from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
+from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import _within, effect_matrix, min_max_shift, null_vector, pseudo_inverse
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.compiled_step import StepExecutor

@@ -68,7 +68,7 @@ class CNumbers:
     def nested(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrapped(self.entry(float(v)) for v in values) + "}"
+            return "{" + wrap_initializer(self.entry(float(v)) for v in values) + "}"
         return "{" + ",\n".join(self.nested(row) for row in values) + "}"
 
     def table(self, name: str, values: Array) -> str:
@@ -81,7 +81,7 @@ DOUBLE = CNumbers("double", "", np.float64, 1e-9, 1e-11)
 FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
 
 
-def wrapped(entries: Iterable[str]) -> str:
+def wrap_initializer(entries: Iterable[str]) -> str:
     """Return entries of an initializer over lines."""
     texts = list(entries)
     lines = [", ".join(texts[i : i + _LINE]) for i in range(0, len(texts), _LINE)]
@@ -144,12 +144,12 @@ _OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in
 _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 
 
-def c_statements(
+def write_c_statements(
     function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
 ) -> list[str]:
     """Return the body of a C function that evaluates an SXFunction; first input scalar, others pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
-    read = _input_names(function, inputs)
+    read = _input_expressions(function, inputs)
     body, used_inputs, written = [], set(), set()
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
@@ -167,7 +167,7 @@ def c_statements(
             form = numbers.expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
             body.append(f"w[{target[0]}] = {form};")
         elif operation == ca.OP_CALL:
-            body += _call(function, source, target, numbers)
+            body += _write_function_call(function, source, target, numbers)
         else:
             raise ArgumentError(
                 f"operation '{_NAMES[operation]}' of function '{function.name()}' has no form in C: "
@@ -186,7 +186,7 @@ def c_statements(
     return [*work, *unused, *body, *zeros]
 
 
-def _input_names(function: Any, inputs: list[str]) -> list[list[str]]:
+def _input_expressions(function: Any, inputs: list[str]) -> list[list[str]]:
     """The C expression of each nonzero of each input."""
     names = []
     for k, name in enumerate(inputs):
@@ -195,7 +195,7 @@ def _input_names(function: Any, inputs: list[str]) -> list[list[str]]:
     return names
 
 
-def _call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
+def _write_function_call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
     """The call of the only function that a law calls: copies in and out, for its arguments are arrays."""
     (name,) = function.get_function()
     called = function.get_function(name)

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_name, read_numbers, suggesting_keywords
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, c_statements
-from gnc_opt.control.c_export.schedule_table import FlightTable, flight_table
+from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CNumbers, write_c_statements
+from gnc_opt.control.c_export.schedule_table import FlightTable, tabulate_schedule
 from gnc_opt.control.controller import Controller, FlightLaw
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
 from gnc_opt.model.variables import Layout
@@ -119,16 +119,18 @@ def export_c(
     """
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
-    prefix = _read_prefix(_identifier(controller.name) if name is None else name)
-    form = flight_form(controller)
+    prefix = _read_prefix(_c_identifier(controller.name) if name is None else name)
+    form = flight_controller(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
     if precision not in _NUMBERS:
         raise ArgumentError(
             f"there is no precision {shown(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"
         )
-    step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
-    table = flight_table(form.controller, dt, span)
+    step, start = (
+        _expand_to_scalar_operations(f, form) for f in (form.controller.step, form.controller.start)
+    )
+    table = tabulate_schedule(form.controller, dt, span)
     files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
@@ -140,12 +142,12 @@ def export_c(
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
-    missed = command_error(controller, source, driver, samples, dt)
-    header.write_text(files.header(_remark(np.size(samples[0]), missed)), encoding="ascii")
+    missed = measure_command_error(controller, source, driver, samples, dt)
+    header.write_text(files.header(_comparison_remark(np.size(samples[0]), missed)), encoding="ascii")
     return replace(code, command_error=missed)
 
 
-def _remark(count: int, missed: Array) -> str:
+def _comparison_remark(count: int, missed: Array) -> str:
     """Return the header's text on the comparison with the law."""
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
@@ -165,12 +167,12 @@ def _read_prefix(name: str) -> str:
     return prefix
 
 
-def flight_form(controller: Controller) -> FlightLaw:
+def flight_controller(controller: Controller) -> FlightLaw:
     """Return the controller as flight code has it: itself, unless it solves a problem at every step."""
     return FlightLaw(controller) if controller.flight is None else controller.flight
 
 
-def _elementary(function: Any, form: FlightLaw) -> Any:
+def _expand_to_scalar_operations(function: Any, form: FlightLaw) -> Any:
     """The function as scalar operations."""
     what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
     remedy = "write it with functions of its own symbols, or take a law of a design function."
@@ -184,7 +186,7 @@ def _elementary(function: Any, form: FlightLaw) -> Any:
     return scalar
 
 
-def _identifier(name: str) -> str:
+def _c_identifier(name: str) -> str:
     text = "".join(c.lower() if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
     return f"law_{text}" if not text or text[0].isdigit() else text
 
@@ -192,11 +194,11 @@ def _identifier(name: str) -> str:
 _FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
 
 
-def command_error(
+def measure_command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest difference (n_commands,) of the compiled code's commands from the law's."""
-    times, measured = _read(controller, samples)
+    times, measured = _read_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -217,7 +219,7 @@ def command_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _read(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+def _read_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
@@ -280,8 +282,8 @@ class FlightFiles:
             "N_ROWS": len(self.table.rows),
         }
         lines = [
-            f"/* {_plain(controller.name)}: discrete-time control law, written by gnc_opt. */",
-            *([f"/* {_plain(remark)} */"] if remark else []),
+            f"/* {_escape_comment(controller.name)}: discrete-time control law, written by gnc_opt. */",
+            *([f"/* {_escape_comment(remark)} */"] if remark else []),
             f"#ifndef {upper}_H",
             f"#define {upper}_H",
             "",
@@ -304,7 +306,7 @@ class FlightFiles:
         }
         for title, layout in parts.items():
             lines.append(f" * {title}: {layout.size}")
-            lines += [f" *   {entry}" for entry in _entries(layout)]
+            lines += [f" *   {entry}" for entry in _layout_comments(layout)]
         if controller.alarms:
             lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
         lines += [
@@ -343,17 +345,17 @@ class FlightFiles:
                 "",
                 self.form.solver.text(self.numbers),
             ]
-        lines += self._function("start", ["t", "x", "r"], ["z"], self.start)
-        lines += self._function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.typed("\n".join([*lines, self._filled("interface.c")]))
+        lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
+        lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
+        return self.numbers.typed("\n".join([*lines, self._fill_template("interface.c")]))
 
     def driver(self) -> str:
         """Return a program that reads measurements and writes commands."""
-        return self.numbers.typed(self._filled("driver.c"))
+        return self.numbers.typed(self._fill_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _filled(self, name: str) -> str:
+    def _fill_template(self, name: str) -> str:
         """Return a C file of this folder with its ``@names@`` replaced."""
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {
@@ -369,10 +371,10 @@ class FlightFiles:
         text = Path(__file__).with_name(name).read_text(encoding="ascii")
         return re.sub(r"@(\w+)@", lambda found: str(values[found[1]]), text)
 
-    def _function(self, name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
+    def _write_c_function(self, name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
         arguments = [f"real_t {inputs[0]}", *(f"const real_t *{i}" for i in inputs[1:])]
         arguments += [f"real_t *{o}" for o in outputs]
-        body = c_statements(function, inputs, outputs, self.numbers)
+        body = write_c_statements(function, inputs, outputs, self.numbers)
         return [
             f"static void {name}({', '.join(arguments)})",
             "{",
@@ -382,11 +384,11 @@ class FlightFiles:
         ]
 
 
-def _entries(layout: Layout) -> list[str]:
+def _layout_comments(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
-    return [_plain(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
+    return [_escape_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
 
 
-def _plain(text: str) -> str:
+def _escape_comment(text: str) -> str:
     """Text that can stand in a comment of any compiler."""
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

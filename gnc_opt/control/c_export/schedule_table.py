@@ -56,7 +56,7 @@ class FlightTable:
         ]
 
 
-def flight_table(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
+def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, float] | None) -> FlightTable:
     """Return the schedule of a controller as a table."""
     if controller.signals.size == 0:
         return FlightTable(0.0, np.zeros((1, 0)), controller.signals)

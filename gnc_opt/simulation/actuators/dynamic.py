@@ -10,7 +10,12 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_positive
-from gnc_opt.control.sampled_data import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.control.sampled_data import (
+    advance_phase,
+    count_started_steps,
+    count_whole_steps,
+    is_period_start,
+)
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -152,7 +157,7 @@ class Delay(_Following):
     def _length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return started_steps(longest, h)
+        return count_started_steps(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
@@ -191,7 +196,7 @@ class ZeroOrderHold(Block):
         self._steps(h)
 
     def _steps(self, h: float) -> int:
-        count = whole_steps(self.period, h, f"the period of '{self.name}'")
+        count = count_whole_steps(self.period, h, f"the period of '{self.name}'")
         return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
@@ -199,5 +204,5 @@ class ZeroOrderHold(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        output = ca.if_else(is_first(state[size]), signal, state[:size])
-        return Step(output, ca.vertcat(output, next_phase(state[size], self._steps(tick.h))))
+        output = ca.if_else(is_period_start(state[size]), signal, state[:size])
+        return Step(output, ca.vertcat(output, advance_phase(state[size], self._steps(tick.h))))

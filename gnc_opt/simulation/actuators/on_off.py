@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.sampled_data import is_first, next_phase, whole_steps
+from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, scalar, values
@@ -57,7 +57,9 @@ class Pwm(Block):
             )
 
     def _steps(self, h: float, dt: float) -> int:
-        return whole_steps(dt if self.period is None else self.period, h, f"the period of '{self.name}'")
+        return count_whole_steps(
+            dt if self.period is None else self.period, h, f"the period of '{self.name}'"
+        )
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.vertcat(ca.SX.zeros(signal.shape[0]), 0.0)
@@ -65,12 +67,12 @@ class Pwm(Block):
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size, count = signal.shape[0], self._steps(tick.h, tick.dt)
         held, phase = state[:size], state[size]
-        command = ca.if_else(is_first(phase), signal, held)
+        command = ca.if_else(is_period_start(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        after = ca.vertcat(command, next_phase(phase, count))
+        after = ca.vertcat(command, advance_phase(phase, count))
         return Step(pulse + _finite_or_nan(command), after, saturated)
 
 

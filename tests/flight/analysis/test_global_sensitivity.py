@@ -55,7 +55,7 @@ def test_estimates_of_the_ishigami_function_are_those_of_its_closed_form():
     a, b, pi = 7, 0.1, np.pi
     V = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
     V1, V2, V13 = 0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, b**2 * pi**8 * (1 / 18 - 1 / 50)
-    first, total = drivers.estimates(rows(np.random.default_rng(3), 200_000))
+    first, total = drivers.estimate_sobol_indices(rows(np.random.default_rng(3), 200_000))
     assert first == pytest.approx([V1 / V, V2 / V, 0], abs=0.01)
     assert total == pytest.approx([(V1 + V13) / V, V2 / V, V13 / V], abs=0.01)
 
@@ -65,7 +65,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(monkeypatch):
     truth, hits, repeats = 0.5576, 0, 40  # total index of x_1
     for k in range(repeats):
         f = rows(np.random.default_rng(k), 200)
-        share = drivers._indices("f", ("1", "2", "3"), f, 200, 0.9, k).total["1"]
+        share = drivers._bootstrap_indices("f", ("1", "2", "3"), f, 200, 0.9, k).total["1"]
         hits += share.low <= truth <= share.high
     assert 30 <= hits <= 40  # 90 % of 40, within three standard deviations
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
-from gnc_opt.control.decoupling import Inverse, Memory, _solve
-from gnc_opt.control.feedback_linearization import _gain, _sampling_facts
+from gnc_opt.control.decoupling import Inverse, Memory, _solve_minimum_norm
+from gnc_opt.control.feedback_linearization import _chain_gain, _sampling_facts
 from gnc_opt.control.feedforward import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
@@ -256,7 +256,7 @@ def chains(degrees, labels=("a", "b")):
 )
 def test_dynamics_that_are_none_are_refused(choice, message):
     with pytest.raises(DesignError, match=message):
-        _gain(chains((2, 2)), choice)
+        _chain_gain(chains((2, 2)), choice)
 
 
 def cart(**units) -> Model:
@@ -292,10 +292,10 @@ def test_inverses_are_exact_or_of_least_length():
     square = ca.vertcat(ca.horzcat(x, 1), ca.horzcat(0, 2))
     wide = ca.horzcat(x, 2)
     for matrix, y in ((square, [3.0, 4.0]), (wide, [5.0])):
-        f = ca.Function("f", [x], [_solve(matrix, ca.DM(y)), matrix])
+        f = ca.Function("f", [x], [_solve_minimum_norm(matrix, ca.DM(y)), matrix])
         found, there = (np.array(v) for v in f(1.5))
         assert found.ravel() == pytest.approx(np.linalg.pinv(there) @ y)
-    constant = _solve(ca.SX(ca.DM([[1.0, 2.0]])), ca.DM([5.0]))
+    constant = _solve_minimum_norm(ca.SX(ca.DM([[1.0, 2.0]])), ca.DM([5.0]))
     assert np.array(ca.evalf(ca.SX(constant))).ravel() == pytest.approx([1.0, 2.0])
     inverse = Inverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])

@@ -25,9 +25,9 @@ from testing.internals import Rows
 
 import gnc_opt as go
 from gnc_opt.control import Controller, DesignReport, design_lqr, export_c, initial_state_function, law
-from gnc_opt.control.c_export.c_writer import DOUBLE, c_statements, wrapped
-from gnc_opt.control.c_export.export import _entries, _identifier, _plain, _read_prefix
-from gnc_opt.control.c_export.schedule_table import flight_table
+from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer, write_c_statements
+from gnc_opt.control.c_export.export import _c_identifier, _escape_comment, _layout_comments, _read_prefix
+from gnc_opt.control.c_export.schedule_table import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
 
@@ -91,7 +91,7 @@ def test_every_operation_agrees(tmp_path):
 def test_operations_without_a_form_are_named(name):
     function = scalar_operations()[name]
     with pytest.raises(ArgumentError, match=f"operation '{name.lower()}' of function .* has no form in C"):
-        c_statements(function, ["a", "b"], ["u"])
+        write_c_statements(function, ["a", "b"], ["u"])
 
 
 def test_header_names_sizes_and_units(tmp_path):
@@ -238,13 +238,13 @@ def test_constants_and_texts_of_c():
         "-2.0",
     ]
     assert (
-        _identifier("My law 2 (x)") == "my_law_2__x"
-        and _identifier("2nd") == "law_2nd"
-        and _identifier("ä!") == "law_"
+        _c_identifier("My law 2 (x)") == "my_law_2__x"
+        and _c_identifier("2nd") == "law_2nd"
+        and _c_identifier("ä!") == "law_"
     )
-    assert _plain("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
-    assert wrapped(["1"] * 3) == "1, 1, 1" and wrapped(["1"] * 40).count("\n") >= 1
-    assert _entries(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
+    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
+    assert wrap_initializer(["1"] * 3) == "1, 1, 1" and wrap_initializer(["1"] * 40).count("\n") >= 1
+    assert _layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",
         "[2] n, -",
@@ -268,7 +268,7 @@ def test_the_rows_of_a_schedule_in_c():
     """From the beginning of the span in steps to its end, and the row that is good from there on."""
 
     def table(law, dt, span=None):
-        return flight_table(law, dt, span)
+        return tabulate_schedule(law, dt, span)
 
     found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
     assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])

@@ -6,7 +6,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
-from testing.internals import margins, sample, sample_along, steady, unreached, zero_order_hold
+from testing.internals import (
+    discretize,
+    discretize_time_varying,
+    solve_algebraic_riccati,
+    stability_margins,
+    uncontrollable_modes,
+    zero_order_hold,
+)
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -98,7 +105,7 @@ def test_sampled_plant_and_cost_are_exact():
         return np.append(a @ y[:4] + b @ v, both @ weight @ both)
 
     flown = solve_ivp(rate, (0, dt), np.append(e, 0), rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
-    step = sample(a, b, q, r, n, dt)
+    step = discretize(a, b, q, r, n, dt)
     assert np.allclose(step.a, expm(a * dt), rtol=1e-11)
     assert np.allclose(step.a @ e + step.b @ v, flown[:4], rtol=1e-9)
     assert e @ step.q @ e + v @ step.r @ v + 2 * e @ step.n @ v == pytest.approx(flown[4], rel=1e-9)
@@ -127,13 +134,13 @@ def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
     errors = []
     for dt in (0.4, 0.2):
         t = 0.3 - dt / 2
-        step = sample_along(linearize_many, q, r, n, t, dt, jumps)
+        step = discretize_time_varying(linearize_many, q, r, n, t, dt, jumps)
         exact = flown(t, dt)
         errors.append(max(np.max(np.abs(step.b[:, 0] - exact[:2])), abs(step.r[0, 0] - exact[2])))
     assert errors[0] < 1e-4
     assert errors[1] < errors[0] / 2**3.5  # the steps are one half as long; order four of the method
-    constant = sample(*linearize(0.1), q, r, n, 0.1)
-    same = sample_along(
+    constant = discretize(*linearize(0.1), q, r, n, 0.1)
+    same = discretize_time_varying(
         lambda times: linearize_many(np.full(times.shape, 0.1)), q, r, n, 5.0, 0.1, np.zeros(0)
     )
     assert np.allclose(same.q, constant.q, rtol=1e-12)
@@ -152,8 +159,8 @@ def test_sampled_gain_tends_to_the_continuous_one():
 
 def test_sampled_regulator_costs_what_its_riccati_matrix_says():
     a, b = np.array([[0.0, 1.0], [0.5, -0.2]]), np.array([[0.0], [2.0]])
-    step = sample(a, b, np.diag([2.0, 1.0]), np.eye(1), np.zeros((2, 1)), 0.3)
-    found = steady(step.a, step.b, step.q, step.r, step.n, ("p", "w"), sampled=True)
+    step = discretize(a, b, np.diag([2.0, 1.0]), np.eye(1), np.zeros((2, 1)), 0.3)
+    found = solve_algebraic_riccati(step.a, step.b, step.q, step.r, step.n, ("p", "w"), sampled=True)
     e, cost = np.array([1.0, -0.7]), 0.0
     start = e
     for _ in range(400):
@@ -169,8 +176,10 @@ def test_units_do_not_change_the_law():
     b = np.array([[0.0], [0], [n]])
     q, r, labels = np.diag([1.0, 2.0, 0.0]), np.array([[1e4]]), ("a", "b", "c")
     inverse = np.linalg.inv(scale)
-    k = steady(a, b, q, r, np.zeros((3, 1)), labels).gain
-    other = steady(scale @ a @ inverse, scale @ b, inverse @ q @ inverse, r, np.zeros((3, 1)), labels).gain
+    k = solve_algebraic_riccati(a, b, q, r, np.zeros((3, 1)), labels).gain
+    other = solve_algebraic_riccati(
+        scale @ a @ inverse, scale @ b, inverse @ q @ inverse, r, np.zeros((3, 1)), labels
+    ).gain
     assert np.allclose(other @ scale, k, rtol=1e-9)
 
 
@@ -251,7 +260,7 @@ def test_delay_margin_is_where_the_loop_becomes_unstable():
 def test_gain_margin_of_a_sampled_loop_is_where_a_pole_meets_the_circle():
     controller = design_lqr(cart(), [0, 0], Q=1, R=1, dt=0.5)
     up = float(np.asarray(controller.explain()["gain margin up"])[0])
-    step = sample(
+    step = discretize(
         np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), 0.5
     )
     poles = np.linalg.eigvals(step.a - up * step.b @ gain(controller))
@@ -262,7 +271,7 @@ def test_delay_margin_of_a_loop_with_three_crossovers_is_the_least_of_theirs():
     """L = 0.5 / s + 0.1 s / (s^2 + 0.05 s + 25): slow, and once more at the resonance, where little delay is needed."""
     a = np.array([[0, 0, 0], [0, 0, 1], [0, -25.0, -0.05]])
     b, k = np.array([[1.0], [0], [1]]), np.array([[0.5, 0, 0.1]])
-    found = margins(a, b, k)
+    found = stability_margins(a, b, k)
     w = np.geomspace(0.01, 100, 400001)
     loop = 0.5 / (1j * w) + 0.1 * 1j * w / ((1j * w) ** 2 + 0.05j * w + 25)
     crossings = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1)))
@@ -300,7 +309,7 @@ def test_static_margins_are_those_of_each_channel_with_the_others_closed():
     """L_i at omega = 0 by hand: unstable, an integrator, and a stable plant under positive feedback."""
     a, b, k = np.diag([2.0, 0.0, -1.0]), np.eye(3), np.diag([5.0, 1.0, -0.25])
     k[0, 2] = 3.0  # triangular: the poles stay, and so do the margins
-    found = margins(a, b, k)
+    found = stability_margins(a, b, k)
     assert found.gain_down == pytest.approx([2 / 5, 0, 0], rel=1e-12)
     assert found.gain_up == pytest.approx([np.inf, np.inf, 4], rel=1e-12)
 
@@ -309,9 +318,9 @@ def test_integrators_that_are_so_to_rounding_need_next_to_no_gain():
     mixing = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     a = mixing @ np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, -1]]) @ mixing.T
     b, k = mixing @ np.array([[0], [1.0], [0]]), np.array([[1.0, 1.5, 0]]) @ mixing.T
-    assert margins(a, b, k).gain_down < 1e-12
+    assert stability_margins(a, b, k).gain_down < 1e-12
     sampled = zero_order_hold(a, b, 0.1)
-    assert margins(*sampled, k, 0.1).gain_down < 1e-12
+    assert stability_margins(*sampled, k, 0.1).gain_down < 1e-12
 
 
 @pytest.mark.filterwarnings("error")
@@ -324,7 +333,7 @@ def test_margins_of_a_loop_with_negative_sampled_poles_do_not_depend_on_the_unit
     a, b = np.array([[1.0, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])
     k = np.array([[1.49 / dt**2, 1.73 / dt]])
     assert np.all(np.linalg.eigvals(a - b @ k) < 0)
-    found = margins(a, b, k, dt)
+    found = stability_margins(a, b, k, dt)
     assert found.gain_up == pytest.approx([2 / 1.73], rel=1e-9)
     assert found.gain_down == 0
 
@@ -376,10 +385,10 @@ def test_defective_modes_out_of_reach_are_found():
     a[0, 1] = a[2, 3] = a[3, 4] = 1.0  # a triple integrator beside a double one that has the control
     mixing = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
     b = np.array([[0], [1.0], [0], [0], [0]])
-    modes = unreached(mixing @ a @ mixing.T, mixing @ b, tuple("abcde"))
+    modes = uncontrollable_modes(mixing @ a @ mixing.T, mixing @ b, tuple("abcde"))
     assert len(modes) == 3
     assert all(abs(mode.eigenvalue) < 1e-4 and mode.rank_gap < 1e-8 for mode in modes)
-    assert unreached(
+    assert uncontrollable_modes(
         formation().linearize(0.0, np.zeros(6), np.zeros(3))[0], np.eye(6)[:, [4]], tuple("xyzuvw")
     )
 
@@ -483,7 +492,7 @@ def test_the_gain_of_a_regulator_is_optimal_for_the_held_plant_with_its_integral
     dt = 0.1
     law = design_lqr(cart(), climbing(), Q=[2.0, 1.0], R=0.5, dt=dt, integral={"q": 0.3})
     a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    held = sample(a, b, np.diag([2.0, 1.0]), np.array([[0.5]]), np.zeros((2, 1)), dt)
+    held = discretize(a, b, np.diag([2.0, 1.0]), np.array([[0.5]]), np.zeros((2, 1)), dt)
     wide_a = np.block([[held.a, np.zeros((2, 1))], [dt * np.array([[1.0, 0.0]]), np.eye(1)]])
     wide_b, wide_n = np.vstack([held.b, [[0.0]]]), np.vstack([held.n, [[0.0]]])
     wide_q = np.block([[held.q, np.zeros((2, 1))], [np.zeros((1, 2)), dt * 0.3 * np.eye(1)]])

@@ -10,9 +10,9 @@ from scipy.linalg import matrix_balance
 from testing.internals import (
     QuadraticCost,
     require_stabilizable,
-    residual,
-    steady,
-    unreached,
+    riccati_residual,
+    solve_algebraic_riccati,
+    uncontrollable_modes,
     zero_order_hold,
 )
 
@@ -29,14 +29,14 @@ Q, R, N = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.7]]), np.array([[0.2]
 def test_a_scalar_regulator(n):
     """2 a p - (b p + n)^2 / r + q = 0, or its sampled form, solved by hand."""
     a, b, q, r = 0.5, 2.0, 3.0, 0.7
-    found = steady(*(np.array([[v]]) for v in (a, b, q, r, n)), ("x",))
+    found = solve_algebraic_riccati(*(np.array([[v]]) for v in (a, b, q, r, n)), ("x",))
     p = float(found.cost[0, 0])
     assert 2 * a * p - (b * p + n) ** 2 / r + q == pytest.approx(0.0, abs=1e-12) and p > 0
     assert found.gain[0, 0] == pytest.approx((b * p + n) / r) and found.poles.real == pytest.approx(
         [a - b * found.gain[0, 0]]
     )
     assert found.residual < 1e-14
-    sampled = steady(*(np.array([[v]]) for v in (1.2, b, q, r, n)), ("x",), sampled=True)
+    sampled = solve_algebraic_riccati(*(np.array([[v]]) for v in (1.2, b, q, r, n)), ("x",), sampled=True)
     p, k = float(sampled.cost[0, 0]), float(sampled.gain[0, 0])
     assert k == pytest.approx((1.2 * b * p + n) / (r + b * b * p))
     assert 1.44 * p - k * k * (r + b * b * p) + q == pytest.approx(p, rel=1e-12)
@@ -53,31 +53,31 @@ def test_a_solution_that_leaves_an_unstable_pole_is_refused(sampled, monkeypatch
     name = "solve_discrete_are" if sampled else "solve_continuous_are"
     monkeypatch.setattr(riccati.scipy.linalg, name, lambda *_, **__: np.array([[other]]))
     with pytest.raises(DesignError, match="leaves a pole at"):
-        steady(*(np.array([[v]]) for v in (a, b, 2.0, 1.0, 0.0)), ("x",), sampled=sampled)
+        solve_algebraic_riccati(*(np.array([[v]]) for v in (a, b, 2.0, 1.0, 0.0)), ("x",), sampled=sampled)
 
 
 def test_a_residual_is_relative_and_tells_a_wrong_cost():
     cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
     for is_sampled in (False, True):
         plant = zero_order_hold(A, B, 0.1) if is_sampled else (A, B)
-        p = steady(*plant, *cost, ("q", "v"), sampled=is_sampled).cost
-        assert residual(*plant, *cost, p, sampled=is_sampled) < 1e-13
-        wrong = residual(*plant, *cost, 1.001 * p, sampled=is_sampled)
+        p = solve_algebraic_riccati(*plant, *cost, ("q", "v"), sampled=is_sampled).cost
+        assert riccati_residual(*plant, *cost, p, sampled=is_sampled) < 1e-13
+        wrong = riccati_residual(*plant, *cost, 1.001 * p, sampled=is_sampled)
         assert 1e-5 < wrong < 1e-2
         scale = np.diag([1.0, 1e3])
         back = np.linalg.inv(scale)
         scaled = (scale @ plant[0] @ back, scale @ plant[1], back @ cost.q @ back, cost.r, back @ cost.n)
-        assert residual(*scaled, back @ (1.001 * p) @ back, sampled=is_sampled) == pytest.approx(
+        assert riccati_residual(*scaled, back @ (1.001 * p) @ back, sampled=is_sampled) == pytest.approx(
             wrong, rel=1e-6
         )
-    assert residual(0 * A, B, 0 * A, R, 0 * B, 0 * A, sampled=False) == 0.0
+    assert riccati_residual(0 * A, B, 0 * A, R, 0 * B, 0 * A, sampled=False) == 0.0
 
 
 def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():
     """Of three integrators with two inputs across (1, 0.4, 0.02): the third has hardly a part."""
     direction = np.array([[1.0, 0.4, 0.02]])
     across = np.linalg.svd(direction)[2][1:].T
-    (mode,) = unreached(np.zeros((3, 3)), across, ("x", "y", "z"))
+    (mode,) = uncontrollable_modes(np.zeros((3, 3)), across, ("x", "y", "z"))
     assert mode.states == ("x", "y") and abs(mode.eigenvalue) < 1e-12
 
 
@@ -114,5 +114,7 @@ def test_scales_beyond_the_integers_are_no_warning_and_no_obstacle() -> None:
         warnings.simplefilter("error")
         require_stabilizable(ALMOST, np.array([[0.0], [1.0]]), LABELS)
         none = np.zeros((2, 1))
-        regulator = steady(ALMOST, np.array([[0.0], [1.0]]), np.eye(2), np.eye(1), none, LABELS)
+        regulator = solve_algebraic_riccati(
+            ALMOST, np.array([[0.0], [1.0]]), np.eye(2), np.eye(1), none, LABELS
+        )
     np.testing.assert_allclose(regulator.gain, [[1.0, np.sqrt(3.0)]], rtol=1e-12)

@@ -2,7 +2,7 @@
 
 import casadi as ca
 import pytest
-from testing.internals import is_first, next_phase, started_steps, whole_steps
+from testing.internals import advance_phase, count_started_steps, count_whole_steps, is_period_start
 
 from gnc_opt.errors import ArgumentError
 
@@ -20,20 +20,20 @@ from gnc_opt.errors import ArgumentError
     ],
 )
 def test_steps_that_begin_within_a_duration(duration, step, count):
-    assert started_steps(duration, step) == count
+    assert count_started_steps(duration, step) == count
 
 
 def test_a_duration_must_be_whole_steps():
-    assert [whole_steps(n * 0.1, 0.1, "it") for n in range(50)] == list(range(50))
+    assert [count_whole_steps(n * 0.1, 0.1, "it") for n in range(50)] == list(range(50))
     for duration in (0.15, 0.1001, -0.1):
         with pytest.raises(ArgumentError, match=r"it is .* not a multiple of the step of 0\.1 s"):
-            whole_steps(duration, 0.1, "it")
+            count_whole_steps(duration, 0.1, "it")
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_phases_begin_anew(count):
     phase = ca.SX.sym("phase")
-    function = ca.Function("f", [phase], [is_first(phase), next_phase(phase, count)])
+    function = ca.Function("f", [phase], [is_period_start(phase), advance_phase(phase, count)])
     at, seen = 0.0, []
     for _ in range(3 * count):
         first, after = (float(value) for value in function(at))

@@ -19,7 +19,7 @@ from gnc_opt.control import (
     SuperTwistingObserver,
     design_sliding_mode,
 )
-from gnc_opt.control.sliding_mode import Switching, _coefficients, read_switching
+from gnc_opt.control.sliding_mode import Switching, _surface_coefficients, read_switching
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 
@@ -352,7 +352,7 @@ def switching(reaching, boundary, dt=None, bounds=(0.0,), limits=None):
 def test_slopes_that_make_no_surface_are_refused(slopes, message):
     errors = SimpleNamespace(labels=("a", "b"), degrees=(1, 3), size=2)
     with pytest.raises((DesignError, UnknownNameError), match=message):
-        _coefficients(errors, slopes)
+        _surface_coefficients(errors, slopes)
 
 
 @pytest.mark.parametrize(
@@ -386,8 +386,8 @@ def chain_model(extra: float = 0.0) -> Model:
 def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
     """Without a layer and in continuous time nothing tells how far s may stray; a step of 0.1 s does."""
     s = ca.SX.sym("s")
-    assert switching(ConstantRate(3.0), SIGN, dt=None).watch(s) == []
-    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).watch(s)
+    assert switching(ConstantRate(3.0), SIGN, dt=None).alarm_memory(s) == []
+    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).alarm_memory(s)
     outside = ca.substitute(away.after, away.symbol, 0.0)
     found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
     assert found == [0.0, 1.0, 0.0, 1.0]

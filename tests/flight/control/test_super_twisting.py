@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import check_gains
+from testing.internals import check_super_twisting_gains
 
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.errors import DesignError
@@ -28,11 +28,11 @@ def test_gains_below_the_condition_fail_where_it_says():
     assert end > 1.0
     _, end = settle(1.5, 1.1, 1.0, 0.0, lambda s, z: np.sign(z), dt=1e-3, tf=60.0)
     assert end < 1e-4
-    check_gains(1.5, 1.1, 1.0, "it")
+    check_super_twisting_gains(1.5, 1.1, 1.0, "it")
     with pytest.raises(DesignError, match=r"k2 = 1: raise k2"):
-        check_gains(1.5, 1.0, 1.0, "it")
+        check_super_twisting_gains(1.5, 1.0, 1.0, "it")
     with pytest.raises(DesignError, match=r"k1 = 1.4 .* = 1.4491"):
-        check_gains(1.4, 1.1, 1.0, "it")
+        check_super_twisting_gains(1.4, 1.1, 1.0, "it")
 
 
 def observe(observer, unknown, dt, tf):

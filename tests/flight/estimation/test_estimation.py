@@ -6,7 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import Regression, cholesky, flat, solved_left, solved_right
+from testing.internals import (
+    Regression,
+    cholesky_semidefinite,
+    euclidean_space,
+    solve_lower_left,
+    solve_lower_right,
+)
 from testing.models import dynamics
 
 import gnc_opt as go
@@ -338,7 +344,9 @@ def test_what_directions_leave_is_added_up():
     """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2."""
     for n in (1, 2, 5):
         x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
-        mean, _, left = Regression().fit(lambda s: s[0] ** 2, flat(n), flat(1), x, P)
+        mean, _, left = Regression().fit_linear_model(
+            lambda s: s[0] ** 2, euclidean_space(n), euclidean_space(1), x, P
+        )
         found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))
         assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 2 * 0.3**2], rel=1e-13)
 
@@ -371,7 +379,7 @@ def test_roots_of_singular_covariances():
     P = A @ A.T
     P[1] = P[:, 1] = 0
     p = ca.SX.sym("p", 4, 4)
-    root = np.array(ca.Function("L", [p], [cholesky(p)])(P))
+    root = np.array(ca.Function("L", [p], [cholesky_semidefinite(p)])(P))
     assert (
         np.allclose(root @ root.T, P, atol=1e-13)
         and np.allclose(root, np.tril(root))
@@ -379,8 +387,8 @@ def test_roots_of_singular_covariances():
     )
     full = np.linalg.cholesky(P + np.eye(4))
     b = rng.normal(size=(4, 3))
-    left = np.array(ca.Function("s", [p], [solved_left(p, ca.SX(ca.DM(b)))])(full))
-    right = np.array(ca.Function("s", [p], [solved_right(ca.SX(ca.DM(b.T)), p)])(full))
+    left = np.array(ca.Function("s", [p], [solve_lower_left(p, ca.SX(ca.DM(b)))])(full))
+    right = np.array(ca.Function("s", [p], [solve_lower_right(ca.SX(ca.DM(b.T)), p)])(full))
     assert np.allclose(full @ left, b) and np.allclose(right @ full, b.T)
 
 

@@ -15,7 +15,7 @@ from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
-from gnc_opt.guidance.neighbouring_bang_bang import _accurate, find_optimum
+from gnc_opt.guidance.neighbouring_bang_bang import _refine_prediction, find_neighbouring_optimum
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 
 DT = 0.05
@@ -43,7 +43,7 @@ def test_an_arc_of_moving_dynamics():
     t, x, y, u = model.time, model.state("x"), model.state("y"), model.control("u")
     model.ode({x: t**3 * u, y: x})
     plan = SimpleNamespace(times=np.zeros(1), reference=SimpleNamespace(model=model))
-    arc = Prediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc
+    arc = Prediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc_propagation_function
     for begin, length in ((0.5, 1.5), (2.0, -1.5)):
         end = begin + length
         speed = 1 + 2 * (end**4 - begin**4) / 4
@@ -141,7 +141,7 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
     plan = SwitchingPlan.of(swinging)
     for ending in (RegulatedEnd(0.0, 0.0), RegulatedEnd(1.5, 0.2)):
         prediction = Prediction(plan, ending, 32)
-        best = find_optimum(prediction)
+        best = find_neighbouring_optimum(prediction)
         back = prediction.reference(0.0, best.tau).full()[:, 0]
         assert back == pytest.approx(plan.initial, abs=2e-5)
         assert prediction.reference(best.tau[-1] + 1, best.tau).full()[:, 0] == pytest.approx(plan.final)
@@ -151,7 +151,9 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     plan = SwitchingPlan.of(swinging)
-    steps = [_accurate(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)]
+    steps = [
+        _refine_prediction(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)
+    ]
     assert steps[0] < steps[1] < steps[2]
 
 
@@ -330,18 +332,23 @@ def by_hand(psi, tau0, cost=0.0):
         initial=np.zeros(1),
     )
     return SimpleNamespace(
-        plan=plan, ends=ca.Function("ends", [t, x, tau, nu], [value, ca.jtimes(value, tau, nu, True)])
+        plan=plan,
+        terminal_conditions_function=ca.Function(
+            "ends", [t, x, tau, nu], [value, ca.jtimes(value, tau, nu, True)]
+        ),
     )
 
 
 def test_the_second_order_condition_decides():
     """t_f as a function of the switch has a minimum, a maximum, or none, at the planned switch."""
-    least = find_optimum(by_hand(lambda tau: [tau[1] - 2 - (tau[0] - 1) ** 2], [1.05, 2.0]))
+    least = find_neighbouring_optimum(by_hand(lambda tau: [tau[1] - 2 - (tau[0] - 1) ** 2], [1.05, 2.0]))
     assert least.tau == pytest.approx([1.0, 2.0], abs=1e-7) and least.curvature == pytest.approx(4.0)
     for bend in (-1.0, 0.0):
         with pytest.raises(DesignError, match="fails the second-order condition"):
-            find_optimum(by_hand(lambda tau, bend=bend: [tau[1] - 2 - bend * (tau[0] - 1) ** 2], [1.0, 2.0]))
+            find_neighbouring_optimum(
+                by_hand(lambda tau, bend=bend: [tau[1] - 2 - bend * (tau[0] - 1) ** 2], [1.0, 2.0])
+            )
     with pytest.raises(DesignError, match="cannot steer all states"):
-        find_optimum(by_hand(lambda tau: [tau[1] - 2, 2 * tau[1] - 4], [1.0, 2.0]))
+        find_neighbouring_optimum(by_hand(lambda tau: [tau[1] - 2, 2 * tau[1] - 4], [1.0, 2.0]))
     with pytest.raises(DesignError, match="cannot meet 2 conditions"):
-        find_optimum(by_hand(lambda tau: [tau[0] - 2, 0 * tau[0]], [2.0]))
+        find_neighbouring_optimum(by_hand(lambda tau: [tau[0] - 2, 0 * tau[0]], [2.0]))

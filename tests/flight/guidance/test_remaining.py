@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing.internals import check_remaining, remaining
+from testing.internals import check_remaining_problem, remaining_problem
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -64,7 +64,7 @@ def test_the_end_of_a_given_duration_stays_where_it_is() -> None:
 
 def test_limits_of_the_duration_move_with_the_clock() -> None:
     p = stated(initial=2.0, duration=(1.0, 4.0))
-    rest = remaining(p, 2.0, 3.5, {"q": np.array([-0.5]), "v": np.array([1.0])}).phases["leg"].numbers
+    rest = remaining_problem(p, 2.0, 3.5, {"q": np.array([-0.5]), "v": np.array([1.0])}).phases["leg"].numbers
     assert (rest.duration.lower[0], rest.duration.upper[0]) == (0.0, 2.5)
     assert rest.initial.lower == pytest.approx([-0.5, 1.0])
 
@@ -77,7 +77,7 @@ def test_a_start_a_little_beyond_a_limit_begins_on_it() -> None:
         ([1.03, 1.9], [1.0, 1.9]),
         ([-1.05, 2.05], [-1.05, 2.05]),
     ):
-        rest = remaining(p, 0.0, 0.5, {"q": np.array(given[:1]), "v": np.array(given[1:])})
+        rest = remaining_problem(p, 0.0, 0.5, {"q": np.array(given[:1]), "v": np.array(given[1:])})
         assert rest.phases["leg"].numbers.initial.lower == pytest.approx(used, abs=1e-15)
 
 
@@ -140,7 +140,7 @@ def chosen(p: Any, leg: Any) -> None:
 )
 def test_what_would_be_granted_anew_is_refused(more: Any, what: str) -> None:
     with pytest.raises(go.ArgumentError, match=what):
-        check_remaining(stated(more))
+        check_remaining_problem(stated(more))
 
 
 def sums(p: Any, leg: Any) -> None:
@@ -155,7 +155,7 @@ def ratio(p: Any, leg: Any) -> None:
 
 @pytest.mark.parametrize("more", [None, sums, ratio])
 def test_what_adds_up_is_not(more: Any) -> None:
-    check_remaining(stated(more))
+    check_remaining_problem(stated(more))
 
 
 class Stale:
