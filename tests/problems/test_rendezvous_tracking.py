@@ -11,7 +11,6 @@ from testing.loops import agrees
 
 import gnc_opt as go
 from benchmarks.performance.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
-from benchmarks.validation.published.rendezvous import rivals
 from gnc_opt.analysis import consistency
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Quantisation, Run
@@ -33,7 +32,7 @@ from problems.rendezvous_tracking.__main__ import main
 from problems.rendezvous_tracking.guidance import KEEP_OUT, Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import PLANNED, Replanned, resolver
 
-RUNS, SEED = {"TVLQR": 250, "integral sliding mode": 30}, 1
+RUNS, SEED = {"TVLQR": 250, "integral sliding mode": 10}, 1
 FEW = 4
 
 
@@ -50,7 +49,7 @@ def guided():
 @pytest.mark.slow
 def test_guidance_arrives_earlier_than_a_plan_with_reserve(guided, tracking):
     """Between the least time there is and that of the reserve, and at the target, not only by its own last plan."""
-    campaign = guided.campaign("neighbouring-optimal", 4, SEED, "serial")
+    campaign = guided.campaign("neighbouring-optimal", 2, SEED, "serial")
     arrivals, least = guided.arrivals(campaign), guided.solution.objective
     assert campaign.pass_rate().rate == 1.0 and not campaign.failures
     assert np.mean(arrivals) == pytest.approx(26.43, abs=0.05)
@@ -69,7 +68,7 @@ def measured(guided):
 
 @pytest.fixture(scope="module")
 def filtered(measured):
-    return measured.campaign("filtered", 3, SEED, "serial")
+    return measured.campaign("filtered", 2, SEED, "serial")
 
 
 @pytest.mark.slow
@@ -151,7 +150,7 @@ def test_linear_covariance_tells_what_runs_scatter_by(tracking):
     about = {"x0": x0, "tf": tf, "seed": 11, "dispersions": DISPERSIONS}
     smooth = replace(loop, actuators=[b for b in loop.actuators if not isinstance(b, Quantisation)])
     told = go.linear_covariance(go.Scenario(smooth, **about), every=50)
-    runs = go.monte_carlo(smooth, 1000, executor="serial", **about)
+    runs = go.monte_carlo(smooth, 400, executor="serial", **about)
     assert len(runs.errors) == 12 and agrees(told, runs)
 
 
@@ -169,7 +168,7 @@ def test_plain_python_loop_ends_at_the_same_states(regulated):
 @pytest.mark.slow
 def test_scipy_goes_the_same_way(filtered):
     """Chaser, thrusters and force of three runs written down again, flown with their commands to their arrival."""
-    runs, steps = [filtered.rerun(i) for i in range(3)], 265
+    runs, steps = [filtered.rerun(i) for i in range(2)], 265
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
     assert flown_again(runs, steps) == pytest.approx(again, abs=1e-7)
     assert np.all(np.linalg.norm(again[6:9], axis=0) < 0.1)  # moving all the way, and nearly at rest again
@@ -216,14 +215,6 @@ def flown_again(runs: list[Run], steps: int) -> Array:
     return np.asarray(y.reshape(12, -1))
 
 
-def test_what_is_left_is_not_due_to_the_mesh_of_the_plan():
-    """The solution on the paper's mesh beside the refined one: what is left is the sensors', not the plan's."""
-    refined, coarse = rivals().fly(8, executor="serial").values()
-    for measure in ("r_L", "v_L", "angle(sigma)", "omega"):
-        assert np.mean(refined.measure(measure)) == pytest.approx(np.mean(coarse.measure(measure)), rel=0.15)
-    np.testing.assert_array_equal(refined.parameter("plant.mass"), coarse.parameter("plant.mass"))
-
-
 @pytest.mark.slow
 def test_main_writes_statistics_and_figures(tracking, guided, measured, tmp_path, capsys, monkeypatch):
     """With controllers that tests above have designed; of the MPC no run is asked for, and none is flown."""
@@ -235,11 +226,11 @@ def test_main_writes_statistics_and_figures(tracking, guided, measured, tmp_path
         monkeypatch.setattr(report + kind, lambda plan, conditions, known=known: known[id(plan), conditions])
     arguments = [
         "--runs",
-        "2",
+        "1",
         "--mpc-runs",
         "0",
         "--replanned-runs",
-        "1",
+        "0",
         "--json",
         str(tmp_path / "out.json"),
     ]
@@ -248,9 +239,9 @@ def test_main_writes_statistics_and_figures(tracking, guided, measured, tmp_path
     told = json.loads((tmp_path / "out.json").read_text())
     assert set(told["controllers"]) == {
         "open loop", "TVLQR", "integral sliding mode", "TVLQR, EKF", "guided",
-        "guided, filtered", "planned again, filtered",
+        "guided, filtered",
     }  # fmt: skip
-    assert len([*(tmp_path / "kept").glob("*/runs*.npz")]) >= 8
-    assert told["controllers"]["TVLQR"]["passed"]["passed"] == 2
+    assert len([*(tmp_path / "kept").glob("*/runs*.npz")]) >= 6
+    assert told["controllers"]["TVLQR"]["passed"]["passed"] == 1
     assert "guided, filtered" in capsys.readouterr().out
     assert (tmp_path / "figures" / "dispersion_tvlqr.png").exists()
