@@ -93,8 +93,6 @@ class Row:
         Estimated error of the objective and distance from the reference, absolute.
     stage : str
         Stage of the solver that returned the answer.
-    costate_error : float or None
-        Of the group "set": largest error of the costates against those of the reference, relative.
     note : str
         Failed conditions, or why there is no solution.
     """
@@ -111,7 +109,6 @@ class Row:
     estimated: float | None = None
     true: float | None = None
     stage: str = ""
-    costate_error: float | None = None
     note: str = ""
 
     @property
@@ -251,7 +248,7 @@ def _checked(row: Row, solution: go.Solution, begin: float) -> Row:
 def _from_set(row: Row, case: Case, set_file: Path, begin: float) -> Row:
     """Solve a problem of the set; what it counts as right is decided by `benchmarks.validation.problem_set`."""
     document = next(d for d in read_documents(set_file) if d["name"] == case.name)
-    outcome, solution = problem_set.run(document, set_file.parent / "solutions", tol=TOLERANCES["set"])
+    outcome, solution = problem_set.run(document, tol=TOLERANCES["set"])
     reference = outcome.reference
     if reference is not None and not outcome.expect:
         accepted = document.get("accept_rel_tol", problem_set.ACCEPT)
@@ -261,7 +258,7 @@ def _from_set(row: Row, case: Case, set_file: Path, begin: float) -> Row:
         note = f"ill-posed, reported as {outcome.status}" if outcome.expect else outcome.message
         return replace(row, cpu_s=cpu_s, right=outcome.passed, objective=outcome.objective, note=note)
     row = _checked(row, solution, begin)
-    return replace(row, right=outcome.passed, costate_error=outcome.costate_error)
+    return replace(row, right=outcome.passed)
 
 
 def estimated_error(solution: go.Solution) -> float | None:
@@ -377,7 +374,8 @@ def changes(rows: Sequence[Row], former: Sequence[Row]) -> Iterator[str]:
 
 def read_rows(path: Path) -> list[Row]:
     """Read the rows that `write_rows` has written."""
-    return [Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
+    rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+    return [Row(**{key: value for key, value in row.items() if key != "costate_error"}) for row in rows]
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:

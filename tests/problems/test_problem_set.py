@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -15,11 +12,6 @@ import pytest
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import evaluate, read_constants
-from benchmarks.validation.problem_set.references import (
-    closed_form_costate_error,
-    costate_error_along,
-    initial_costate_error,
-)
 
 Document = dict[str, Any]
 
@@ -170,19 +162,16 @@ def with_numbers(problem: Document) -> Document:
 
 
 @pytest.mark.parametrize("problem", CLOSED_FORM, ids=lambda p: p["name"])
-def test_closed_forms_from_the_straight_line_guess(problem: Document, tmp_path: Path) -> None:
+def test_closed_forms_from_the_straight_line_guess(problem: Document) -> None:
     """Objective, costates at the start, and all closed forms along the first phase, with default settings."""
     full = with_numbers(problem)
-    outcome, solution = problem_set.run(full, tmp_path)
+    outcome, solution = problem_set.run(full)
     assert outcome.passed, outcome
     assert solution is not None
     smooth = "tolerance" not in problem
     assert outcome.verdict_ok
     # 1e-6: costates converge half as fast as the objective, which is right to 1e-9 here.
     tolerance = 1e-6 if smooth else problem["tolerance"]
-    if "dJ_dx0" in full:
-        assert outcome.worst_costate_error is not None
-        assert outcome.worst_costate_error < tolerance
     leg, constants = solution.phase("phase_1"), read_constants(problem)
     sign = -1.0 if solution.maximised else 1.0
     for name, expression in problem["closed"].items():
@@ -201,43 +190,7 @@ def leg_value(leg: go.PhaseSolution, name: str, t: float) -> float:
     return float((leg.state if name in leg.states else leg.control)(name)(t))
 
 
-# --- comparing --------------------------------------------------------------------------------------------
-
-
-def test_costates_of_a_payoff_keep_its_sign(tmp_path: Path) -> None:
-    """The reference of a maximised problem is dW/dx0; a sign taken the other way is an error of 2."""
-    full = with_numbers(CLOSED_FORM[6])
-    assert full["sense"] == "max"
-    _, solution = problem_set.run(full, tmp_path)
-    assert solution is not None
-    assert initial_costate_error(full, solution) == pytest.approx(0.0, abs=1e-7)
-    wrong = {"dJ_dx0": {"k": -full["dJ_dx0"]["k"]}}
-    assert initial_costate_error(wrong, solution) == pytest.approx(2.0, abs=1e-6)
-    assert initial_costate_error({"dJ_dx0": {"k": None}}, solution) is None
-
-
-def test_costates_along_a_reference_trajectory(tmp_path: Path) -> None:
-    """Compared at the same fraction of the phase, in shares of the largest costate, mean over time."""
-    t = np.linspace(0.0, 1.0, 61)
-    lam = {"x": np.full(61, -12.0).tolist(), "v": (12 * t - 6 + 0.3).tolist()}
-    path = tmp_path / "di_min_energy.json"
-    path.write_text(json.dumps({"phases": [{"t": t.tolist(), "lam": lam}]}))
-    outcome, solution = problem_set.run(with_numbers(CLOSED_FORM[1]), tmp_path)
-    assert solution is not None
-    assert outcome.costate_error_along == pytest.approx(0.3 / 6.3, rel=1e-6)
-    assert costate_error_along(tmp_path / "none.json", solution) is None
-
-
-def test_a_costate_of_zero_is_compared_with_the_others(tmp_path: Path) -> None:
-    """x is free at the end and in no cost: its costate is exactly 0, the solver's 1e-12 is no error."""
-    idle = copy.deepcopy(CLOSED_FORM[1])
-    idle["phases"][0]["states"][0]["xf"] = None
-    idle["phases"][0]["states"][1]["xf"] = 1
-    full = {**idle, "reference": 0.5, "dJ_dx0": {"x": 0.0, "v": -1.0}, "accept_rel_tol": 1e-9}
-    outcome, _ = problem_set.run(full, tmp_path)
-    assert outcome.passed
-    assert outcome.worst_costate_error is not None and outcome.worst_costate_error < 1e-6
-
+# --- ill-posed problems ------------------------------------------------------------------------------------
 
 BASE = phase(0, 1, [state("x", 0, 1)], [control("u", -2, 2)], {"x": "u"}, integrals={"J": "u**2"})
 
@@ -283,54 +236,26 @@ ILL_POSED: list[tuple[Document, str]] = [
 @pytest.mark.parametrize(
     ("problem", "status"), ILL_POSED, ids=lambda p: p["name"] if isinstance(p, dict) else p
 )
-def test_ill_posed_problems_end_with_the_report_that_is_asked_for(
-    problem: Document, status: str, tmp_path: Path
-) -> None:
-    outcome, _ = problem_set.run(problem, tmp_path, mesh="6x4")
+def test_ill_posed_problems_end_with_the_report_that_is_asked_for(problem: Document, status: str) -> None:
+    outcome, _ = problem_set.run(problem, mesh="6x4")
     assert outcome.status == status
     assert outcome.passed
     assert outcome.objective is None or outcome.verdict_ok is False
 
 
-def test_ill_posed_problems_that_are_reported_solved_do_not_pass(tmp_path: Path) -> None:
+def test_ill_posed_problems_that_are_reported_solved_do_not_pass() -> None:
     """A well-posed problem with the label of an ill-posed one stands for a tool that finds a false solution."""
     for category in ("infeasible", "unbounded", "not-attained", "input-error", "nan"):
-        outcome, _ = problem_set.run(ill_posed("fine", category), tmp_path, mesh="4x4")
+        outcome, _ = problem_set.run(ill_posed("fine", category), mesh="4x4")
         assert outcome.verdict_ok
         assert not outcome.passed, category
 
 
-def test_a_crash_never_passes_and_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crash_never_passes_and_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("deep inside")
 
     monkeypatch.setattr(go, "solve", crash)
-    outcome, solution = problem_set.run(ill_posed("crash", "infeasible"), tmp_path)
+    outcome, solution = problem_set.run(ill_posed("crash", "infeasible"))
     assert (outcome.status, outcome.passed, solution) == ("crash", False, None)
     assert outcome.message == "ZeroDivisionError: deep inside"
-
-
-# --- costates --------------------------------------------------------------------------
-
-
-def test_closed_forms_of_costates_are_compared_in_every_phase(tmp_path: Path) -> None:
-    full = with_numbers(CLOSED_FORM[5])
-    slope = "2*((%g)*cosh(%g-t)-(%g)*cosh(t-%g))/sinh(%g)"  # -2 dx/dt: the costate of a quadratic cost
-    closed = {
-        "phase1.lam_x": slope % (1.0, 0.75, 0.9, 0.0, 0.75),
-        "phase2.lam_x": slope % (0.9, 1.0, 0.75, 0.75, 0.25),
-    }
-    outcome, solution = problem_set.run({**full, "closed": closed}, tmp_path)
-    assert solution is not None
-    assert outcome.closed_form_costate_error is not None and outcome.closed_form_costate_error < 1e-6
-    wrong = {**closed, "phase2.lam_x": f"2*{closed['phase2.lam_x']}"}
-    assert closed_form_costate_error({"closed": wrong}, solution) == pytest.approx(
-        0.5 * mean_share(solution.phase("phase_2").costate("x"), 0.75, 1.0), rel=1e-5
-    )
-    assert closed_form_costate_error({}, solution) is None
-
-
-def mean_share(signal: Any, start: float, end: float) -> float:
-    """Mean of a signal's magnitude over its largest one."""
-    values = np.abs(signal(np.linspace(start, end, 61)))
-    return float(np.mean(values) / np.max(values))
