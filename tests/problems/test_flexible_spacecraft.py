@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy
-from flexible import BELIEVED, COUPLING, TRUE, angle, integrated, orbital, rate, vibration
-from flexible import rest as at_first
+from flexible import TRUE, angle, integrated, vibration
 
 import gnc_opt as go
 from benchmarks.validation.published import flexible_spacecraft as published
@@ -98,44 +96,6 @@ def test_plan_that_is_followed_leaves_a_twentieth_of_the_torque(monkeypatch: pyt
     asked.clear()
     optimal.solved.__wrapped__("fast")
     np.testing.assert_allclose(asked[0].get_phase().numbers.controls.upper, 0.5)
-
-
-@pytest.mark.slow
-def test_least_time_and_effort_is_an_extremal_by_another_program() -> None:
-    """State and costate integrated from the plan's first costate, the torque from the minimum principle alone.
-
-    What is left at the end, H = 0 for the free time, and the cost are then those of an extremal of 0.05 |T / 0.475|^2.
-    The gradient of H is by complex steps.
-    """
-    plan, price, limit = optimal.solved("prompt"), 0.05, 0.475
-    leg = plan.phase()
-    mass = np.block([[np.diag(BELIEVED[0]), COUPLING], [COUPLING.T, np.eye(4)]])
-    effect = np.linalg.solve(mass, np.eye(7)[:, :3])
-    pulls = np.vstack([np.zeros((4, 3)), effect[:3], np.zeros((4, 3)), effect[3:]])
-
-    def torque(costate: np.ndarray) -> np.ndarray:
-        return np.clip(-(pulls.T @ costate) * limit**2 / (2 * price), -limit, limit)
-
-    def flow(t: float, y: np.ndarray) -> np.ndarray:
-        x, costate = y[:15], y[15:30]
-        u = torque(costate)
-        moved = x[:, None] + 1e-30j * np.eye(15)
-        slopes = (
-            rate(t, moved, u[:, None], BELIEVED, 0.0, 0.0).imag / 1e-30
-        )  # columns: with respect to each state
-        cost = 1 + price * np.sum((u / limit) ** 2)
-        return np.concatenate(
-            [rate(t, x[:, None], u[:, None], BELIEVED, 0.0, 0.0)[:, 0], -(slopes.T @ costate), [cost]]
-        )
-
-    first = np.concatenate([at_first(), leg.lam_start[:, 0], [0.0]])
-    path = scipy.integrate.solve_ivp(flow, (0.0, leg.final_time), first, "DOP853", rtol=1e-9, atol=1e-11)
-    last = path.y[:, -1]
-    assert angle(last[:4]) < 1e-3 and vibration(last[:15], BELIEVED) < 1e-9
-    assert np.degrees(np.linalg.norm(last[4:7] - orbital(last[:4]))) < 1e-3
-    assert [last[30], plan.objective] == pytest.approx([37.957806, 37.957806], abs=2e-6)
-    rates = flow(path.t[-1], last)
-    assert rates[30] + last[15:30] @ rates[:15] == pytest.approx(0.0, abs=1e-5)
 
 
 # --- flown ----------------------------------------------------------------------------------------------

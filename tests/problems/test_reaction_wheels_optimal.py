@@ -143,8 +143,8 @@ def test_least_time_beats_the_best_turn_about_one_axis() -> None:
     assert optimal_slew("time, small").objective < eigenaxis < 1.2 * optimal_slew("time, small").objective
 
 
-@pytest.mark.parametrize("name", FLOWN)
-def test_optimal_slews_are_flown_despite_errors(name: str) -> None:
+def test_the_slew_of_least_energy_is_flown_despite_errors() -> None:
+    name = FLOWN[0]
     run, end = flight(name, noise=0.0), plan(name).phase().final_time
     assert run.outcome.status is go.RunStatus.OK
     assert np.degrees(run.attitude_error("q", at=0.0)) > 0.5

@@ -34,7 +34,6 @@ from problems.tethered_formation import (
     build,
     first_state,
     reference,
-    solve,
     tether_model,
 )
 from problems.tethered_formation.control import Gains, design_swing_law, design_tracker, predictive, surface
@@ -146,15 +145,6 @@ def test_least_time(fastest, runs):
     )
     assert [first, turn, back] == pytest.approx([10 * MAX_ANGLE, 20 * MAX_ANGLE, 20 * MAX_ANGLE], rel=1e-8)
     assert runs["MPC"].last_beyond(1.0) / fastest.leg.final_time == pytest.approx(1.357, abs=2e-3)
-
-
-def test_costate_of_the_swing_is_the_slope_of_the_least_time(fastest):
-    """lam(0) = dJ*/dx(0), by solving for neighbouring first swings."""
-    step = np.radians(0.02)
-    swing = np.radians(30.0)
-    near = [solve("time", swing=swing + s).objective for s in (-step, step)]
-    slope = float(np.squeeze(fastest.leg.costate("theta")(0.0)))
-    assert (near[1] - near[0]) / (2 * step) == pytest.approx(slope, rel=2e-4)
 
 
 def test_least_effort(gentlest, runs):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import fsolve
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -75,58 +73,6 @@ def test_a_car_touches_a_disc_that_is_narrower_than_its_turn() -> None:
     assert solution.objective == pytest.approx(expected, rel=1e-11)
     (touch,) = [a for a in solution.structure if a.channel == "disc"]
     assert touch.start == touch.end == pytest.approx(expected / 2, abs=1e-8)
-
-
-GRAVITY, LENGTH, ANGLE, SPEED, DISTANCE = 9.81, 5.0, 0.08, 2.5, 15.0
-
-
-def swing(state: np.ndarray, a: float, duration: float) -> np.ndarray:
-    """Position, speed, angle and rate of a crane's load after a constant acceleration of its trolley."""
-
-    def rates(t: float, x: np.ndarray) -> list[float]:
-        return [x[1], a, x[3], -(GRAVITY * np.sin(x[2]) + a * np.cos(x[2])) / LENGTH]
-
-    return np.asarray(solve_ivp(rates, (0.0, duration), state, rtol=1e-11, atol=1e-12).y[:, -1])
-
-
-def half_of_the_crane(durations: np.ndarray) -> list[float]:
-    """What is not met by seven durations: bang, bang, held, bang, bang, coast to the smallest angle, to the middle.
-
-    The other half is the same, played backwards.
-    """
-    first, second, held, third, fourth, down, up = durations
-    x = swing(swing(np.zeros(4), 1.0, first), -1.0, second)
-    arrived = [x[2] + ANGLE, x[3]]
-    a = GRAVITY * np.tan(ANGLE)
-    x = np.array([x[0] + x[1] * held + 0.5 * a * held**2, x[1] + a * held, -ANGLE, 0.0])
-    x = swing(swing(x, -1.0, third), 1.0, fourth)
-    fast = x[1] - SPEED
-    x = swing(x, 0.0, down)
-    touched = [x[2] + ANGLE, x[3]]
-    x = swing(x, 0.0, up)
-    return [*arrived, fast, *touched, x[2], x[0] - 0.5 * DISTANCE]
-
-
-def test_a_crane_whose_swing_is_limited_shows_its_bangs_on_a_finer_mesh() -> None:
-    """Two bangs bring the load to rest at its largest angle, the second shorter than a segment of the mesh.
-
-    It is held there, two bangs take it on until the trolley is at its top speed, where it swings freely and touches
-    the largest angle once more.
-    """
-    crane = go.Model("crane")
-    p, v, theta, rate = (crane.state(name) for name in ("p", "v", "theta", "rate"))
-    a = crane.control("a")
-    crane.ode({p: v, v: a, theta: rate, rate: -(GRAVITY * ca.sin(theta) + a * ca.cos(theta)) / LENGTH})
-    problem, leg = one_phase("crane", crane, initial=0.0, final=(1.0, 40.0))
-    leg.initial(p=0.0, v=0.0, theta=0.0, rate=0.0)
-    leg.final(p=DISTANCE, v=0.0, theta=0.0, rate=0.0)
-    leg.bounds(a=(-1.0, 1.0), theta=(-ANGLE, ANGLE), v=(-SPEED, SPEED))
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem)
-    assert solution.converged and go.verify(solution).ok
-    found = fsolve(half_of_the_crane, [0.8, 0.4, 1.3, 0.1, 1.2, 0.2, 1.1], xtol=1e-12)
-    np.testing.assert_allclose(half_of_the_crane(found), 0.0, atol=1e-9)
-    assert solution.objective == pytest.approx(2 * np.sum(found), rel=1e-9)
 
 
 def test_a_speed_limit_holds_across_a_waypoint() -> None:

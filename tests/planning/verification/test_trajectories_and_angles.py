@@ -412,33 +412,6 @@ def test_azimuth_and_elevation_of_a_straight_thrust() -> None:
     assert all(np.ptp(found.control(name)(t)) < 1e-4 * turn for name in ("azimuth", "elevation"))
 
 
-def test_the_angle_of_an_engine_that_is_off_is_not_missed() -> None:
-    """Least fuel with throttle and angle: a coast, along which the angle does nothing, and Lawden's primer vector."""
-    found = go.solve(landing())
-    verdict, leg = go.verify(found), found.phase("leg")
-    assert verdict.ok and verdict["second order"].result is go.ConditionResult.PASS
-    t = leg.point_times
-    x, z = leg.costate("u")(t), leg.costate("w")(t)
-    thrusts = leg.control("thrust")(t) > 1.0
-    assert 0.1 < np.mean(thrusts) < 0.9
-    along = -(x * np.cos(leg.control("angle")(t)) + z * np.sin(leg.control("angle")(t))) / np.hypot(x, z)
-    np.testing.assert_allclose(along[thrusts], 1.0, atol=1e-6)
-
-
-def landing() -> go.Problem:
-    lander = go.Model("lander")
-    h, d, w, u, m = (lander.state(name) for name in ("h", "d", "w", "u", "m"))
-    angle, thrust = lander.control("angle"), lander.control("thrust")
-    a = thrust / m
-    lander.ode({h: w, d: u, w: a * ca.sin(angle) - 1.0, u: a * ca.cos(angle), m: -0.5 * thrust})
-    problem, leg = one_phase("landing", lander, 0.0, (0.1, 20.0))
-    leg.initial(h=1.0, d=0.0, w=-0.2, u=0.5, m=1.0)
-    leg.final(h=0.0, d=1.0, w=0.0, u=0.0)
-    leg.bounds(thrust=(0.0, 3.0), m=(0.1, 1.0))
-    problem.maximize(leg.final_state("m"))
-    return problem
-
-
 def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
     twin = go.Model("boat")
     x, y, heading, idle = twin.state("x"), twin.state("y"), twin.control("heading"), twin.control("idle")
