@@ -7,6 +7,7 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.planning.verification.switching_times import jumps_of
 
 HEIGHT = 0.25
 """Upper limit of q, below 1/3: the arc of least effort follows it from t = 3 HEIGHT on (Bryson and Denham, 1963)."""
@@ -58,3 +59,23 @@ def test_the_place_counts_switches_and_names_the_second_order() -> None:
     problem.minimize(leg.final_time)
     condition = go.verify(go.solve(problem))["switching times"]
     assert condition.where == "1 switch: see second order"
+
+
+@pytest.mark.parametrize(
+    ("name", "gap", "count"), [("a", 0.0, 1), ("b", 0.0, 0), ("a", 0.5, 0)], ids=["same", "other", "later"]
+)
+def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap: float, count: int) -> None:
+    """Full thrust, then full brakes: a switch if the control is the same and the phases follow each other."""
+    problem = go.Problem("two legs")
+    legs = []
+    for label, control, begin in (("first", "a", 0.0), ("second", name, 1.0 + gap)):
+        model, *_ = dynamics(label, "x", control, lambda x, u: {x: u})
+        leg = problem.phase(label, model)
+        leg.time(begin, begin + 1.0)
+        leg.initial(x=0.0)
+        leg.bounds(**{control: (-1.0, 1.0)})
+        legs.append(leg)
+    problem.maximize(legs[0].final_state("x") - legs[1].final_state("x"))
+    solution = go.solve(problem, mesh="2x3", tol=None)
+    jumps = jumps_of(list(solution.samples().values()))
+    assert [jump.beyond for jump in jumps] == ["second"] * count
