@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -168,47 +166,3 @@ def test_the_plane_of_symmetry_holds_a_saddle_that_the_default_guess_avoids(case
     # The controls across the plane are singular, and pulses of them gain time.
     assert second_order_of(lifted)["generalised Legendre-Clebsch"].result is go.ConditionResult.FAIL
     assert case_1.objective < planar.objective - 1.0
-
-
-# --- the singularity of the attitude parameters ---------------------------------------------------------
-
-
-def wild_guess(seed: int) -> dict[str, Any]:
-    """Trajectories that turn the attitude parameters round and round."""
-    random = np.random.default_rng(seed)
-    shape = (3, 12)
-    return {
-        "time": np.linspace(0.0, 40.0, 12),
-        "sigma": 15.0 * random.standard_normal(shape),
-        "omega": 0.3 * random.standard_normal(shape),
-        "v_L": 3.0 * random.standard_normal(shape),
-        "r_L": 20.0 * random.standard_normal(shape),
-        "T_B": rendezvous.MAX_TORQUE * random.uniform(-1, 1, shape),
-        "F_B": rendezvous.MAX_FORCE * random.uniform(-1, 1, shape),
-    }
-
-
-def spurious_solution() -> tuple[int, go.Solution]:
-    """Return the first wild start that IPOPT calls solved although sigma runs off, and its seed."""
-    unguarded = rendezvous.build(1).with_bounds(sigma=None)
-    for seed in (13, 1, 3, 0, 6, 12, 15):
-        solution = go.solve(unguarded.with_guess(**wild_guess(seed)), mesh="10x4", throw=False, tol=None)
-        sigma = np.asarray(solution.state("sigma")(solution.phase().sample_times(5)))
-        if solution.status.solved and np.max(np.linalg.norm(sigma, axis=0)) > 5.0:
-            return seed, solution
-    pytest.fail("no spurious optimum found: choose other starts")
-
-
-@pytest.mark.slow
-def test_without_the_guard_a_coarse_mesh_has_spurious_optima_which_the_verdict_rejects() -> None:
-    seed, solution = spurious_solution()
-    verdict = go.verify(solution)
-    assert verdict["dynamics"].result is go.ConditionResult.FAIL
-    assert (
-        verdict["dynamics"].value > 0.1
-    )  # not a matter of tolerance: the states are nowhere near a trajectory
-    assert verdict["dynamics"].result is not go.ConditionResult.PASS
-    guarded = go.solve(rendezvous.build(1).with_guess(**wild_guess(seed)), mesh="10x4", tol=None)
-    sigma = np.asarray(guarded.state("sigma")(guarded.phase().sample_times(5)))
-    assert np.max(np.abs(sigma)) < 1.1
-    assert guarded.objective > rendezvous.REFERENCE[1, "printed"]["exact"].value
