@@ -1,6 +1,6 @@
 """Which local minima the rendezvous has, and which of them the published numbers are.
 
-    python -m benchmarks.validation.rendezvous_minima [--case N] [--equation printed|exact] [--n 100] [--json OUT]
+    python -m benchmarks.validation.rendezvous_minima [--case N] [--equation printed|exact] [--n 100]
 
 The search takes the paper's mesh; each minimum is then refined until its switch times are exact. A number of the
 paper's own method (GPM) is compared with the minima on that mesh, one of GPOPS, which refines, with the exact ones.
@@ -9,18 +9,11 @@ paper's own method (GPM) is compared with the minima on that mesh, one of GPOPS,
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 import gnc_opt as go
-from gnc_opt.report.json_output import search_dict
 from problems.rendezvous.model import CASES, EQUATIONS, PAPER_MESH, Equation, build
 from problems.rendezvous.optimal import REFERENCE
 
@@ -111,110 +104,54 @@ def search_cases(
             return
 
 
-def minima_table(outcomes: Sequence[GlobalOutcome]) -> Table:
-    """Return the distinct minima of every case, best first."""
-    table = _table(
-        f"Local minima, {outcomes[0].equation} equation, {outcomes[0].found.starts} starts per case"
-    )
-    _columns(
-        table,
-        "case",
-        "rank",
-        "t_f (s)",
-        "slower than\nbest known",
-        "hits",
-        "trajec-\ntories",
-        "on 20x3",
-        "verdict",
+def minima_lines(outcomes: Sequence[GlobalOutcome]) -> Iterator[str]:
+    """Yield a line per distinct minimum of every case, best first."""
+    yield (
+        f"{'case':>4} {'rank':>4} {'t_f (s)':>14} {'over best':>10} {'hits':>5} {'paths':>5} {'verdict':8} on 20x3"
     )
     for outcome in outcomes:
         for rank, minimum in enumerate(outcome.found.minima, 1):
-            table.add_row(
-                str(outcome.case) if rank == 1 else "",
-                str(rank),
-                _time(minimum),
-                f"{minimum.objective - outcome.best_known:+.2e}",
-                str(minimum.hits),
-                str(minimum.trajectories),
-                ", ".join(f"{value:.4f}" for value in minimum.coarse_objectives),
-                minimum.standing,
+            coarse = ", ".join(f"{value:.4f}" for value in minimum.coarse_objectives)
+            over = minimum.objective - outcome.best_known
+            yield (
+                f"{outcome.case:4} {rank:4} {_time(minimum):>14} {over:+10.2e} {minimum.hits:5} "
+                f"{minimum.trajectories:5} {minimum.standing:8} {coarse}"
             )
-        table.add_section()
-    return table
 
 
-def published_table(outcomes: Sequence[GlobalOutcome]) -> Table:
-    """Return, for each published number, which minimum it is and how much slower than the best known."""
-    table = _table("The paper's table 4: which minimum is it?")
-    names = ("case", "method", "published", "is minimum", "on the same\nfooting", "exact t_f (s)")
-    _columns(table, *names, "slower than\nbest known", "in\npercent")
+def published_lines(outcomes: Sequence[GlobalOutcome]) -> Iterator[str]:
+    """Yield, for each published number, which minimum it is, and how much slower than the best known (s and %)."""
     for outcome in outcomes:
         for number in outcome.published:
-            if number.rank is None or number.ours is None:
-                cells = ("none found", "", "", f"{number.value - outcome.best_known:.4f}")
-            else:
+            over, which = number.value - outcome.best_known, "none found"
+            if number.rank is not None and number.ours is not None:
                 minimum = outcome.found.minima[number.rank - 1]
-                cells = (
-                    "the best" if number.rank == 1 else f"no. {number.rank}",
-                    f"{number.ours:.4f}",
-                    _time(minimum),
-                    f"{abs(minimum.objective - outcome.best_known):.4f}",
-                )
-            share = f"{100 * (number.value / outcome.best_known - 1):+.2f}"
-            table.add_row(str(outcome.case), number.method, f"{number.value:g}", *cells, share)
-    return table
+                over = abs(minimum.objective - outcome.best_known)
+                which = f"minimum {number.rank}, {number.ours:.4f} s on the same footing, exactly {_time(minimum)} s"
+            share = 100 * (number.value / outcome.best_known - 1)
+            yield (
+                f"case {outcome.case} {number.method:5} {number.value:g} s: {which}, slower by {over:.4f} s, "
+                f"{share:+.2f} %"
+            )
 
 
 def _time(minimum: go.Minimum) -> str:
-    """Minimum time (s), with as many digits as it deserves."""
+    """Return the minimum time (s); with three digits if it is not verified."""
     return f"{minimum.objective:.8f}" if minimum.verdict_ok else f"about {minimum.objective:.3f}"
 
 
-def report(console: Console, outcomes: Sequence[GlobalOutcome]) -> None:
-    """Print both tables and what gave no minimum."""
-    console.print(minima_table(outcomes))
-    if any(minimum.standing != "ok" for outcome in outcomes for minimum in outcome.found.minima):
-        console.print(
-            "NOT ok: refined, but the optimality conditions do not hold. Coarse: not refined, the number is that of "
-            "the 20x3 mesh. Neither is known to be a minimum."
-        )
-    if any(outcome.published for outcome in outcomes):
-        console.print(published_table(outcomes))
-        console.print(
-            "Same footing: 20x3 for GPM, which is the paper's own mesh; exact switch times for GPOPS."
-        )
+def lines(outcomes: Sequence[GlobalOutcome]) -> Iterator[str]:
+    """Yield both tables and the starts that gave no minimum."""
+    yield from minima_lines(outcomes)
+    yield 'Verdict "NOT ok": the conditions do not hold; "coarse": not refined, the time is that of 20x3.'
+    yield from published_lines(outcomes)
+    yield "Same footing: 20x3 for GPM, the paper's own mesh; exact switch times for GPOPS."
     for outcome in outcomes:
         if outcome.found.failures:
             listed = ", ".join(f"{count} {name}" for name, count in outcome.found.failures.items())
-            console.print(f"case {outcome.case}, without a minimum: {listed}")
+            yield f"case {outcome.case}, without a minimum: {listed}"
         if outcome.found.interrupted:
-            console.print(f"case {outcome.case}: interrupted after {outcome.found.finished} starts")
-
-
-def write_json(outcomes: Sequence[GlobalOutcome], path: Path) -> None:
-    """Write all minima and the published numbers' places among them."""
-    results = [
-        {
-            "case": outcome.case,
-            "equation": outcome.equation,
-            "best_known": outcome.best_known,
-            "published": [vars(number) for number in outcome.published],
-            **search_dict(outcome.found),
-        }
-        for outcome in outcomes
-    ]
-    path.write_text(
-        json.dumps(results, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-    )
-
-
-def _columns(table: Table, *headings: str) -> None:
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-
-
-def _table(title: str) -> Table:
-    return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+            yield f"case {outcome.case}: interrupted after {outcome.found.finished} starts"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -227,16 +164,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--equation", choices=EQUATIONS, default="printed", help="rotational dynamics")
     parser.add_argument("--n", type=int, default=100, help="random starts of each case")
     parser.add_argument("--seed", type=int, default=1, help="of these starts")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write all minima to a file")
     options = parser.parse_args(arguments)
     cases = list(CASES) if options.case is None else [options.case]
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, 130)
     outcomes = list(search_cases(cases, options.equation, n=options.n, seed=options.seed))
-    report(console, outcomes)
-    if options.json is not None:
-        write_json(outcomes, options.json)
+    print(*lines(outcomes), sep="\n")
     return 0 if len(outcomes) == len(cases) and all(outcome.agrees for outcome in outcomes) else 1
 
 
