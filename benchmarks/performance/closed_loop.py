@@ -207,7 +207,7 @@ def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Ca
     """Return how many runs a function flies whenever it is called, and that function, which tells the time it took."""
     few = tracking.campaign(name, min(runs, 20), seed, "serial")
     assert few.flight is not None
-    flight, P = few.flight.natively(1000), np.tile(few.parameters, 5)
+    flight, P = few.flight.with_machine_code(1000), np.tile(few.parameters, 5)
 
     def fly() -> float:
         begin = time.process_time()

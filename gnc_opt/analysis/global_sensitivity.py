@@ -28,7 +28,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
-from gnc_opt.simulation.dispersions import dispersed
+from gnc_opt.simulation.dispersions import draw_parameters
 from gnc_opt.text import Printed
 
 NOISE = "noise"
@@ -211,7 +211,9 @@ class _Design:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
         flight, dispersions = self.scenario.flight, self.scenario.dispersions
         a, b = (
-            np.stack([dispersed(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1)
+            np.stack(
+                [draw_parameters(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1
+            )
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
         numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, 1)]

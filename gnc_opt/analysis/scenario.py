@@ -15,7 +15,7 @@ from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_batch import Flown, gathered
+from gnc_opt.simulation.campaign_batch import Flown, merge_batches
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
@@ -110,8 +110,8 @@ class Scenario:
         runs = range(P.shape[1])
         flown = [Flown(runs, P, self.flight.final(P, seeds))] if runs else []
         goal = self.criteria.goal(self.flight)
-        campaign = gathered(self.flight, flown, seed=0, asked=len(runs), goal=goal)
-        return self.criteria.applied(campaign) if runs else campaign
+        campaign = merge_batches(self.flight, flown, seed=0, asked=len(runs), goal=goal)
+        return self.criteria.apply_to_campaign(campaign) if runs else campaign
 
     def values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as `campaign`; infinite for those that fail or have none."""

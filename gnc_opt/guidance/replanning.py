@@ -33,7 +33,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.simulation.dormand_prince import dormand_prince
+from gnc_opt.simulation.dormand_prince import integrate_dormand_prince
 from gnc_opt.tolerances import RANK, SAME_TIME
 
 _A_LITTLE = 0.02
@@ -215,7 +215,9 @@ class Replanner:
         def model_rate(t: Any, x: Any, _: Any) -> Any:
             return model.function(t, x, u, p)
 
-        return ca.Function("drift", [t, x, u, dt], [dormand_prince(model_rate, t, x, dt, _PREDICTED)])
+        return ca.Function(
+            "drift", [t, x, u, dt], [integrate_dormand_prince(model_rate, t, x, dt, _PREDICTED)]
+        )
 
     @property
     def description(self) -> str:

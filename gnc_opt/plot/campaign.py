@@ -25,7 +25,7 @@ from gnc_opt.plot.style import (
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_text import LEVELS, shown_measures
+from gnc_opt.simulation.campaign_text import LEVELS, select_printed_measures
 
 _PASSED: dict[str, Any] = {
     "color": COLORS[0],
@@ -146,7 +146,9 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     --------
     >>> figure = plot_distributions(campaign, ["q", "max(overshoot)"])
     """
-    chosen = list(names) if names is not None else list(campaign.limits) or list(shown_measures(campaign))
+    chosen = (
+        list(names) if names is not None else list(campaign.limits) or list(select_printed_measures(campaign))
+    )
     if not chosen:
         raise ArgumentError("the campaign measures nothing: give target= or limits= to monte_carlo().")
     with apply_style():

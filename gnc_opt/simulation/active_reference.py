@@ -124,7 +124,7 @@ class ActiveReference:
             return None
         return np.stack([np.interp(times, self.times, row) for row in self.schedule[self.places]])
 
-    def consider(self, step: int, x: Array) -> None:
+    def replan_if_due(self, step: int, x: Array) -> None:
         """Re-plan at a control step, from the estimated states (n_followed,), if a new plan is due."""
         planner = self.replanner
         assert planner is not None
@@ -137,9 +137,9 @@ class ActiveReference:
             return  # the one before is not ready yet
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
-        self.replans.append(self._replanned(planner, step, step + late, start))
+        self.replans.append(self._replan(planner, step, step + late, start))
 
-    def _replanned(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
+    def _replan(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
         """Plan for the steps from ``first`` on; what cannot be solved leaves the old plan."""
         t, begin = float(self.times[step]), float(self.times[first])
         begun = time.perf_counter()

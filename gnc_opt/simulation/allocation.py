@@ -22,7 +22,16 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError, did_you_mean, shown
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    clip,
+    differs_after_clipping,
+    read_block_values,
+)
 
 Method: TypeAlias = Literal["pseudo-inverse", "min-max", "non-negative"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]
@@ -155,7 +164,7 @@ class Allocation(Block):
                 f"'{self.name}' cannot allocate by {shown(self.method)}: "
                 f"{did_you_mean(str(self.method), get_args(Method))}"
             )
-        self._allocated(ca.SX.zeros(np.shape(self.matrix)[0]))
+        self._allocate(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
     def memoryless(self) -> bool:
@@ -168,9 +177,9 @@ class Allocation(Block):
         check_rows(self.matrix, size, self.name)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(self._allocated(signal), state)
+        return Step(self._allocate(signal), state)
 
-    def _allocated(self, signal: Any) -> Any:
+    def _allocate(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
             plus, minus = (cheapest_outputs(self.matrix, sign, *about) for sign in (1.0, -1.0))
@@ -334,12 +343,18 @@ class WheelArray(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "max_torque": (values(self.max_torque, self.n, f"the torque limit of '{self.name}'"), "N m"),
+            "max_torque": (
+                read_block_values(self.max_torque, self.n, f"the torque limit of '{self.name}'"),
+                "N m",
+            ),
             "max_momentum": (
-                values(self.max_momentum, self.n, f"the momentum limit of '{self.name}'"),
+                read_block_values(self.max_momentum, self.n, f"the momentum limit of '{self.name}'"),
                 "N m s",
             ),
-            "momentum": (values(self.initial, self.n, f"the initial momenta of '{self.name}'"), "N m s"),
+            "momentum": (
+                read_block_values(self.initial, self.n, f"the initial momenta of '{self.name}'"),
+                "N m s",
+            ),
             "health": (np.ones(self.n), ""),
         }
 
@@ -350,7 +365,7 @@ class WheelArray(Block):
         return ca.SX(0, 1) if self.momenta is not None else p["momentum"]
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        h_w = self._momenta(tick, state)
+        h_w = self._wheel_momenta(tick, state)
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
@@ -358,17 +373,17 @@ class WheelArray(Block):
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
             shift = -min_max_shift(h_w - wanted * tick.h, n) / tick.h
-            wanted = wanted + _within(shift, wanted, n, p["max_torque"]) * n
+            wanted = wanted + _clip_null_space_shift(shift, wanted, n, p["max_torque"]) * n
         torque = clip(wanted, -p["max_torque"], p["max_torque"])
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
         # a wheel beyond its momentum limit may come back no faster than its motor allows
         torque = clip(torque, -p["max_torque"], p["max_torque"])
-        saturated = differs(torque, wanted)
+        saturated = differs_after_clipping(torque, wanted)
         torque = torque * p["health"]
         after = state if self.momenta is not None else h_w - torque * tick.h
         return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)
 
-    def _momenta(self, tick: Tick, state: Any) -> Any:
+    def _wheel_momenta(self, tick: Tick, state: Any) -> Any:
         if self.momenta is None:
             return state
         if self.momenta not in tick.x:
@@ -382,7 +397,7 @@ class WheelArray(Block):
         return momenta
 
 
-def _within(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
+def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
     """Return the shift along n, cut so that no torque within its limit leaves it."""
     for i in range(n.size):
         if n[i] == 0:

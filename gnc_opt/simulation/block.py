@@ -142,7 +142,7 @@ class Block:
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
-            return wave.mapped(lambda y: self.step(tick, y, state, p, noise).signal), step
+            return wave.apply_memoryless(lambda y: self.step(tick, y, state, p, noise).signal), step
         return Wave(step.signal), step
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
@@ -159,7 +159,7 @@ class Block:
         raise NotImplementedError
 
 
-def values(value: ArrayLike, size: int, what: str) -> Array:
+def read_block_values(value: ArrayLike, size: int, what: str) -> Array:
     """Return a block's values as ``size`` numbers; not-a-number is refused."""
     vector = as_vector(value, size, what, ArgumentError)
     if np.any(np.isnan(vector)):
@@ -167,7 +167,7 @@ def values(value: ArrayLike, size: int, what: str) -> Array:
     return vector
 
 
-def scalar(value: ArrayLike, what: str) -> Array:
+def read_block_scalar(value: ArrayLike, what: str) -> Array:
     """Return one number as an array (1,)."""
     number = read_numbers(value, what)
     if number.size != 1 or np.isnan(number).any():
@@ -175,7 +175,7 @@ def scalar(value: ArrayLike, what: str) -> Array:
     return number.reshape(1)
 
 
-def rows(column: Any, begin: int, end: int) -> Any:
+def slice_rows(column: Any, begin: int, end: int) -> Any:
     """Return rows of a symbolic column, as a column also if there are none."""
     return column[begin:end] if end > begin else type(column)(0, 1)
 
@@ -185,6 +185,6 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
     return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
 
 
-def differs(a: Any, b: Any) -> Any:
+def differs_after_clipping(a: Any, b: Any) -> Any:
     """Return 1 where a clipped SX value differs from the original, else 0."""
     return ca.if_else(a != b, 1.0, 0.0)

@@ -18,8 +18,14 @@ from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular import Records, named
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
-from gnc_opt.simulation.measures import Envelope, Measures, envelope
+from gnc_opt.simulation.confidence_intervals import (
+    CONFIDENCE,
+    PassRate,
+    Percentile,
+    estimate_pass_rate,
+    estimate_percentile,
+)
+from gnc_opt.simulation.measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
 from gnc_opt.text import Printed
@@ -119,9 +125,9 @@ class Campaign(Strict, Printed):
         return len(self.outcomes)
 
     def __str__(self) -> str:
-        from gnc_opt.simulation.campaign_text import campaign_table
+        from gnc_opt.simulation.campaign_text import format_campaign_table
 
-        return campaign_table(self)
+        return format_campaign_table(self)
 
     def __repr__(self) -> str:
         return f"<{str(self).splitlines()[0]}>"
@@ -177,7 +183,7 @@ class Campaign(Strict, Printed):
         """Return percentiles (``levels`` in (0, 1)) of a quantity over time, with confidence intervals."""
         place = self._measures.layout("quantity").slice(quantity).start
         unit = self._measures.layout("quantity")[quantity].unit
-        return envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
+        return compute_envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
 
     @cached_property
     def ok(self) -> Any:
@@ -196,17 +202,17 @@ class Campaign(Strict, Printed):
 
     def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate:
         """Return the share of runs that are OK and within one limit, or all; `GncOptError` if no run has ended."""
-        return pass_rate(int(np.sum(self.passed(name))), self._need_runs(), confidence)
+        return estimate_pass_rate(int(np.sum(self.passed(name))), self._require_runs(), confidence)
 
     def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile:
         """Return a percentile of a measure; ``level`` in (0, 1). Runs without a value count as infinite."""
-        self._need_runs()
-        return percentile(self.measure(name), level, confidence)
+        self._require_runs()
+        return estimate_percentile(self.measure(name), level, confidence)
 
     def maximum(self, name: str) -> float:
         """Return the largest value of a measure; infinite if a run has none."""
-        self._need_runs()
-        return float(np.max(_or_infinite(self.measure(name))))
+        self._require_runs()
+        return float(np.max(_replace_nan_by_infinity(self.measure(name))))
 
     @property
     def counts(self) -> dict[RunStatus, int]:
@@ -227,7 +233,7 @@ class Campaign(Strict, Printed):
 
     def worst(self, name: str, count: int = 5) -> list[int]:
         """Return the numbers of the runs with the largest values of a measure, the worst first."""
-        order = np.argsort(-_or_infinite(self.measure(name)), kind="stable")
+        order = np.argsort(-_replace_nan_by_infinity(self.measure(name)), kind="stable")
         return [int(i) for i in self.indices[order[:count]]]
 
     def rerun(self, index: int) -> Run:
@@ -282,9 +288,9 @@ class Campaign(Strict, Printed):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the statistics and what failed as JSON text; with a path also write it."""
-        from gnc_opt.simulation.campaign_text import campaign_text
+        from gnc_opt.simulation.campaign_text import campaign_json
 
-        text = campaign_text(self)
+        text = campaign_json(self)
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
@@ -312,7 +318,7 @@ class Campaign(Strict, Printed):
             _require_same(campaign, flight, path)
         return replace(campaign, flight=flight)
 
-    def _need_runs(self) -> int:
+    def _require_runs(self) -> int:
         if not self.outcomes:
             raise GncOptError("no run of the campaign has ended: let it fly longer.")
         return len(self.outcomes)
@@ -342,5 +348,5 @@ CAMPAIGN_FILES = FileFormat(
 )
 
 
-def _or_infinite(values: Array) -> Array:
+def _replace_nan_by_infinity(values: Array) -> Array:
     return np.where(np.isnan(values), np.inf, values)

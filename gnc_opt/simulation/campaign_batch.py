@@ -17,10 +17,10 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, in_words
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.dispersions import Dispersions, dispersed
+from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
 from gnc_opt.simulation.final_values import FinalValues
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.quantities import sample_steps
+from gnc_opt.simulation.quantities import select_sample_steps
 from gnc_opt.workers import Done, WorkerDied
 
 MOST_PER_BATCH = 25
@@ -38,7 +38,7 @@ _STORED = (
 """Arrays of a campaign with one column for each run, as of its final values."""
 
 
-def stored(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
+def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
     """Return the runs below number ``runs`` that are in the folder, which is made if missing.
 
     Raises
@@ -49,20 +49,20 @@ def stored(folder: Path, mission: CampaignTask, runs: int) -> list[Flown]:
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for path in sorted(folder.glob(_PATTERN)):
-        part = _load(path)
+        part = _load_batch(path)
         _require_same(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_flown(part, count))
+            found.append(_first_runs(part, count))
     return found
 
 
-def store(folder: Path, part: Campaign) -> None:
+def store_runs(folder: Path, part: Campaign) -> None:
     """Write runs with consecutive numbers."""
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
 
 
-def _load(path: Path) -> Campaign:
+def _load_batch(path: Path) -> Campaign:
     try:
         return Campaign.load(path)
     except GncOptError as error:
@@ -87,7 +87,7 @@ def _require_same(part: Campaign, mission: CampaignTask, path: Path) -> None:
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _flown(part: Campaign, count: int) -> Flown:
+def _first_runs(part: Campaign, count: int) -> Flown:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,
@@ -98,10 +98,12 @@ def _flown(part: Campaign, count: int) -> Flown:
     return Flown(range(first, first + count), part.parameters[:, :count], ending)
 
 
-def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array) -> Campaign:
+def merge_batches(
+    flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array
+) -> Campaign:
     """Return the campaign of these batches of runs; ``goal`` (n_states,) is what ends are compared with."""
 
-    def joined(attribute: str, size: int) -> Array:
+    def join_values(attribute: str, size: int) -> Array:
         parts = [
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
@@ -110,7 +112,7 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
-    states = joined("states", flight.states.size)
+    states = join_values("states", flight.states.size)
     outcomes: list[Outcome] = []
     for part in flown:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
@@ -127,9 +129,9 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
     }
     way = {}
     if flight.quantities.size:
-        count, at = flight.quantities.size, sample_steps(flight.n_steps)
-        samples = joined("samples", count * at.size).reshape(count, at.size, -1)
-        way = {"sums": joined("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
+        count, at = flight.quantities.size, select_sample_steps(flight.n_steps)
+        samples = join_values("samples", count * at.size).reshape(count, at.size, -1)
+        way = {"sums": join_values("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
     drawn = [p.parameters for p in flown if p.parameters is not None]
     return Campaign(
         seed=seed,
@@ -139,7 +141,7 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
         states=states,
         errors=errors,
         target=goal,
-        integration_error=joined("integration_error", 1)[0],
+        integration_error=join_values("integration_error", 1)[0],
         outcomes=tuple(outcomes),
         span=(float(flight.times[0]), float(flight.times[-1])),
         limits={},
@@ -157,7 +159,7 @@ def gathered(flight: CompiledLoop, flown: Sequence[Flown], *, seed: int, asked: 
         },
         flight=flight,
         fingerprint=flight.fingerprint,
-        **{name: joined(name, size) for name, size in sizes.items()},
+        **{name: join_values(name, size) for name, size in sizes.items()},
         **way,
     )
 
@@ -177,7 +179,8 @@ class CampaignTask:
         """Return the columns P (n_parameters, n) of runs."""
         flight = self.flight
         columns = [
-            dispersed(self.dispersions, flight.layout, flight.nominal, self.seed, index) for index in batch
+            draw_parameters(self.dispersions, flight.layout, flight.nominal, self.seed, index)
+            for index in batch
         ]
         return np.stack(columns, axis=1)
 
@@ -189,7 +192,7 @@ class CampaignTask:
         except Exception as error:  # whatever a dispersion or a solver in the loop does, no run is lost
             if len(batch) == 1:
                 return [Flown(batch, None, None, in_words(error))]
-            return [flown for half in halves(batch) for flown in self.fly(half)]
+            return [flown for half in split_batch(batch) for flown in self.fly(half)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +206,7 @@ class Flown:
     died: bool = False
 
 
-def batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
+def remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
     """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)
@@ -213,7 +216,7 @@ def batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
     ]
 
 
-def halves(batch: Batch) -> tuple[Batch, ...]:
+def split_batch(batch: Batch) -> tuple[Batch, ...]:
     """Return the two halves of a batch; none of a single run."""
     if len(batch) == 1:
         return ()
@@ -221,7 +224,7 @@ def halves(batch: Batch) -> tuple[Batch, ...]:
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def flown_parts(done: Done[Batch, list[Flown]]) -> list[Flown]:
+def batch_results(done: Done[Batch, list[Flown]]) -> list[Flown]:
     """Return the results of a batch, also of one that could not be simulated."""
     if done.answer is not None:
         return done.answer

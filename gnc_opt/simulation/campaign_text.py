@@ -22,14 +22,14 @@ CampaignStatistics: TypeAlias = Any
 """A `gnc_opt.simulation.Campaign`, which imports this module."""
 
 
-def shown_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
+def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
     """Return the measures to print: those with limits first, then errors, user-defined measures and efforts."""
     errors = [n for n in campaign.measures if "(" not in n]
     efforts = [n for n in campaign.measures if n.startswith("effort(")]
     return tuple(dict.fromkeys([*campaign.limits, *errors, *efforts]))
 
 
-def campaign_table(campaign: CampaignStatistics) -> str:
+def format_campaign_table(campaign: CampaignStatistics) -> str:
     """Return a campaign as a short table: what ended how, percentiles, and pass rates with their intervals."""
     runs, asked = len(campaign), campaign.asked
     counts = ", ".join(f"{count} {status.value}" for status, count in campaign.counts.items())
@@ -38,12 +38,12 @@ def campaign_table(campaign: CampaignStatistics) -> str:
     if not runs:
         return lines[0]
     rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
-    for name in shown_measures(campaign):
+    for name in select_printed_measures(campaign):
         values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = f"{campaign.limits[name]:.3g}", str(campaign.pass_rate(name))
-        rows.append([name, campaign.unit(name), *(_short(v) for v in values), limit, passed])
+        rows.append([name, campaign.unit(name), *(_format_value(v) for v in values), limit, passed])
     if campaign.limits:
         rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
@@ -53,20 +53,20 @@ def campaign_table(campaign: CampaignStatistics) -> str:
         ]
         lines.append(("  " + "  ".join(cells)).rstrip())
     note = f"  intervals: {100 * CONFIDENCE:g} % confidence"
-    if all(np.isfinite(campaign.maximum(name)) for name in shown_measures(campaign)):
+    if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
         content = share_below_maximum(runs)
         note += f"; with that confidence {100 * content:.2f} % of all runs stay below each maximum"
     lines.append(note)
-    return "\n".join([*lines, *_events(campaign), *_causes(campaign)])
+    return "\n".join([*lines, *_event_lines(campaign), *_failure_cause_lines(campaign)])
 
 
-def _events(campaign: CampaignStatistics) -> list[str]:
+def _event_lines(campaign: CampaignStatistics) -> list[str]:
     """Return one line on the events, if the loop has any."""
     told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
     return [f"  events: {told}"] if told else []
 
 
-def _causes(campaign: CampaignStatistics) -> list[str]:
+def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
     """Return one line per cause of failure, with the first runs that it struck."""
     struck: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
@@ -82,7 +82,7 @@ def _causes(campaign: CampaignStatistics) -> list[str]:
     return [*lines, f"  {rest} for other causes"] if rest else lines
 
 
-def _short(value: float) -> str:
+def _format_value(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "failed"
 
 
@@ -107,32 +107,34 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
             }
             for index, outcome in campaign.failures.items()
         ],
-        "measures": {name: _measure(campaign, name) for name in shown_measures(campaign)} if runs else {},
-        "passed": _rate(campaign.pass_rate()) if runs else None,
+        "measures": {name: _measure_dict(campaign, name) for name in select_printed_measures(campaign)}
+        if runs
+        else {},
+        "passed": _pass_rate_dict(campaign.pass_rate()) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
     return dict(plain_json(content))
 
 
-def _measure(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
+def _measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     limited = name in campaign.limits
     return {
         "unit": campaign.unit(name),
-        "percentiles": [_percentile(campaign.percentile(name, level)) for level in LEVELS],
+        "percentiles": [_percentile_dict(campaign.percentile(name, level)) for level in LEVELS],
         "max": campaign.maximum(name),
         "limit": campaign.limits[name] if limited else None,
-        "passed": _rate(campaign.pass_rate(name)) if limited else None,
+        "passed": _pass_rate_dict(campaign.pass_rate(name)) if limited else None,
     }
 
 
-def _percentile(found: Percentile) -> dict[str, Any]:
+def _percentile_dict(found: Percentile) -> dict[str, Any]:
     return {name: getattr(found, name) for name in ("level", "value", "low", "high")}
 
 
-def _rate(found: PassRate) -> dict[str, Any]:
+def _pass_rate_dict(found: PassRate) -> dict[str, Any]:
     return {"passed": found.passed, "rate": found.rate, "low": found.low, "high": found.high}
 
 
-def campaign_text(campaign: CampaignStatistics) -> str:
+def campaign_json(campaign: CampaignStatistics) -> str:
     """Return `campaign_dict` as indented JSON text with a trailing newline."""
     return json_text(campaign_dict(campaign))

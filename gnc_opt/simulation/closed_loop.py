@@ -27,7 +27,7 @@ from gnc_opt.simulation.outcome import OutcomeClassifier
 from gnc_opt.simulation.quantities import Quantity
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.step_selection import StepSelection
-from gnc_opt.simulation.wiring import Blocks, Wiring, wire
+from gnc_opt.simulation.wiring import Blocks, Wiring, wire_loop
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000
@@ -111,10 +111,10 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            parts = _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
+            parts = _as_tuple(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
             set_(self, name, parts)
-        set_(self, "events", _listed(self.events, Event, "events", "write Event(name, expression)"))
-        quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
+        set_(self, "events", _as_tuple(self.events, Event, "events", "write Event(name, expression)"))
+        quantities = _as_tuple(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
         blocks = Blocks(
             tuple(self.actuators),
@@ -132,11 +132,11 @@ class ClosedLoop:
             )
             followed, signals = self.controller.followed, self.controller.signals
             self.replanner.check(followed, signals, self.dt, lambda t: self.controller.signal(t, self.dt))
-        divergence_limits = _read_plausible(self.divergence_limits, self.plant.states)
+        divergence_limits = _read_divergence_limits(self.divergence_limits, self.plant.states)
         set_(
             self,
             "wiring",
-            wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
+            wire_loop(self.plant, self.controller, blocks, self.dt, self.minor_steps, divergence_limits),
         )
 
     # --- what can be dispersed ----------------------------------------------------------------------------
@@ -230,23 +230,23 @@ class ClosedLoop:
             Bad times or parameters; or the plant is too fast for ``accuracy`` at this step.
         """
         nominal = self.parameters(x0, parameters)
-        times = self._times(t0, tf)
-        self._warn_of_events(times[0], nominal)
-        rows = self._schedule(times)
-        flight = self._accurate(nominal, times, rows)
+        times = self._control_step_times(t0, tf)
+        self._warn_of_missed_events(times[0], nominal)
+        rows = self._sample_schedule(times)
+        flight = self._with_accurate_steps(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
 
-    def _accurate(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
+    def _with_accurate_steps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with as many integration steps as its accuracy needs."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        modes = accuracy.modes(times[0], *self._at_start(nominal))
-        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), modes)
+        modes = accuracy.initial_modes(times[0], *self._initial_plant_values(nominal))
+        return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes)
 
-    def _warn_of_events(self, t: float, nominal: Array) -> None:
+    def _warn_of_missed_events(self, t: float, nominal: Array) -> None:
         """Warn of an event that is to end the nominal run and has happened before it begins."""
         if not self.events:
             return
-        behind = self.wiring.events.behind(t, *self._at_start(nominal))
+        behind = self.wiring.events.find_event_before_start(t, *self._initial_plant_values(nominal))
         if behind is not None:
             event, value = behind
             warn_user(
@@ -254,7 +254,7 @@ class ClosedLoop:
                 f"begins beyond that, at {value:.6g}, and flies on until it has been on the other side."
             )
 
-    def _at_start(self, nominal: Array) -> tuple[Array, Array]:
+    def _initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""
         named = [
             [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
@@ -300,7 +300,7 @@ class ClosedLoop:
             self._kernels[substeps] = build_kernel(self.wiring, substeps)
         return self._kernels[substeps]
 
-    def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
+    def _compile_loop(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
         return CompiledLoop(
             kernel=self.kernel(substeps),
             companion=self.kernel(2 * substeps),
@@ -311,7 +311,7 @@ class ClosedLoop:
             times=times,
             schedule=rows,
             dt=self.dt,
-            followed_rows=self._followed_rows(),
+            followed_rows=self._reference_rows(),
             states=self.plant.states,
             measured=self.controller.states,
             followed=self.controller.followed,
@@ -322,12 +322,12 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
-            classifier=self._classifier(),
+            classifier=self._outcome_classifier(),
             minor_steps=self.minor_steps,
-            estimates=self._estimates(),
+            estimates=self._estimate_entries(),
         )
 
-    def _classifier(self) -> OutcomeClassifier:
+    def _outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
             tuple(watched_labels(self.wiring)),
             tuple(alarm_labels(self.wiring)),
@@ -338,7 +338,7 @@ class ClosedLoop:
             self.accuracy,
         )
 
-    def _times(self, t0: float, tf: float) -> Array:
+    def _control_step_times(self, t0: float, tf: float) -> Array:
         begin, end = (
             float(as_vector(t, 1, f"{name} of a run", ArgumentError)[0])
             for name, t in (("t0", t0), ("tf", tf))
@@ -354,7 +354,7 @@ class ClosedLoop:
             )
         return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
 
-    def _schedule(self, times: Array) -> Array:
+    def _sample_schedule(self, times: Array) -> Array:
         size = self.controller.signals.size
         rows = np.empty((size, times.size))
         for first in range(0, times.size, LEG):  # a schedule may need many times its size on the way
@@ -368,7 +368,7 @@ class ClosedLoop:
             rows[:, first : first + LEG] = found
         return rows
 
-    def _followed_rows(self) -> Any:
+    def _reference_rows(self) -> Any:
         """Return the rows of the schedule that are the reference of what the controller follows, or None."""
         signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
@@ -377,7 +377,7 @@ class ClosedLoop:
             return np.r_[signals.slice("x_ref")]
         return None
 
-    def _estimates(self) -> Any:
+    def _estimate_entries(self) -> Any:
         """Return the entries of the memory that are the estimated states; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
         if states is None:
@@ -389,7 +389,7 @@ class ClosedLoop:
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
 
 
-def _listed(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+def _as_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     """Return one or several parts of a loop as a tuple."""
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
@@ -397,7 +397,7 @@ def _listed(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     return tuple(expect(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
 
 
-def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
+def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
     """Return the largest plausible sizes of the states, (n_states,)."""
     largest = np.full(states.size, PLAUSIBLE)
     given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)

@@ -17,12 +17,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.active_reference import ActiveReference, PlanUpdater
-from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, native
-from gnc_opt.simulation.events import EventOccurrence, occurrences
+from gnc_opt.simulation.compiled_step import MIN_EVALUATIONS_TO_COMPILE, StepExecutor, build_step_library
+from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values import FinalValues, integration_errors
 from gnc_opt.simulation.loop_kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, OutcomeClassifier, RunStatus
-from gnc_opt.simulation.quantities import sample_steps
+from gnc_opt.simulation.quantities import select_sample_steps
 from gnc_opt.simulation.run import Run
 
 LEG = 1000
@@ -132,17 +132,17 @@ class CompiledLoop:
             digest.update(self.replanner.description.encode())
         return digest.hexdigest()
 
-    def natively(self, runs: int) -> CompiledLoop:
+    def with_machine_code(self, runs: int) -> CompiledLoop:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
-        first, second = (native(folded.quick) for folded in self._folded)
+        first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        X, C = self._begun(rows[0], self.nominal)
+        X, C = self._initial_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._fly(X, rows, C, end)
+            flight._propagate_leg(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
@@ -163,26 +163,26 @@ class CompiledLoop:
             )
         final = np.full((P.shape[1], 2, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        samples = np.full((self.quantities.size, self._sampled.size, P.shape[1]), np.nan)
+        samples = np.full((self.quantities.size, self._sample_step_indices.size, P.shape[1]), np.nan)
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
         again = False
         for i, seed in enumerate(seeds):
-            culprit = self.refusal(P[:, i])
+            culprit = self.invalid_parameter_message(P[:, i])
             if culprit:
                 refused[i] = culprit
                 continue
-            course = self._course()
-            for last, X, _ in self._flown_legs(P[:, i], seed, known, course, again=again):
-                self._sample(samples[..., i], last, X[0])
+            course = self._active_reference()
+            for last, X, _ in self._propagate_legs(P[:, i], seed, known, course, again=again):
+                self._sample_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-                followed[:, i] = self._followed_at_end(course, final[i, :1].T)[:, 0]
+                followed[:, i] = self._reference_at_end(course, final[i, :1].T)[:, 0]
         if self.replanner is None:
-            followed = self._followed_at_end(self._course(), final[:, 0].T)
-        ending = self._ending(final, refused, followed, replans)
+            followed = self._reference_at_end(self._active_reference(), final[:, 0].T)
+        ending = self._collect_final_values(final, refused, followed, replans)
         if not self.quantities.size:
             return ending
         record = self.kernel.state.split(final[:, 0].T)["quantities"]
@@ -204,15 +204,15 @@ class CompiledLoop:
         """
         P = np.asarray(P, dtype=float)
         every = read_integer(every, "the number of control steps of which one is logged", 1)
-        culprit = self.refusal(P)
+        culprit = self.invalid_parameter_message(P)
         if culprit:
             raise ArgumentError(f"the run cannot be flown: {culprit}.")
         kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
         log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
-        course, last = self._course(), self.n_steps
-        for end, X, logged in self._flown_legs(P, seed, known, course, logged=True):
+        course, last = self._active_reference(), self.n_steps
+        for end, X, logged in self._propagate_legs(P, seed, known, course, logged=True):
             if logged is None:  # the companion goes on until an event ends it, too
                 continue
             parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
@@ -220,19 +220,19 @@ class CompiledLoop:
             flown, first = count, end - count
             if self.events.size:
                 flown = int(np.sum(parts["stop"][0, :-1] < 0.5))
-                events += occurrences(told, flown, self.events.names, self.states.size)
+                events += read_event_occurrences(told, flown, self.events.names, self.states.size)
             at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
                 for name in ("measured", "commands", "applied"):
                     log[name].append(told[name][:, at])
-                self._note(log, parts, at, course.reference_at(self.times[first + at]))
-            if self._stopped(X[0]):
+                self._log_leg(log, parts, at, course.reference_at(self.times[first + at]))
+            if self._is_ended_by_event(X[0]):
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
-        ended = self._last_times(final)
-        followed = self._followed_at_end(course, X[:1].T)
-        self._note(log, final, np.array([0]), followed)
-        ending = self._ending(X[None], {}, followed)
+        ended = self._end_times(final)
+        followed = self._reference_at_end(course, X[:1].T)
+        self._log_leg(log, final, np.array([0]), followed)
+        ending = self._collect_final_values(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
         times = np.append(self.times[kept[kept < last]], ended)
         return Run(
@@ -267,7 +267,7 @@ class CompiledLoop:
             },
         )
 
-    def refusal(self, P: Array) -> str:
+    def invalid_parameter_message(self, P: Array) -> str:
         """Return what is wrong with a column P (n_parameters,), "" if nothing is."""
         lower, upper = self.ranges
         bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
@@ -285,11 +285,11 @@ class CompiledLoop:
         schedule.
         """
         planned = course is None or course.schedule is self.schedule
-        followed = self._planned if course is None or planned else course.schedule.T
+        followed = self._schedule_rows if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
-        numbers = self._numbers(seed, known.shape[1] - first_noise)
-        written = again and planned and len(self._edges) == 2
-        for first, last in itertools.pairwise(self._edges):
+        numbers = self._normal_number_source(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._leg_boundaries) == 2
+        for first, last in itertools.pairwise(self._leg_boundaries):
             rows = known[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
@@ -297,67 +297,67 @@ class CompiledLoop:
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 
-    def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+    def _normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
-        generator = np.random.Generator(np.random.Philox(_sequence(seed)))
+        generator = np.random.Generator(np.random.Philox(_seed_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
-    def _planned(self) -> Array:
+    def _schedule_rows(self) -> Array:
         """The schedule by rows, as every run reads it."""
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
-    def _edges(self) -> list[int]:
+    def _leg_boundaries(self) -> list[int]:
         """Steps at which a leg begins, and the end: every `LEG` steps, at re-plans and where quantities are sampled."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
-        return sorted(edges | set(self._sampled.tolist()))
+        return sorted(edges | set(self._sample_step_indices.tolist()))
 
     @cached_property
-    def _sampled(self) -> Any:
+    def _sample_step_indices(self) -> Any:
         """Steps at whose beginnings quantities are sampled, and the end."""
-        return sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
+        return select_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
-    def _sample(self, samples: Array, step: int, X: Array) -> None:
+    def _sample_quantities(self, samples: Array, step: int, X: Array) -> None:
         """Write the quantities at a step, the last values in the record of a run X, to (n, n_samples)."""
-        if step in self._sampled and not self._stopped(X):
+        if step in self._sample_step_indices and not self._is_ended_by_event(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
-            samples[:, np.searchsorted(self._sampled, step)] = record[4 * n :]
+            samples[:, np.searchsorted(self._sample_step_indices, step)] = record[4 * n :]
             samples[:, 0] = record[3 * n : 4 * n]
 
-    def _course(self) -> ActiveReference:
+    def _active_reference(self) -> ActiveReference:
         return ActiveReference(
             self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
         )
 
-    def _consider(
+    def _replan_if_due(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
         """Re-plan at the first of the steps ``rows`` if that is due, and write the new plan to them."""
         if self.replanner is None:
             return
-        if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
+        if step % round(self.replanner.every / self.dt) == 0 and not self._is_ended_by_event(X[0]):
             if self.estimates is None:
                 x = self.kernel.measure(X[0], rows[0], C[0]).full()[:, 0]
             else:
                 x = X[0, self.kernel.state.slices["memory"]][self.estimates]
-            course.consider(step, np.asarray(x))
+            course.replan_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _begun(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _initial_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return X of a run and its companion at the first step (2, n_state), and the constants of both."""
-        (X, C), (other, others) = (folded.begun(known, P) for folded in self._folded)
+        (X, C), (other, others) = (folded.initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
 
-    def _fly(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+    def _propagate_leg(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after the steps of a leg to ``final`` (2, n_state)."""
-        for folded, x, c, end in zip(self._folded, X, C, final, strict=True):
+        for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.fly(x, rows, c, end)
 
-    def _flown_legs(
+    def _propagate_legs(
         self,
         P: Array,
         seed: Any,
@@ -370,21 +370,21 @@ class CompiledLoop:
         """Yield the last step of each leg, the states (2, n_state) there, and states and logs of the run on the way."""
         for first, rows in self.legs(seed, known, course, again=again):
             if first == 0:
-                X, C = self._begun(rows[0], P)
+                X, C = self._initial_columns(rows[0], P)
             else:
-                self._consider(course, first, X, rows, C)
+                self._replan_if_due(course, first, X, rows, C)
             before, told = X.copy(), None
-            if logged and not self._stopped(X[0]):
-                told = self._folded[0].logged(before[0], rows, C[0])
-                self._folded[1].fly(before[1], rows, C[1], X[1])
+            if logged and not self._is_ended_by_event(X[0]):
+                told = self._step_executors[0].propagate_with_log(before[0], rows, C[0])
+                self._step_executors[1].fly(before[1], rows, C[1], X[1])
                 X[0] = told[0][:, -1]
             else:
-                self._fly(before, rows, C, X)
+                self._propagate_leg(before, rows, C, X)
             yield first + len(rows), X, told
-            if all(self._stopped(x) for x in X):
+            if all(self._is_ended_by_event(x) for x in X):
                 return
 
-    def _note(
+    def _log_leg(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
         """Log the states of a leg at its columns ``at``, beside what is followed there."""
@@ -392,28 +392,28 @@ class CompiledLoop:
         log["states"].append(states)
         log["memory"].append(parts["memory"][:, at])
         if self.followed_rows is not None:
-            log["errors"].append(self._relative(states, followed))
+            log["errors"].append(self._state_errors(states, followed))
 
-    def _stopped(self, X: Array) -> bool:
+    def _is_ended_by_event(self, X: Array) -> bool:
         """Whether an event has ended the run."""
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
-    def _last_times(self, parts: dict[str, Array]) -> Array:
+    def _end_times(self, parts: dict[str, Array]) -> Array:
         """Return when runs ended (n,), s."""
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
     @cached_property
-    def _folded(self) -> tuple[StepExecutor, StepExecutor]:
+    def _step_executors(self) -> tuple[StepExecutor, StepExecutor]:
         return StepExecutor(self.kernel, self.libraries[0]), StepExecutor(self.companion, self.libraries[1])
 
-    def _followed_at_end(self, course: ActiveReference, X: Array) -> Array:
+    def _reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
-        found = course.reference_at(self._last_times(self.kernel.state.split(X)))
+        found = course.reference_at(self._end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
-    def _ending(
+    def _collect_final_values(
         self,
         ends: Array,
         refused: dict[int, str],
@@ -427,14 +427,14 @@ class CompiledLoop:
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
-            else self.classifier.outcome(parts, i, assessed[i])
+            else self.classifier.classify(parts, i, assessed[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
         counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
         return FinalValues(
             parts["plant"],
-            None if self.followed_rows is None else self._relative(parts["plant"], followed),
+            None if self.followed_rows is None else self._state_errors(parts["plant"], followed),
             parts["memory"],
             parts["effort"],
             parts["energy"],
@@ -448,7 +448,7 @@ class CompiledLoop:
             np.zeros((2, final.shape[1])) if replans is None else replans,
         )
 
-    def _relative(self, states: Array, reference: Any) -> Array:
+    def _state_errors(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to what is followed (n_followed, n); NaN without a reference."""
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:
@@ -457,7 +457,7 @@ class CompiledLoop:
         return np.asarray(self.errors(states, follow).full())
 
 
-def _sequence(seed: Any) -> np.random.SeedSequence:
+def _seed_sequence(seed: Any) -> np.random.SeedSequence:
     """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
     if isinstance(seed, np.random.SeedSequence):
         return seed

@@ -29,7 +29,7 @@ from gnc_opt.simulation.loop_kernel import Kernel
 
 
 class StepExecutor:
-    """The step of a kernel, folded; ``library`` is `quick` as machine code, "" for the interpreter."""
+    """The step of a kernel, folded; ``library`` is `machine_code_step` as machine code, "" for the interpreter."""
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
@@ -37,33 +37,33 @@ class StepExecutor:
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
-        if self._native is None:
-            self._interpret(X, rows, C, final)
+        if self._machine_code_function is None:
+            self._propagate_interpreted(X, rows, C, final)
             return
-        flown = self._native(X, rows, C, final)
+        flown = self._machine_code_function(X, rows, C, final)
         while flown < len(rows):  # a step that is not easy
-            self._interpret(final.copy(), rows[flown : flown + 1], C, final)
+            self._propagate_interpreted(final.copy(), rows[flown : flown + 1], C, final)
             flown += 1
-            flown += self._native(final.copy(), rows[flown:], C, final)
+            flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
-    def begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+    def initial_column(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return X at the first step (n_state,), and the constants of a run (n_constants,)."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
         P = np.ascontiguousarray(P)
-        self._evaluate("start", lambda: start, (np.ascontiguousarray(known), P), X)
-        self._evaluate("constants", lambda: constants, (P,), C)
+        self._evaluate_into("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate_into("constants", lambda: constants, (P,), C)
         return X, C
 
-    def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Do the same by the interpreter."""
 
         def leg() -> Any:
-            return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
+            return self._leg_function(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
 
-        self._evaluate(len(rows), leg, (X, rows, C), final)
+        self._evaluate_into(len(rows), leg, (X, rows, C), final)
 
-    def _evaluate(
+    def _evaluate_into(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
         """Write what a function makes of contiguous arrays to others: no conversion per run."""
@@ -79,24 +79,26 @@ class StepExecutor:
             buffer.set_res(k, memoryview(result.data))
         evaluate()
 
-    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
+    def propagate_with_log(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
         """Return the states (n_state, n_steps + 1) of a leg, and the logs (n_log, n_steps) of its steps."""
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
         def leg() -> Any:
-            return self._leg(lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count)
+            return self._leg_function(
+                lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count
+            )
 
         columns[0] = X
-        self._evaluate(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
+        self._evaluate_into(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
         return columns.T, logs.T
 
     @cached_property
-    def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:
-        return loaded(self.library)
+    def _machine_code_function(self) -> Callable[[Array, Array, Array, Array], int] | None:
+        return load_step_library(self.library)
 
     @property
-    def quick(self) -> Any:
+    def machine_code_step(self) -> Any:
         """What machine code is made of."""
         return self.kernel.easy or self.step
 
@@ -107,7 +109,7 @@ class StepExecutor:
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
         return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
 
-    def _leg(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
+    def _leg_function(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
         step = self.kernel.step
         x, w, c = (ca.MX.sym(n, *size) for n, size in (
             ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
@@ -173,30 +175,30 @@ CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *row
 """Steps from the state X on, with one row of known values each, until one is not enough; returns how many were."""
 
 
-def native(step: Any) -> str:
+def build_step_library(step: Any) -> str:
     """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``; "" without a compiler or C."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
     compiled = (platform.machine(), os.path.realpath(compiler), step.serialize())
     told = (ca.__version__, *FLAGS, _LOOP, *compiled)
-    place = _cache() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
+    place = _cache_folder() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
     try:
         if not place.exists():
-            _compile(step, compiler, place)
+            _compile_library(step, compiler, place)
     except (OSError, RuntimeError):  # no place to write, no C for an operation: the interpreter does without
         return ""
     return str(place) if place.exists() else ""
 
 
-def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
+def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
     """Return ``(X, rows, C, final)``, which returns the number of steps done; ``None`` without a library."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg
     leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
-    def fly(X: Array, rows: Array, C: Array, final: Array) -> int:
+    def call_library(X: Array, rows: Array, C: Array, final: Array) -> int:
         flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
         if flown < 0:
             raise GncOptError(
@@ -204,14 +206,14 @@ def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
             )
         return int(flown)
 
-    return fly
+    return call_library
 
 
-def _cache() -> Path:
+def _cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gnc_opt"
 
 
-def _with_loop(source: str, step: Any) -> str:
+def _append_leg_source(source: str, step: Any) -> str:
     """Return the C of a step with that of a leg below it."""
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
@@ -220,22 +222,22 @@ def _with_loop(source: str, step: Any) -> str:
     return source + loop.replace("STEP", step.name())
 
 
-def _source(step: Any, folder: str) -> str:
+def _generate_step_source(step: Any, folder: str) -> str:
     """Return the C that CasADi writes for a step, with a leg; "" if it has none."""
     generator = ca.CodeGenerator("kernel.c")
     with redirect_stderr(io.StringIO()) as told:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
     # CasADi has no C for a solver in it, and warns that this source does not compile
-    return "" if told.getvalue() else _with_loop(written.read_text(encoding="utf-8"), step)
+    return "" if told.getvalue() else _append_leg_source(written.read_text(encoding="utf-8"), step)
 
 
-def _compile(step: Any, compiler: str, place: Path) -> None:
+def _compile_library(step: Any, compiler: str, place: Path) -> None:
     """Make the library."""
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
-        text = _source(step, folder)
+        text = _generate_step_source(step, folder)
         if not text:
             return
         written.write_text(text, encoding="utf-8")

@@ -39,7 +39,7 @@ class PassRate:
         return self.passed / self.runs
 
     def __str__(self) -> str:
-        return f"{_percent(self.rate)} ({_percent(self.low)} to {_percent(self.high)})"
+        return f"{_format_percent(self.rate)} ({_format_percent(self.low)} to {_format_percent(self.high)})"
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Percentile:
     confidence: float
 
 
-def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRate:
+def estimate_pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRate:
     """Return a rate with its Clopper-Pearson interval.
 
     Raises
@@ -81,7 +81,7 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRat
     return PassRate(passed, runs, float(interval.low), float(interval.high), confidence)
 
 
-def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) -> Percentile:
+def estimate_percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) -> Percentile:
     r"""Return a percentile with an interval between order statistics.
 
     Of n sorted values the number below the true percentile is binomial (n, level), whatever the (continuous)
@@ -98,7 +98,7 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     ----------
     H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed., Wiley (2003), section 7.1.
     """
-    ordered = _ordered(values)
+    ordered = _sort_with_nan_last(values)
     p = read_probability(level, "the level of a percentile")
     alpha = 1 - read_probability(confidence, "the confidence")
     n = ordered.size
@@ -122,13 +122,13 @@ def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
     return float((1 - read_probability(confidence, "the confidence")) ** (1 / runs))
 
 
-def _ordered(values: ArrayLike) -> Array:
+def _sort_with_nan_last(values: ArrayLike) -> Array:
     array = read_numbers(values, "the values of a percentile").reshape(-1)
     if not array.size:
         raise ArgumentError("there are no values to take a percentile of: give some.")
     return np.sort(np.where(np.isnan(array), np.inf, array))
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     digits = 1 if share in (0, 1) else int(np.clip(1 - np.floor(np.log10(100 * min(share, 1 - share))), 1, 4))
     return f"{100 * share:.{digits}f} %"

@@ -9,11 +9,11 @@ import casadi as ca
 
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, Tick
-from gnc_opt.simulation.dormand_prince import Taken, dormand_prince
-from gnc_opt.simulation.event_location import Watch, notes_of, record_of
-from gnc_opt.simulation.intersample_input import Wave, stacked
+from gnc_opt.simulation.dormand_prince import Taken, integrate_dormand_prince
+from gnc_opt.simulation.event_location import Watch, event_note_layout, event_record_layout
+from gnc_opt.simulation.intersample_input import Wave, stack_waves
 from gnc_opt.simulation.quantities import Extremes
-from gnc_opt.simulation.signals import Link, Places, put, put_wave, take
+from gnc_opt.simulation.signals import Link, Places, replace_signals, replace_waves, stack_signals
 from gnc_opt.simulation.wiring import Wiring
 from gnc_opt.tolerances import SAME_TIME
 
@@ -26,7 +26,7 @@ class ControlStep:
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
-        self.plant_p = take(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
+        self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (
             ("sensor", wiring.sensors),
@@ -58,8 +58,9 @@ class ControlStep:
                 ("alarm", 1),
                 ("alarm time", 1),
                 ("quantities", 5 * len(wiring.quantities)),
-                *self._if_events(
-                    ("armed", len(wiring.events.owners)), *record_of(wiring.events, wiring.plant.states.size)
+                *self._event_entries(
+                    ("armed", len(wiring.events.owners)),
+                    *event_record_layout(wiring.events, wiring.plant.states.size),
                 ),
             )
         )
@@ -75,17 +76,17 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._if_events(*notes_of(wiring.plant.states.size)),
+                *self._event_entries(*event_note_layout(wiring.plant.states.size)),
             )
         )
 
-    def _if_events(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
+    def _event_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
     def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
-        tick = Tick(0.0, length, self.wiring.dt, self.by_state(x))
+        tick = Tick(0.0, length, self.wiring.dt, self.split_state(x))
         return [
             link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick).shape[0]
             for link in links
@@ -95,34 +96,36 @@ class ControlStep:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
-    def by_state(self, x: Any) -> dict[str, Any]:
+    def split_state(self, x: Any) -> dict[str, Any]:
         states = self.wiring.plant.states
         return {n: x[states.slice(n)] for n in states.names}
 
-    def sense(
+    def apply_sensors(
         self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
         """Return the measured state and the sensors' memories; without memories they begin."""
-        by_name = self.by_state(x)
-        signals = {n: by_name[n] if n in by_name else self._output(n, t, x) for n in self.measured.names}
+        by_name = self.split_state(x)
+        signals = {
+            n: by_name[n] if n in by_name else self._output_expression(n, t, x) for n in self.measured.names
+        }
         tick = Tick(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
-            key, p, signal = f"sensor {i}", self.parameters_of(link), take(signals, link.on)
+            key, p, signal = f"sensor {i}", self.parameters_of(link), stack_signals(signals, link.on)
             before = link.block.start(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
-            signals = put(signals, link, step.signal)
+            signals = replace_signals(signals, link, step.signal)
             after[key] = before if memory is None else step.state
-        return take(signals, self.measured.names), after
+        return stack_signals(signals, self.measured.names), after
 
-    def _output(self, name: str, t: Any, x: Any) -> Any:
+    def _output_expression(self, name: str, t: Any, x: Any) -> Any:
         """Return an output of the plant; it depends on no control."""
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)
         return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
 
-    def actuate(
+    def apply_actuators(
         self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
     ) -> tuple[list[Wave], Any]:
         """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
@@ -133,43 +136,45 @@ class ControlStep:
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = stacked([waves[n] for n in link.on])
+            wave = stack_waves([waves[n] for n in link.on])
             wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
             memory[key] = step.state
-            _mark(saturated, step, link, origin)
-            waves = put_wave(waves, link, wave)
+            _mark_saturation(saturated, step, link, origin)
+            waves = replace_waves(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
-        return [waves.get(n, nothing[n]) for n in controls.names], take(saturated, commands.names)
+        return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
 
-    def first_outputs(self, tick: Tick, r: Any) -> dict[str, Any]:
+    def initial_actuator_memories(self, tick: Tick, r: Any) -> dict[str, Any]:
         """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
             block, p = link.block, self.parameters_of(link)
-            signal = take(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
+            signal = stack_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.start(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
-                signals = put(signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal)
+                signals = replace_signals(
+                    signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal
+                )
         return memory
 
-    def first_record(self, t: Any, x: Any) -> dict[str, Any]:
+    def initial_event_record(self, t: Any, x: Any) -> dict[str, Any]:
         """Return what is kept of events as a run begins: rows that are not below zero can cross it."""
         y = self.wiring.events.rows(t, x, ca.SX.zeros(x.shape[0]), self.plant_p)[0]
         return {"armed": y >= 0, "first": ca.SX.nan(len(self.wiring.events))}
 
-    def _rate(self, pushes: dict[str, Any]) -> Any:
+    def _plant_rate_function(self, pushes: dict[str, Any]) -> Any:
         """Return f(t, x, u) of the plant under applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
 
-        def f(t: Any, x: Any, u: Any) -> Any:
+        def plant_rate(t: Any, x: Any, u: Any) -> Any:
             if not links:
                 return plant.function(t, x, u, self.plant_p)
-            by_name = self.by_state(x)
+            by_name = self.split_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
                 value = link.block.value(t, by_name, pushes[f"push {i}"], self.parameters_of(link))  # type: ignore[attr-defined]
@@ -179,9 +184,9 @@ class ControlStep:
                     extra_x[plant.states.slice(link.on[0])] += value
             return plant.function(t, x, u + extra_u, self.plant_p) + extra_x
 
-        return f
+        return plant_rate
 
-    def fly(
+    def integrate_plant(
         self,
         t: Any,
         x: Any,
@@ -191,40 +196,44 @@ class ControlStep:
         watches: Sequence[Callable[[Taken, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Integrate the plant over a minor step that begins at t, or over a ``span`` of it (s)."""
-        f, n, wave = self._rate(state), self.substeps, stacked(waves)
+        f, n, wave = self._plant_rate_function(state), self.substeps, stack_waves(waves)
         begin, end = span or (ca.SX(0), ca.SX(self.h))
         length = end - begin
 
-        def applied(late: Any) -> Any:
-            return wave.value(lambda tau: ca.exp(-(begin + late) / tau))
+        def applied_control(late: Any) -> Any:
+            return wave.evaluate_wave(lambda tau: ca.exp(-(begin + late) / tau))
 
-        def stepped(taken: Taken) -> None:
+        def notify_watches(taken: Taken) -> None:
             for watch in watches:
-                watch(taken, lambda nu: applied((taken.number + nu) * taken.length))
+                watch(taken, lambda nu: applied_control((taken.number + nu) * taken.length))
 
         if wave.at is None:
-            return dormand_prince(lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, stepped)
-        return dormand_prince(f, t + begin, x, length, n, wave.input(begin, length / n), stepped)
+            return integrate_dormand_prince(
+                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, notify_watches
+            )
+        return integrate_dormand_prince(
+            f, t + begin, x, length, n, wave.sample_for_integration(begin, length / n), notify_watches
+        )
 
-    def tick_of(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
-        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.by_state(state["plant"]))
+    def tick_at(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
+        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
 
-    def pushed(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
+    def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
         """Return the state with the memories of the disturbances during this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
-            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, self.by_state(state["plant"]))
+            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, self.split_state(state["plant"]))
             new[key] = link.block.update(tick, state[key], self.parameters_of(link), w[key])  # type: ignore[attr-defined]
         return new
 
-    def tally(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
+    def accumulate_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
         """Sum up what was applied for a time (s)."""
         new["effort"] += time * ca.fabs(applied)
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
 
-    def close(
+    def complete_step(
         self,
         new: dict[str, Any],
         state: dict[str, Any],
@@ -240,23 +249,25 @@ class ControlStep:
             "steps": state["steps"] + 1,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        seen = [*watched(self.wiring, y), u, mean, new["plant"]]
+        seen = [*watched_measurements(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
-        self._watch(new, state, t, ca.vertcat(*seen), z)
+        self._record_first_faults(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told})
 
-    def extremes(self, waves: Sequence[Wave]) -> Extremes:
+    def quantity_extremes(self, waves: Sequence[Wave]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
-    def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
+    def event_watch(self, state: dict[str, Any], begin: Any) -> Watch:
         return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
-    def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any) -> None:
+    def _record_first_faults(
+        self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any
+    ) -> None:
         """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
         wiring = self.wiring
         fault = ca.SX(0)
@@ -277,7 +288,7 @@ class ControlStep:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
-def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
+def watched_measurements(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
     """Return the measurement, unless the controller or its estimator does without lost samples: then nothing."""
     controller = wiring.controller
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
@@ -286,7 +297,7 @@ def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
 def watched_labels(wiring: Wiring) -> list[str]:
     """Return what the codes of the first non-finite quantity mean, code 1 first."""
     groups = (
-        *watched(wiring, ("measured", wiring.controller.states)),
+        *watched_measurements(wiring, ("measured", wiring.controller.states)),
         ("command", wiring.controller.commands),
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),
@@ -302,7 +313,9 @@ def alarm_labels(wiring: Wiring) -> list[str]:
     return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
 
-def _mark(saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]) -> None:
+def _mark_saturation(
+    saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]
+) -> None:
     """Note where a limit acts: at the same component, or at every component that led to it."""
     if step.saturated is None:
         return

@@ -71,8 +71,8 @@ class Normal(Dispersion):
     truncate: float | None = None
 
     def __post_init__(self) -> None:
-        _finite(self.mean, "the mean of Normal()")
-        if np.any(_finite(self.std, "the standard deviation of Normal()") < 0):
+        _require_finite(self.mean, "the mean of Normal()")
+        if np.any(_require_finite(self.std, "the standard deviation of Normal()") < 0):
             raise ArgumentError(
                 f"the standard deviation of Normal() is {shown(self.std)}: give numbers >= 0."
             )
@@ -80,9 +80,9 @@ class Normal(Dispersion):
             read_positive(self.truncate, "truncate of Normal()")
 
     def check(self, name: str, nominal: Array) -> None:
-        _fits(self.std, nominal, f"the standard deviation of '{name}'")
-        _fits(self.mean, nominal, f"the mean deviation of '{name}'")
-        _relative(self.relative, name, nominal)
+        _check_size(self.std, nominal, f"the standard deviation of '{name}'")
+        _check_size(self.mean, nominal, f"the mean deviation of '{name}'")
+        _check_relative(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
@@ -90,7 +90,7 @@ class Normal(Dispersion):
         else:  # by the inverse of the distribution: one number each, and never a rejection
             tail = scipy.special.ndtr(-self.truncate)
             z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
-        return _deviated(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
+        return _add_deviation(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         kept = 1.0
@@ -122,20 +122,22 @@ class Uniform(Dispersion):
     relative: bool = False
 
     def __post_init__(self) -> None:
-        if np.any(_finite(self.low, "low of Uniform()") > _finite(self.high, "high of Uniform()")):
+        if np.any(
+            _require_finite(self.low, "low of Uniform()") > _require_finite(self.high, "high of Uniform()")
+        ):
             raise ArgumentError(
                 f"Uniform() is to range from {shown(self.low)} to {shown(self.high)}: give the lower end first."
             )
 
     def check(self, name: str, nominal: Array) -> None:
-        _fits(self.low, nominal, f"the lower end of '{name}'")
-        _fits(self.high, nominal, f"the upper end of '{name}'")
-        _relative(self.relative, name, nominal)
+        _check_size(self.low, nominal, f"the lower end of '{name}'")
+        _check_size(self.high, nominal, f"the upper end of '{name}'")
+        _check_relative(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
         deviation = low + (np.asarray(self.high) - low) * generator.random(nominal.size)
-        return _deviated(nominal, deviation, self.relative)
+        return _add_deviation(nominal, deviation, self.relative)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         unit = nominal if self.relative else np.ones(nominal.size)
@@ -202,10 +204,12 @@ class RandomDirection(Dispersion):
         _check_magnitude(self.radius, "the radius of Sphere()")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        return nominal + _magnitude(self.radius, generator) * _direction(generator, nominal.size)
+        return nominal + _draw_magnitude(self.radius, generator) * _draw_direction(generator, nominal.size)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        return np.zeros(nominal.size), _mean_square(self.radius) / nominal.size * np.eye(nominal.size)
+        return np.zeros(nominal.size), _magnitude_mean_square(self.radius) / nominal.size * np.eye(
+            nominal.size
+        )
 
 
 @dataclass(frozen=True)
@@ -228,7 +232,7 @@ class UniformInBall(Dispersion):
         read_positive(self.radius, "the radius of Ball()", or_zero=True)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        direction = _direction(generator, nominal.size)
+        direction = _draw_direction(generator, nominal.size)
         length = self.radius * generator.random() ** (1 / nominal.size)
         return np.asarray(nominal + length * direction)
 
@@ -267,8 +271,8 @@ class RandomRotation(Dispersion):
             raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        half = 0.5 * _magnitude(self.angle, generator)
-        turn = np.concatenate([[np.cos(half)], np.sin(half) * _direction(generator, 3)])
+        half = 0.5 * _draw_magnitude(self.angle, generator)
+        turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_direction(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
         # of the two sets of parameters this is the one of the nominal attitude
@@ -283,7 +287,7 @@ class RandomRotation(Dispersion):
         )
         if nominal.size == 3:
             change = (change[1:] - np.outer(nominal, change[0])) / (1 + attitude[0])
-        return np.zeros(nominal.size), _mean_square(self.angle) / 3 * change @ change.T
+        return np.zeros(nominal.size), _magnitude_mean_square(self.angle) / 3 * change @ change.T
 
 
 Dispersions: TypeAlias = Mapping[str, Dispersion]
@@ -307,7 +311,7 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
         dispersion.check(name, nominal[layout.slice(name)])
 
 
-def dispersed(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
+def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, seed: int, index: int) -> Array:
     """Return the column P (n_parameters,) of one run.
 
     The random numbers of a name depend on the seed, the run and the name alone.
@@ -320,23 +324,23 @@ def dispersed(dispersions: Dispersions, layout: Layout, nominal: Array, seed: in
     return P
 
 
-def _finite(value: Any, what: str) -> Array:
+def _require_finite(value: Any, what: str) -> Array:
     numbers = read_numbers(value, what)
     if not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {shown(value)}: give finite numbers.")
     return numbers
 
 
-def _fits(value: ArrayLike, nominal: Array, what: str) -> None:
+def _check_size(value: ArrayLike, nominal: Array, what: str) -> None:
     as_vector(value, nominal.size, what, ArgumentError)
 
 
-def _relative(relative: bool, name: str, nominal: Array) -> None:
+def _check_relative(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
         raise ArgumentError(f"'{name}' is nominally zero, and so is every share of it: drop relative=True.")
 
 
-def _deviated(nominal: Array, deviation: Array, relative: bool) -> Array:
+def _add_deviation(nominal: Array, deviation: Array, relative: bool) -> Array:
     return nominal * (1 + deviation) if relative else nominal + deviation
 
 
@@ -349,11 +353,11 @@ def _check_magnitude(value: Any, what: str) -> None:
         read_positive(value, what, or_zero=True)
 
 
-def _magnitude(value: Magnitude, generator: np.random.Generator) -> float:
+def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
 
 
-def _mean_square(value: Magnitude) -> float:
+def _magnitude_mean_square(value: Magnitude) -> float:
     """Return the mean of a magnitude's square."""
     if not isinstance(value, Dispersion):
         return float(value) ** 2
@@ -361,7 +365,7 @@ def _mean_square(value: Magnitude) -> float:
     return float(mean[0] ** 2 + variance[0, 0])
 
 
-def _direction(generator: np.random.Generator, size: int) -> Array:
+def _draw_direction(generator: np.random.Generator, size: int) -> Array:
     while True:
         vector = generator.standard_normal(size)
         length = float(np.linalg.norm(vector))

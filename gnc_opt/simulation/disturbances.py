@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, read_block_scalar, read_block_values
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class ConstantDisturbance(Disturbance):
     level: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"level": (values(self.level, size, f"the level of '{self.name}'"), unit)}
+        return {"level": (read_block_values(self.level, size, f"the level of '{self.name}'"), unit)}
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["level"]
@@ -98,9 +98,9 @@ class SinusoidalDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "amplitude": (values(self.amplitude, size, f"the amplitude of '{self.name}'"), unit),
-            "frequency": (scalar(self.frequency, f"the frequency of '{self.name}'"), "rad/s"),
-            "phase": (values(self.phase, size, f"the phase of '{self.name}'"), "rad"),
+            "amplitude": (read_block_values(self.amplitude, size, f"the amplitude of '{self.name}'"), unit),
+            "frequency": (read_block_scalar(self.frequency, f"the frequency of '{self.name}'"), "rad/s"),
+            "phase": (read_block_values(self.phase, size, f"the phase of '{self.name}'"), "rad"),
         }
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
@@ -126,7 +126,7 @@ class PiecewiseConstantNoise(Disturbance):
     period: float | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"sigma": (values(self.sigma, size, f"sigma of '{self.name}'"), unit)}
+        return {"sigma": (read_block_values(self.sigma, size, f"sigma of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}

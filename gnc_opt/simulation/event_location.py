@@ -2,8 +2,8 @@ r"""Location of events within a minor step, and integration through them.
 
 A row (see `Events`) is *armed* if it has been at zero or above since its event last happened. An armed row
 may cross in an integration step (`Watch`) if it ends below zero, or sinks to it in between by the cubic
-through values and slopes or by the tangents of both ends. Then the minor step is repeated (`passage`) to the
-crossing, found by Newton's method inside a bracket; then the resets; then on from there.
+through values and slopes or by the tangents of both ends. Then the minor step is repeated to the crossing, found by
+Newton's method inside a bracket (`event_passage_function`); then the resets; then on from there.
 
 Events within `SAME_TIME` of the minor step are simultaneous: conditions are evaluated before all resets,
 which follow in the order of declaration until one ends the run. The run also ends if a row rises after its
@@ -20,7 +20,7 @@ import casadi as ca
 
 from gnc_opt.simulation.dormand_prince import Taken
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
-from gnc_opt.simulation.quantities import joined
+from gnc_opt.simulation.quantities import join_records
 from gnc_opt.simulation.signals import Places
 from gnc_opt.tolerances import SAME_TIME
 
@@ -68,10 +68,10 @@ class Watch:
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
         self.lost_inside = ca.if_else(length > 0, self.lost, self.lost_inside)
-        self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
+        self.lost = ca.fmax(self.lost, self.events.undefined_events(time, x, self.parameters, y1))
 
 
-def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
+def event_note_layout(n_states: int) -> tuple[tuple[str, int], ...]:
     """Return what is noted of a control step's events: how many, which, when, and the states on both sides."""
     return (
         ("number", 1),
@@ -82,13 +82,13 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
     )
 
 
-def record_of(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
+def event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
     """Return the layout of the record of events: counts, first times, the end of the run, undefined ones."""
     count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
+def event_passage_function(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
     """Return ``(q, t, p, *context) -> q`` through a minor step with events, and the layout of q."""
     way = _Passage(events, leg, h)
     return way.function(), way.places
@@ -105,24 +105,24 @@ class _Passage:
                 ("armed", self.n_rows),
                 ("s", 1),
                 ("quantities", leg.size1_out(9)),
-                *record_of(events, n),
-                *notes_of(n),
+                *event_record_layout(events, n),
+                *event_note_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._context()
-        self.lowest = self._lowest()
-        self.newton = self._newton()
-        self.effect = self._effect()
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._context_entries()
+        self.lowest = self._lowest_crossing_function()
+        self.newton = self._newton_or_bisection_step()
+        self.effect = self._event_effect_function()
 
-    def _context(self) -> list[tuple[str, int]]:
+    def _context_entries(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
-    def _symbols(self, *more: tuple[str, int]) -> list[Any]:
+    def _passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
 
     def function(self) -> Any:
-        q, t, p, *context = self._symbols(("q", self.places.size))
-        one = self._one()
+        q, t, p, *context = self._passage_symbols(("q", self.places.size))
+        one = self._leg_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
@@ -132,55 +132,67 @@ class _Passage:
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
         return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
 
-    def _one(self) -> Any:
+    def _leg_to_next_event(self) -> Any:
         """A leg to the next event or to the end, unless all is done."""
-        inputs = self._symbols(("q", self.places.size))
+        inputs = self._passage_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
         x, armed, _, _, found, first, last, lost, _, seen = self.leg(
             v["x"], v["armed"], v["s"], self.h, *context
         )
-        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, lost=lost, quantities=seen))
+        whole = self.places.join(
+            self._advance_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
+        )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
-        given = self._symbols(("q", self.places.size), *bounds)
+        given = self._passage_symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
-        flown = ca.Function.if_else("fly", self._meet(), quiet)(found, q, whole, first, last, t, p, *context)
+        flown = ca.Function.if_else("fly", self._propagate_through_event(), quiet)(
+            found, q, whole, first, last, t, p, *context
+        )
         fly = ca.Function("fly", inputs, [flown])
-        q, t, p, *context = self._symbols(("q", self.places.size))
+        q, t, p, *context = self._passage_symbols(("q", self.places.size))
         v = self.places.split(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+    def _advance_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         """Return the quantities at s, with those that the leg until then has added."""
-        seen = joined(v["quantities"], leg["quantities"])
+        seen = join_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
-    def _meet(self) -> Any:
+    def _propagate_through_event(self) -> Any:
         """Fly to where a row may have crossed; if one has, through the event."""
-        q, _, first, last, t, p, *context = symbols = self._symbols(
+        q, _, first, last, t, p, *context = symbols = self._passage_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
-        v, narrow = self.places.split(q), self._narrow()
+        v, narrow = self.places.split(q), self._narrow_bracket()
         r = ca.vertcat(first, last, 0)
         for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
         x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, lost=lost, quantities=seen))
+        beyond = self.places.join(
+            self._advance_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
+        )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
-        given = self._symbols(*more, ("first", 1), ("last", 1))
+        given = self._passage_symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
-        choice = ca.Function.if_else("meet", self._happen(), go_on)
+        choice = ca.Function.if_else("meet", self._locate_and_apply_event(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
         return ca.Function("meet", symbols, [met])
 
-    def _narrow(self) -> Any:
+    def _narrow_bracket(self) -> Any:
         """Look again at the way to where a row may have crossed, as long as none has there, but one may before."""
-        sizes = (("r", 3), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), *self._context())
+        sizes = (
+            ("r", 3),
+            ("x", self.leg.size1_in(0)),
+            ("armed", self.n_rows),
+            ("s", 1),
+            *self._context_entries(),
+        )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
         _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
@@ -189,9 +201,9 @@ class _Passage:
         choice = ca.Function.if_else("narrow", keep, step)
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
-    def _happen(self) -> Any:
+    def _locate_and_apply_event(self) -> Any:
         """Find the instant at which the first of the crossing rows is zero, and do what the events do."""
-        q, _, crossing, first, last, t, p, *context = given = self._symbols(
+        q, _, crossing, first, last, t, p, *context = given = self._passage_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
             ("crossing", self.n_rows),
@@ -200,7 +212,7 @@ class _Passage:
         )
         v = self.places.split(q)
         moment = SAME_TIME * self.h
-        improve = self._improve()
+        improve = self._root_search_step()
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
         for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
@@ -209,7 +221,7 @@ class _Passage:
         y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._moved(v, s, x=x, armed=armed, lost=inside, quantities=seen)
+        met = self._advance_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
         w = self.places.split(self.effect(self.places.join(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
@@ -222,7 +234,10 @@ class _Passage:
         sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
         through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))
         event_occurred = w["count"] - v["count"]
-        for code, ends in ((len(self.events) + 1, endless), *self._unkept(through, event_occurred)):
+        for code, ends in (
+            (len(self.events) + 1, endless),
+            *self._unsatisfied_resets(through, event_occurred),
+        ):
             ends = ca.logic_and(ends, w["stop"] < 0.5)
             w["stop"] = ca.if_else(ends, code, w["stop"])
             w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
@@ -231,14 +246,14 @@ class _Passage:
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
         return ca.Function("happen", given, [self.places.join(w)])
 
-    def _unkept(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
+    def _unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
         """Yield, of each event with a reset, the code and whether it has left a row of its own that falls through."""
         for j, event in enumerate(self.events.declared):
             if event.reset:
                 own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
                 yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), event_occurred[j])
 
-    def _improve(self) -> Any:
+    def _root_search_step(self) -> Any:
         """One step of the search, unless it has ended."""
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
@@ -246,7 +261,7 @@ class _Passage:
                 ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._context()]
+        context = [ca.MX.sym(name, size) for name, size in self._context_entries()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
         _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
@@ -254,7 +269,7 @@ class _Passage:
         choice = ca.Function.if_else("improve", keep, step)
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
 
-    def _lowest(self) -> Any:
+    def _lowest_crossing_function(self) -> Any:
         """``(y, slope, crossing) -> (y, slope)`` of the lowest of the crossing rows."""
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
         least, its = ca.SX(ca.inf), ca.SX(0)
@@ -263,7 +278,7 @@ class _Passage:
             least, its = ca.if_else(lower, y[j], least), ca.if_else(lower, slope[j], its)
         return ca.Function("lowest", [y, slope, crossing], [least, its])
 
-    def _newton(self) -> Any:
+    def _newton_or_bisection_step(self) -> Any:
         """Newton's step where it stays inside the bracket and halves the step before, else bisection."""
         r, y, slope = ca.SX.sym("r", 5), ca.SX.sym("y"), ca.SX.sym("slope")
         now, low, high, before, _ = ca.vertsplit(r)
@@ -281,7 +296,7 @@ class _Passage:
             "newton", [r, y, slope], [ca.vertcat(moved, low, high, ca.fabs(moved - now), there)]
         )
 
-    def _effect(self) -> Any:
+    def _event_effect_function(self) -> Any:
         """``(q, fired rows, t, p) -> q`` after conditions and resets, with what happened noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
@@ -301,8 +316,8 @@ class _Passage:
             v["before"] = ca.if_else(spread, ca.repmat(before, EVENTS_PER_STEP_MAX, 1), v["before"])
             v["after"] = ca.if_else(spread, ca.repmat(x, EVENTS_PER_STEP_MAX, 1), v["after"])
             v["number"] += happens
-            v["first"] = _at(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
-            v["count"] = _at(v["count"], j, happens, v["count"][j] + 1)
+            v["first"] = _replace_entry(v["first"], j, ca.logic_and(happens, v["count"][j] < 0.5), now)
+            v["count"] = _replace_entry(v["count"], j, happens, v["count"][j] + 1)
             if event.ends:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
@@ -310,7 +325,7 @@ class _Passage:
         return ca.Function("effect", [column, fired, t, p], [self.places.join(v)])
 
 
-def _at(column: Any, place: int, condition: Any, value: Any) -> Any:
+def _replace_entry(column: Any, place: int, condition: Any, value: Any) -> Any:
     """Return the SX column with another entry at a place where the condition holds."""
     entries = ca.vertsplit(column)
     entries[place] = ca.if_else(condition, value, entries[place])

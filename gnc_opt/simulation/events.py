@@ -136,7 +136,7 @@ class EventOccurrence:
         return f"{self.name} at {self.time:.6g} s"
 
 
-def occurrences(
+def read_event_occurrences(
     told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
 ) -> list[EventOccurrence]:
     """Return the events in the logs, by columns, of the first steps of a leg."""
@@ -165,7 +165,7 @@ class Events:
     def __len__(self) -> int:
         return len(self.declared)
 
-    def behind(self, t: float, x: Array, p: Array) -> tuple[Event, float] | None:
+    def find_event_before_start(self, t: float, x: Array, p: Array) -> tuple[Event, float] | None:
         """Return an event that is to end a run, but lies behind its start (t, x), and its expression there."""
         y = self.rows(t, x, np.zeros(x.size), p)[0].full()[:, 0]
         holds = self.effects(t, x, p)[0].full()[:, 0]
@@ -175,7 +175,7 @@ class Events:
                 return event, float(value * _SIGNS[event.direction][0])
         return None
 
-    def lost(self, t: Any, x: Any, p: Any, y: Any) -> Any:
+    def undefined_events(self, t: Any, x: Any, p: Any, y: Any) -> Any:
         """Return, by the rows y at (t, x), which events (n_events, 1) are undefined (NaN) while they can happen; SX."""
         holds, _ = self.effects(t, x, p)
         flags = []
@@ -200,14 +200,16 @@ class Events:
         t, x, _, p = plant.arguments()
         rate = ca.SX.sym("dx_dt", plant.states.size)
         signed = [
-            (sign * _moving(event, plant), owner)
+            (sign * _read_condition(event, plant), owner)
             for owner, event in enumerate(declared)
             for sign in _SIGNS[event.direction]
         ]
         y = ca.vertcat(*[row for row, _ in signed])
         slope = ca.jtimes(y, ca.vertcat(t, x), ca.vertcat(1, rate))
-        holds = [1.0 if e.where is None else _read(e, e.where, "the condition", plant) for e in declared]
-        after = [_after(event, plant) for event in declared]
+        holds = [
+            1.0 if e.where is None else _read_expression(e, e.where, "the condition", plant) for e in declared
+        ]
+        after = [_states_after_event(event, plant) for event in declared]
         return cls(
             declared,
             tuple(owner for _, owner in signed),
@@ -221,9 +223,12 @@ def _is_number(value: Any) -> Any:
     return ca.fabs(value) <= ca.inf
 
 
-def _moving(event: Event, plant: Model) -> Any:
+def _read_condition(event: Event, plant: Model) -> Any:
     """Return the expression of an event; refuse one that never passes through zero."""
-    found, what = _read(event, event.expression, "the expression", plant), "the expression of event"
+    found, what = (
+        _read_expression(event, event.expression, "the expression", plant),
+        "the expression of event",
+    )
     t, x, _, _ = plant.arguments()
     if not ca.depends_on(found, ca.vertcat(t, x)):
         raise ArgumentError(
@@ -238,11 +243,11 @@ def _moving(event: Event, plant: Model) -> Any:
     return found
 
 
-def _read(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
+def _read_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
     return plant_expression(value, f"{what} of event '{event.name}'", plant, size)
 
 
-def _after(event: Event, plant: Model) -> Any:
+def _states_after_event(event: Event, plant: Model) -> Any:
     """Return the states (n_states, 1) that an event leaves."""
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
@@ -252,5 +257,5 @@ def _after(event: Event, plant: Model) -> Any:
                 f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "
                 f"{did_you_mean(name, plant.states.names)}"
             )
-        new[name] = _read(event, value, f"the new '{name}'", plant, plant.states[name].size)
+        new[name] = _read_expression(event, value, f"the new '{name}'", plant, plant.states[name].size)
     return ca.vertcat(*new.values())

@@ -46,27 +46,27 @@ class Wave:
     mean: Any
     at: Callable[[Decay], Any] | None = None
 
-    def value(self, decay: Decay) -> Any:
+    def evaluate_wave(self, decay: Decay) -> Any:
         """Return the value where the exponentials are those of ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
-    def mapped(self, function: Callable[[Any], Any]) -> Wave:
+    def apply_memoryless(self, function: Callable[[Any], Any]) -> Wave:
         """Return what a block without memory makes of it at every time."""
         at = self.at
         return Wave(function(self.mean), None if at is None else lambda decay: function(at(decay)))
 
-    def input(self, begin: Any, sigma: Any) -> Input:
+    def sample_for_integration(self, begin: Any, sigma: Any) -> Input:
         """Return its values in integration steps of length ``sigma`` from ``begin`` on (s)."""
         projected = _ProjectedDecay(begin, sigma)
-        return lambda k, node: self.value(lambda tau: projected(tau, k, node))
+        return lambda k, node: self.evaluate_wave(lambda tau: projected(tau, k, node))
 
 
-def stacked(waves: Sequence[Wave]) -> Wave:
+def stack_waves(waves: Sequence[Wave]) -> Wave:
     """Return several waves as one column."""
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
         return Wave(mean)
-    return Wave(mean, lambda decay: ca.vertcat(*[wave.value(decay) for wave in waves]))
+    return Wave(mean, lambda decay: ca.vertcat(*[wave.evaluate_wave(decay) for wave in waves]))
 
 
 class _ProjectedDecay:
@@ -79,13 +79,13 @@ class _ProjectedDecay:
     def __call__(self, tau: Any, k: int, node: float) -> Any:
         if id(tau) not in self._known:
             rates = -self.begin / tau, -self.sigma / tau
-            self._known[id(tau)] = ca.exp(rates[0]), ca.exp(rates[1]), projection(-0.5 * rates[1])
+            self._known[id(tau)] = ca.exp(rates[0]), ca.exp(rates[1]), project_exponential(-0.5 * rates[1])
         first, ratio, (c0, c1, c2) = self._known[id(tau)]
         z = 2 * node - 1
         return first * ratio**k * (c0 + c1 * z + c2 * (0.5 * (3 * z**2 - 1)))
 
 
-def projection(xi: Any) -> list[Any]:
+def project_exponential(xi: Any) -> list[Any]:
     """Return the coefficients of P_0 to P_2 for exp(-2 xi nu), nu from 0 to 1; SX column, xi >= 0."""
     small, square = xi < 0.5, xi**2  # closed forms lose digits there; the series keeps 1e-13
     decayed = ca.exp(-xi)

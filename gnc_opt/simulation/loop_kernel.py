@@ -16,18 +16,18 @@ import casadi as ca
 
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.control_step import ControlStep
-from gnc_opt.simulation.event_location import notes_of, passage
-from gnc_opt.simulation.quantities import joined, neutral
-from gnc_opt.simulation.signals import Places, take
+from gnc_opt.simulation.event_location import event_note_layout, event_passage_function
+from gnc_opt.simulation.quantities import empty_record, join_records
+from gnc_opt.simulation.signals import Places, stack_signals
 from gnc_opt.simulation.wiring import Wiring
 
 
-def with_events(step: ControlStep, act: Any) -> Any:
+def add_event_handling(step: ControlStep, act: Any) -> Any:
     """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``, the minor steps through their events."""
     return _EventfulStep(step).function(act)
 
 
-def until_the_end(control_step: ControlStep, step: Any, log: Any) -> Any:
+def stop_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
     """Return the step that is inactive after an event has ended the run, with the second output ``log``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
@@ -48,54 +48,56 @@ class _EventfulStep:
         after, log, found = act(*inputs)
         more = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
         keep = ca.Function("keep", [*inputs, *more], more)
-        careful = ca.Function("careful", [*inputs, *more], self._careful(x, w, c[: self.P.shape[0]], y, u, z))
+        careful = ca.Function(
+            "careful", [*inputs, *more], self._step_through_events(x, w, c[: self.P.shape[0]], y, u, z)
+        )
         either = ca.Function.if_else("either", careful, keep)
         return ca.Function("act", inputs, either(found, *inputs, after, log))
 
-    def _careful(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
+    def _step_through_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
         wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         state = self.state.split(column)
         begin = ca.Function("begin", [column, known, self.P], [
-            self.state.join(self.base.pushed(state, self.known.split(known)))
+            self.state.join(self.base.update_disturbances(state, self.known.split(known)))
         ])  # fmt: skip
         now, notes = begin(x, w, P), ca.MX.zeros(self.notes.size)
         for i in range(wiring.minor_steps):
-            minor, skip = self._minor(i)
+            minor, skip = self._minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
             now, notes = either(self.state.split(now)["stop"] > 0.5, now, notes, w, P, u)
-        return list(self._closing()(x, now, notes, w, y, u, z))
+        return list(self._closing_function()(x, now, notes, w, y, u, z))
 
     @property
     def notes(self) -> Places:
         """What a control step with events adds up beside the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
-        return Places((*sums, *notes_of(self.wiring.plant.states.size)))
+        return Places((*sums, *event_note_layout(self.wiring.plant.states.size)))
 
-    def _minor(self, i: int) -> tuple[Any, Any]:
+    def _minor_step_functions(self, i: int) -> tuple[Any, Any]:
         """``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and the one that does nothing."""
         wiring, h = self.wiring, self.h
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split(column), self.known.split(known)
-        new, tick = dict(state), self.base.tick_of(i, w, state)
-        waves, saturated = self.base.actuate(tick, u, new, w, i)
+        new, tick = dict(state), self.base.tick_at(i, w, state)
+        waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-        watch, extremes = self.base.watch_rows({"armed": armed}, begin), self.base.extremes(waves)
-        flown = self.base.fly(tick.t, x, waves, new, (begin, end), (watch, extremes))
+        watch, extremes = self.base.event_watch({"armed": armed}, begin), self.base.quantity_extremes(waves)
+        flown = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
-        way, places = passage(wiring.events, leg, h)
+        way, places = event_passage_function(wiring.events, leg, h)
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.notes.size)
         v, n = places.split(q), self.notes.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
-        self.base.tally(new, applied, saturated, v["s"])
+        self.base.accumulate_totals(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
-        n |= {k: v[k] for k, _ in notes_of(x.shape[0])}
+        n |= {k: v[k] for k, _ in event_note_layout(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
@@ -111,7 +113,7 @@ class _EventfulStep:
         minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
-    def _closing(self) -> Any:
+    def _closing_function(self) -> Any:
         """``(X before, X, notes, w, y, u, z) -> (X_next, log)`` after the last minor step."""
         before, column, known = (
             ca.SX.sym(name, size)
@@ -126,9 +128,9 @@ class _EventfulStep:
             "commands": u,
             "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
-        told |= {name: n[name] for name, _ in notes_of(self.wiring.plant.states.size)}
+        told |= {name: n[name] for name, _ in event_note_layout(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]
-        log = self.base.close(new, state, t, told, z)
+        log = self.base.complete_step(new, state, t, told, z)
         return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
 
 
@@ -178,22 +180,24 @@ class _Builder(ControlStep):
     def kernel(self) -> Kernel:
         """Return the finished functions."""
         constants, act = self._act_functions()
-        step, easy = self._step(constants, act), self._easy(constants, act)
-        measure = self._measure(constants)
-        return Kernel(constants, self._start(), step, easy, measure, self.state, self.known, self.log)
+        step, easy = self._step_function(constants, act), self._fast_step_function(constants, act)
+        measure = self._measure_function(constants)
+        return Kernel(
+            constants, self._start_function(), step, easy, measure, self.state, self.known, self.log
+        )
 
-    def _start(self) -> Any:
+    def _start_function(self) -> Any:
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
         w = self.known.split(column)
-        x = take(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
-        y, sensors = self.sense(x, w["t"], None, w)
-        tick = Tick(w["t"], self.h, wiring.dt, self.by_state(x))
+        x = stack_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
+        y, sensors = self.apply_sensors(x, w["t"], None, w)
+        tick = Tick(w["t"], self.h, wiring.dt, self.split_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
-        parts |= {"plant": x, **sensors, "quantities": neutral(len(wiring.quantities))}
-        parts |= self.first_outputs(tick, w["r"])
+        parts |= {"plant": x, **sensors, "quantities": empty_record(len(wiring.quantities))}
+        parts |= self.initial_actuator_memories(tick, w["r"])
         if wiring.events:
-            parts |= self.first_record(w["t"], x)
+            parts |= self.initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
             parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick)
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
@@ -205,20 +209,20 @@ class _Builder(ControlStep):
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
-    def _step(self, constants: Any, act: Any) -> Any:
-        inputs, after, log, _ = self._stepped(self.wiring.controller.step, constants, act)
+    def _step_function(self, constants: Any, act: Any) -> Any:
+        inputs, after, log, _ = self._step_expressions(self.wiring.controller.step, constants, act)
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
-        return until_the_end(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+        return stop_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
 
-    def _easy(self, constants: Any, act: Any) -> Any:
+    def _fast_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
         if easy is None:
             return None
-        inputs, after, _, (enough,) = self._stepped(easy, constants, act)
+        inputs, after, _, (enough,) = self._step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
-        return until_the_end(self, step, ca.MX(1)) if self.wiring.events else step
+        return stop_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
-    def _stepped(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
+    def _step_expressions(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return X, w, C as symbols, and of a step by a law the next X, the log, and whether an easy law is enough."""
         kind = ca.MX if self.wiring.events else _symbol_kind(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
@@ -228,7 +232,7 @@ class _Builder(ControlStep):
         u, memory, *enough = law(known["t"], y, known["r"], self.state.split(x)["memory"])
         return inputs, *act(sensed, w, c, y, u, memory), enough
 
-    def _measure(self, constants: Any) -> Any:
+    def _measure_function(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
         c = ca.MX.sym("C", constants.size1_out(0))
         y, _ = self._sense_function()(x, w, c[: self.P.shape[0]])
@@ -237,7 +241,7 @@ class _Builder(ControlStep):
     def _sense_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         state, w = self.state.split(x), self.known.split(column)
-        y, sensors = self.sense(state["plant"], w["t"], state, w)
+        y, sensors = self.apply_sensors(state["plant"], w["t"], state, w)
         return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
 
     def _act_functions(self) -> tuple[Any, Any]:
@@ -247,22 +251,25 @@ class _Builder(ControlStep):
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
         z = ca.SX.sym("z", wiring.controller.memory.size)
         state, w = self.state.split(column_x), self.known.split(column)
-        new = self.pushed(state, w)
+        new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.tick_of(i, w, new)
-            waves, saturated = self.actuate(tick, u, new, w, i)
+            tick = self.tick_at(i, w, new)
+            waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
-            watch, extremes = self.watch_rows(new, ca.SX(0)) if wiring.events else None, self.extremes(waves)
+            watch, extremes = (
+                self.event_watch(new, ca.SX(0)) if wiring.events else None,
+                self.quantity_extremes(waves),
+            )
             watches = (extremes,) if watch is None else (watch, extremes)
-            new["plant"] = self.fly(tick.t, new["plant"], waves, new, watches=watches)
-            new["quantities"] = joined(new["quantities"], extremes.record)
+            new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
+            new["quantities"] = join_records(new["quantities"], extremes.record)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
-            self.tally(new, applied, saturated, self.h)
-        log = self.close(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
+            self.accumulate_totals(new, applied, saturated, self.h)
+        log = self.complete_step(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
         # what follows from P alone is computed once per run
         results = [self.state.join(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
@@ -270,7 +277,7 @@ class _Builder(ControlStep):
         act = ca.Function("act", [column_x, column, names, y, u, z], outputs)
         return (
             ca.Function("constants", [self.P], [constants], ["P"], ["C"]),
-            with_events(self, act) if wiring.events else act.slice("act", list(range(6)), [0, 1]),
+            add_event_handling(self, act) if wiring.events else act.slice("act", list(range(6)), [0, 1]),
         )
 
 

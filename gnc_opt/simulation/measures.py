@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.confidence_intervals import percentile
+from gnc_opt.simulation.confidence_intervals import estimate_percentile
 from gnc_opt.simulation.quantities import KEPT
 from gnc_opt.spacecraft.attitude import attitude_angle
 
@@ -52,7 +52,7 @@ class Envelope:
     confidence: float
 
 
-def envelope(
+def compute_envelope(
     name: str, unit: str, times: Array, samples: Array, levels: Sequence[float], confidence: float
 ) -> Envelope:
     """Return the envelope of samples (n_times, n_runs), not-a-number where a run is over; see `Envelope`."""
@@ -62,7 +62,7 @@ def envelope(
     for k in np.flatnonzero(flying):
         some = samples[k][~np.isnan(samples[k])]
         for j, level in enumerate(levels):
-            found = percentile(some, level, confidence)
+            found = estimate_percentile(some, level, confidence)
             values[j, k], low[j, k], high[j, k] = found.value, found.low, found.high
     return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, flying, confidence)
 
@@ -112,14 +112,14 @@ class Measures:
         if name in REPLANS:
             return np.asarray(self._runs.replans[REPLANS.index(name)])
         if name not in self._known:
-            self._known[name] = self._evaluate(*self._parse(name))
+            self._known[name] = self._evaluate_measure(*self._parse_name(name))
         return self._known[name]
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
         if name in self._runs.measured or name in REPLANS:
             return ""
-        kind, subject = self._parse(name)
+        kind, subject = self._parse_name(name)
         if kind in KEPT:
             unit = self.layout("quantity")[subject].unit
             return f"{unit} s".strip() if kind == "integral" else unit
@@ -131,7 +131,7 @@ class Measures:
         bracketed = f"({unit})" if kind == "energy" and set(unit) & set(" /*") else unit
         return f"{bracketed}{COMPONENT_SUMS[kind]}".strip()
 
-    def _evaluate(self, kind: str, subject: str) -> Array:
+    def _evaluate_measure(self, kind: str, subject: str) -> Array:
         runs = self._runs
         if kind == "error":
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
@@ -148,7 +148,7 @@ class Measures:
         layout = self.layout("command" if kind == "variation" else "applied")
         return np.asarray(np.sum(getattr(runs, kind)[layout.slice(subject)], axis=0))
 
-    def _parse(self, name: str) -> tuple[str, str]:
+    def _parse_name(self, name: str) -> tuple[str, str]:
         """Return kind and subject of a measure: ``"effort(F)"`` is ("effort", "F"), ``"q"`` is ("error", "q")."""
         kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
         subject = rest[:-1] if rest.endswith(")") else ""

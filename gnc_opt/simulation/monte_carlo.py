@@ -21,12 +21,12 @@ from gnc_opt.simulation.campaign_batch import (
     Batch,
     CampaignTask,
     Flown,
-    batches,
-    flown_parts,
-    gathered,
-    halves,
-    store,
-    stored,
+    batch_results,
+    load_stored_runs,
+    merge_batches,
+    remaining_batches,
+    split_batch,
+    store_runs,
 )
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
@@ -67,21 +67,24 @@ class Criteria:
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
-            _limit(name, value)
+            _read_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: give yours another name.")
             if not callable(function):
                 raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
 
-    def applied(self, campaign: Campaign) -> Campaign:
+    def apply_to_campaign(self, campaign: Campaign) -> Campaign:
         """Return a campaign with the limits and the measures of one's own."""
         campaign = replace(
-            campaign, limits={name: _limit(name, value) for name, value in self.limits.items()}
+            campaign, limits={name: _read_limit(name, value) for name, value in self.limits.items()}
         )
         return replace(
             campaign,
-            measured={name: _measured(name, function, campaign) for name, function in self.measures.items()},
+            measured={
+                name: _evaluate_user_measure(name, function, campaign)
+                for name, function in self.measures.items()
+            },
         )
 
 
@@ -94,11 +97,11 @@ def read_criteria(target: Any, measures: Any, limits: Any = None) -> Criteria:
     )
 
 
-def _limit(name: str, value: float) -> float:
+def _read_limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
-def _measured(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
+def _evaluate_user_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
     try:
         values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
@@ -181,38 +184,41 @@ def monte_carlo(
     dispersions = {} if dispersions is None else dispersions
     flight = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
-    flight = flight.natively(n)
+    flight = flight.with_machine_code(n)
     criteria = read_criteria(target, measures, limits)
     mission = CampaignTask(flight, dict(dispersions), int(seed))
-    empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
+    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
     criteria.check(empty)
     folder = None if checkpoint is None else Path(checkpoint)
-    before = [] if folder is None else stored(folder, mission, n)
+    before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
-        _meter(n, progress) as show,
-        WorkerPool(_shared(mission, executor), executor, "monte_carlo()") as pool,
+        _progress_meter(n, progress) as show,
+        WorkerPool(_share_task(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
-        def keep(batch: Done[Batch, list[Flown]]) -> None:
-            for part in flown_parts(batch):
+        def store_batch(batch: Done[Batch, list[Flown]]) -> None:
+            for part in batch_results(batch):
                 if folder is not None and part.ending is not None:
-                    store(folder, gathered(flight, [part], seed=mission.seed, asked=n, goal=empty.target))
-            show(*_tally(flown_parts(batch)))
+                    store_runs(
+                        folder, merge_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target)
+                    )
+            show(*_count_failures(batch_results(batch)))
 
         if before:
-            show(*_tally(before))
-        todo = batches(n, [part.batch for part in before])
-        done = pool.run(CampaignTask.fly, todo, keep, halves)
+            show(*_count_failures(before))
+        todo = remaining_batches(n, [part.batch for part in before])
+        done = pool.run(CampaignTask.fly, todo, store_batch, split_batch)
     flown = sorted(
-        [*before, *(part for batch in done for part in flown_parts(batch))], key=lambda part: part.batch.start
+        [*before, *(part for batch in done for part in batch_results(batch))],
+        key=lambda part: part.batch.start,
     )
-    _refuse_total_loss(flown)
-    flown = _with_parameters(flown, mission)
-    campaign = gathered(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
-    return criteria.applied(replace(campaign, interrupted=pool.interrupted))
+    _require_one_completed_run(flown)
+    flown = _restore_parameters(flown, mission)
+    campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
+    return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted))
 
 
-def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
+def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
     from gnc_opt.progress import campaign_meter
@@ -220,7 +226,7 @@ def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, i
     return campaign_meter(total)
 
 
-def _shared(mission: CampaignTask, executor: Executor | Literal["serial"] | None) -> Shared[CampaignTask]:
+def _share_task(mission: CampaignTask, executor: Executor | Literal["serial"] | None) -> Shared[CampaignTask]:
     remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
     if executor is None or isinstance(executor, Executor):
@@ -228,14 +234,14 @@ def _shared(mission: CampaignTask, executor: Executor | Literal["serial"] | None
     return shared
 
 
-def _tally(parts: Sequence[Flown]) -> tuple[int, int]:
+def _count_failures(parts: Sequence[Flown]) -> tuple[int, int]:
     """Return how many runs these are and how many of them failed."""
     runs = sum(len(part.batch) for part in parts)
     endings = [part.ending for part in parts if part.ending is not None]
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
-def _refuse_total_loss(flown: Sequence[Flown]) -> None:
+def _require_one_completed_run(flown: Sequence[Flown]) -> None:
     if not flown or any(part.ending is not None for part in flown):
         return
     remedy = "simulate() one of them to see why"
@@ -247,7 +253,7 @@ def _refuse_total_loss(flown: Sequence[Flown]) -> None:
     raise GncOptError(f"not one run could be flown ({flown[0].mishap}): {remedy}.")
 
 
-def _with_parameters(flown: Sequence[Flown], mission: CampaignTask) -> list[Flown]:
+def _restore_parameters(flown: Sequence[Flown], mission: CampaignTask) -> list[Flown]:
     """Return the batches with the parameters of those that never came back drawn again."""
     found = []
     for part in flown:

@@ -50,7 +50,7 @@ class OutcomeClassifier:
     failures: tuple[str, ...]
     accuracy: float
 
-    def outcome(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
+    def classify(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
         """Return what became of the i-th run, from the kernels' states by name (., n) and its estimated error."""
         watched, diverged, alarm = (int(parts[name][0, i]) for name in ("fault", "divergence", "alarm"))
         if watched:
@@ -63,7 +63,7 @@ class OutcomeClassifier:
             return Outcome(
                 RunStatus.CONTROLLER_ALARM, self.alarms[alarm - 1], float(parts["alarm time"][0, i])
             )
-        name, time = self._stop(parts, i)
+        name, time = self._terminal_event(parts, i)
         if name in self.failures or (name and name not in self.events):
             return Outcome(RunStatus.TERMINATED_BY_EVENT, name, time)
         if not error <= self.accuracy:
@@ -71,7 +71,7 @@ class OutcomeClassifier:
             return Outcome(RunStatus.INTEGRATION_ERROR, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
-    def _stop(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
+    def _terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
         """Return the event that ended a run, and when."""
         code = int(parts["stop"][0, i]) if self.events else 0
         names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
@@ -127,13 +127,13 @@ class Outcome:
 
     def __eq__(self, other: object) -> bool:
         """Outcomes without a time are equal, too, though not-a-number is not equal to itself."""
-        return isinstance(other, Outcome) and self._key == other._key
+        return isinstance(other, Outcome) and self._comparison_key == other._comparison_key
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self._comparison_key)
 
     @property
-    def _key(self) -> tuple[RunStatus, str, float | None]:
+    def _comparison_key(self) -> tuple[RunStatus, str, float | None]:
         return self.status, self.what, None if math.isnan(self.time) else self.time
 
     def __reduce__(self) -> tuple[type[Outcome], tuple[RunStatus, str, float]]:

@@ -85,51 +85,55 @@ class Quantities:
         return cls(layout, ca.Function("quantities", plant.arguments(), [y]))
 
 
-def neutral(count: int) -> Any:
-    """Return the record of ``count`` quantities over no time, (5 count,): see `joined`."""
+def empty_record(count: int) -> Any:
+    """Return the record of ``count`` quantities over no time, (5 count,): see `join_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
 
 
-def joined(one: Any, other: Any) -> Any:
+def join_records(one: Any, other: Any) -> Any:
     """Return the record of two consecutive spans: largest, least, integral, first and last values; SX or MX."""
-    a, b = _parts(one), _parts(other)
+    a, b = _split_record(one), _split_record(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
     last = ca.if_else(ca.fabs(b[4]) < ca.inf, b[4], a[4])
     return ca.vertcat(ca.fmax(a[0], b[0]), ca.fmin(a[1], b[1]), a[2] + b[2], first, last)
 
 
-def _parts(record: Any) -> tuple[Any, ...]:
+def _split_record(record: Any) -> tuple[Any, ...]:
     n = record.shape[0] // 5
     return tuple(record[i * n : (i + 1) * n] for i in range(5))
 
 
 class Extremes:
-    """The ``record`` (5 n_quantities,) of quantities while the plant is integrated, see `joined`; SX."""
+    """The ``record`` (5 n_quantities,) of quantities while the plant is integrated, see `join_records`; SX."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
-        self.record = ca.SX(neutral(len(quantities)))
+        self.record = ca.SX(empty_record(len(quantities)))
 
     def __call__(self, taken: Taken, applied: Callable[[float], Any]) -> None:
         """Take in an integration step."""
         if not len(self.quantities):
             return
         nodes = np.linspace(0, 1, 4 * self.panels + 1).tolist()
-        y = [self._values(taken, nu, ca.densify(applied(nu))) for nu in nodes]
+        y = [self._evaluate_rows(taken, nu, ca.densify(applied(nu))) for nu in nodes]
         panels = [y[4 * k : 4 * k + 5] for k in range(self.panels)]
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
-        step = ca.vertcat(_peak(y), -_peak([-each for each in y]), total, y[0], y[-1])
+        step = ca.vertcat(
+            _interpolated_maximum(y), -_interpolated_maximum([-each for each in y]), total, y[0], y[-1]
+        )
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
-        self.record = joined(self.record, ca.if_else(flown, step, ca.SX(neutral(len(self.quantities)))))
+        self.record = join_records(
+            self.record, ca.if_else(flown, step, ca.SX(empty_record(len(self.quantities))))
+        )
 
-    def _values(self, taken: Taken, nu: float, u: Any) -> Any:
+    def _evaluate_rows(self, taken: Taken, nu: float, u: Any) -> Any:
         x = taken.x if nu == 0 else taken.after if nu == 1 else taken.at(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 
 
-def _peak(y: Sequence[Any]) -> Any:
+def _interpolated_maximum(y: Sequence[Any]) -> Any:
     """Return the largest values of smooth curves through values at the nodes."""
     highest = y[0]
     for each in y[1:]:
@@ -145,6 +149,6 @@ def _peak(y: Sequence[Any]) -> Any:
     return highest
 
 
-def sample_steps(n_steps: int) -> Array:
+def select_sample_steps(n_steps: int) -> Array:
     """Return the control steps at whose beginnings quantities are sampled, and the end, (n_samples,)."""
     return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)

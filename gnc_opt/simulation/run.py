@@ -24,7 +24,7 @@ from gnc_opt.text import Printed
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
-def settling_time(times: Array, distance: Array, band: float) -> float:
+def compute_settling_time(times: Array, distance: Array, band: float) -> float:
     """Return the time (s) from ``times[0]`` until ``distance`` stays within ``band``, or infinity."""
     band = read_positive(band, "the band of a settling time")
     outside = np.flatnonzero(~(distance <= band))
@@ -141,13 +141,13 @@ class Run(Strict, Printed):
         ]
         if self.errors is not None:
             ends = np.abs(self.errors[:, -1])
-            lines.insert(1, "  final errors  " + _listed(self.layouts["error"], ends))
+            lines.insert(1, "  final errors  " + _norms_text(self.layouts["error"], ends))
         if self.events:
-            lines.insert(-1, "  events        " + _told(self.events))
+            lines.insert(-1, "  events        " + _events_text(self.events))
         if self.replans:
-            lines.insert(-1, "  re-plans      " + _replanned(self.replans))
-        lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
-        lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
+            lines.insert(-1, "  re-plans      " + _replans_text(self.replans))
+        lines.insert(-1, "  effort        " + _norms_text(self.layouts["applied"], self.effort, " s"))
+        lines.insert(-1, "  saturated     " + _norms_text(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -162,33 +162,33 @@ class Run(Strict, Printed):
 
     def state(self, name: str) -> Logged:
         """Return a state of the plant."""
-        return self._logged("state", name, self.states, False)
+        return self._logged_signal("state", name, self.states, False)
 
     def measurement(self, name: str) -> Logged:
         """Return what the controller saw of a state."""
-        return self._logged("measured", name, self.measured, True)
+        return self._logged_signal("measured", name, self.measured, True)
 
     def command(self, name: str) -> Logged:
         """Return a command of the controller."""
-        return self._logged("command", name, self.commands, True)
+        return self._logged_signal("command", name, self.commands, True)
 
     def control(self, name: str) -> Logged:
         """Return what was applied to a control of the plant, mean over each control step."""
-        return self._logged("applied", name, self.applied, True)
+        return self._logged_signal("applied", name, self.applied, True)
 
     def controller_state(self, name: str) -> Logged:
         """Return an entry of the controller's memory."""
-        return self._logged("memory", name, self.memory, False)
+        return self._logged_signal("memory", name, self.memory, False)
 
     def error(self, name: str) -> Logged:
         """Return the error of a state relative to the reference."""
-        return self._logged("error", name, self._need_errors(), False)
+        return self._logged_signal("error", name, self._require_errors(), False)
 
     def parameter(self, name: str) -> Array:
         """Return a parameter of the run by its dotted name, (size,)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
-    def _logged(self, kind: str, name: str, values: Array, held: bool) -> Logged:
+    def _logged_signal(self, kind: str, name: str, values: Array, held: bool) -> Logged:
         layout = self.layouts[kind]
         place = layout.slice(name)
         variable = layout[name]
@@ -196,7 +196,7 @@ class Run(Strict, Printed):
             name, variable.unit, self.times[: values.shape[1]], values[place], held, variable.labels
         )
 
-    def _need_errors(self) -> Array:
+    def _require_errors(self) -> Array:
         if self.errors is None:
             raise ArgumentError(
                 "the controller of this run follows no reference: give target= a value to measure the error from."
@@ -205,7 +205,7 @@ class Run(Strict, Printed):
 
     # --- metrics ------------------------------------------------------------------------------------------
 
-    def _deviation(self, name: str, target: ArrayLike | None) -> Array:
+    def _state_deviation(self, name: str, target: ArrayLike | None) -> Array:
         if target is None:
             return self.error(name).values
         signal = self.state(name).values
@@ -217,19 +217,21 @@ class Run(Strict, Printed):
 
         ``target`` is the value to compare with, (size,); default the reference at the end.
         """
-        return float(np.linalg.norm(self._deviation(name, target)[:, -1]))
+        return float(np.linalg.norm(self._state_deviation(name, target)[:, -1]))
 
     def attitude_error(self, name: str, at: float | None = None) -> float:
         """Return the angle (rad, 0 to pi) between an attitude and its reference at the end or ``at`` (s)."""
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
-        self._need_errors()
+        self._require_errors()
         assert self.reference is not None
         place = self.followed.slice(name)
         return float(attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
         """Return the time (s) until the norm of a state's error stays within the band, or infinity."""
-        return settling_time(self.times, np.linalg.norm(self._deviation(name, target), axis=0), band)
+        return compute_settling_time(
+            self.times, np.linalg.norm(self._state_deviation(name, target), axis=0), band
+        )
 
     def control_effort(self, name: str) -> Array:
         """Return the integral of \\|u\\| of an applied control, (size,), in its unit times s."""
@@ -313,17 +315,17 @@ _MOST_TOLD = 4
 """Events that are printed."""
 
 
-def _told(events: Sequence[EventOccurrence]) -> str:
+def _events_text(events: Sequence[EventOccurrence]) -> str:
     more = f", ... ({len(events)})" if len(events) > _MOST_TOLD else ""
     return ", ".join(str(event) for event in events[:_MOST_TOLD]) + more
 
 
-def _replanned(replans: Sequence[Replan]) -> str:
+def _replans_text(replans: Sequence[Replan]) -> str:
     failed, slowest = sum(r.failed for r in replans), max(r.solve_s for r in replans)
     return f"{len(replans)}, {failed} of them failed; the slowest took {slowest:.2g} s here"
 
 
-def _listed(layout: Layout, values: Array, suffix: str | None = "") -> str:
+def _norms_text(layout: Layout, values: Array, suffix: str | None = "") -> str:
     """Return the norm of every variable with its unit and a suffix; ``None`` stands for values in s."""
     parts = []
     for variable in layout.variables:

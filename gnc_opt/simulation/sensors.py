@@ -19,8 +19,8 @@ from gnc_opt.simulation.block import (
     Parameters,
     Step,
     Tick,
-    scalar,
-    values,
+    read_block_scalar,
+    read_block_values,
 )
 from gnc_opt.tolerances import SAME_TIME
 
@@ -44,7 +44,7 @@ class Noise(Block):
     retraction: Callable[[Any, Any], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"sigma": (values(self.sigma, self.noise(size), f"sigma of '{self.name}'"), unit)}
+        return {"sigma": (read_block_values(self.sigma, self.noise(size), f"sigma of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
@@ -84,7 +84,7 @@ class Bias(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         count = size if self.retraction is None else int(np.size(read_numbers(self.bias, self.name)))
-        return {"bias": (values(self.bias, count, f"the bias of '{self.name}'"), unit)}
+        return {"bias": (read_block_values(self.bias, count, f"the bias of '{self.name}'"), unit)}
 
     def check(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
@@ -114,7 +114,7 @@ class RandomWalk(Block):
     sigma: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"sigma": (values(self.sigma, size, f"sigma of '{self.name}'"), f"{unit}/s^0.5")}
+        return {"sigma": (read_block_values(self.sigma, size, f"sigma of '{self.name}'"), f"{unit}/s^0.5")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
@@ -151,8 +151,8 @@ class SensorOutage(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         begin, end = (
-            scalar(self.begin, f"the begin of '{self.name}'"),
-            scalar(self.end, f"the end of '{self.name}'"),
+            read_block_scalar(self.begin, f"the begin of '{self.name}'"),
+            read_block_scalar(self.end, f"the end of '{self.name}'"),
         )
         if end < begin:
             raise ArgumentError(f"'{self.name}' ends at {end[0]:g} s, before it begins at {begin[0]:g} s.")
@@ -162,10 +162,12 @@ class SensorOutage(Block):
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:
-            out = ca.logic_and(out, ca.logic_not(self._condition(tick) <= 0))  # NaN counts as an outage
+            out = ca.logic_and(
+                out, ca.logic_not(self._outage_condition(tick) <= 0)
+            )  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
 
-    def _condition(self, tick: Tick) -> Any:
+    def _outage_condition(self, tick: Tick) -> Any:
         try:
             found = ca.SX(self.where(tick.t, tick.x))  # type: ignore[misc]
         except Exception as error:  # whatever a function of the user's raises

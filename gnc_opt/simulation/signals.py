@@ -11,7 +11,7 @@ import casadi as ca
 
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
-from gnc_opt.simulation.block import Block, rows
+from gnc_opt.simulation.block import Block, slice_rows
 from gnc_opt.simulation.intersample_input import Wave
 
 
@@ -37,7 +37,7 @@ class Places:
     def split(self, column: Any) -> dict[str, Any]:
         """Return the parts (rows) of a column or an array by name."""
         if isinstance(column, (ca.SX, ca.MX)):
-            return {name: rows(column, place.start, place.stop) for name, place in self.slices.items()}
+            return {name: slice_rows(column, place.start, place.stop) for name, place in self.slices.items()}
         return {name: column[place] for name, place in self.slices.items()}
 
     def join(self, values: Mapping[str, Any]) -> Any:
@@ -60,12 +60,12 @@ class Link:
     outputs: Kinds
 
 
-def kinds(layout: Layout) -> Kinds:
+def sizes_and_units(layout: Layout) -> Kinds:
     """Return sizes and units of a layout's variables by name."""
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 
-def chain(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link], Kinds]:
+def link_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link], Kinds]:
     """Return the links of a chain of blocks and the signals that leave it.
 
     Raises
@@ -97,12 +97,12 @@ def chain(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link
     return links, signals
 
 
-def take(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
+def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     """Return the stacked SX column of named signals."""
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def put(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
+def replace_signals(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
     """Return the signals with a link's outputs in the place of its inputs."""
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
@@ -114,11 +114,11 @@ def put(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
     return rest
 
 
-def put_wave(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
+def replace_waves(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
     """Return the waves with a link's outputs in the place of its inputs."""
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave.mapped(partial(rows, begin=at, end=at + size))
+        rest[name] = wave.apply_memoryless(partial(slice_rows, begin=at, end=at + size))
         at += size
     return rest

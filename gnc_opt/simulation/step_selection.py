@@ -38,12 +38,12 @@ _MODE_MAX_ERROR = 1e-6
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
-def steps_to_be_stable(modes: Any, length: float) -> int:
+def stable_step_count(modes: Any, length: float) -> int:
     """Return how many steps in a length (s) the fastest of modes (1/s, complex) needs to stay stable."""
     return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
 
 
-def steps_for_run(modes: Any, length: float, duration: float, asked: float) -> int:
+def accurate_step_count(modes: Any, length: float, duration: float, asked: float) -> int:
     """Return the steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
 
     If that takes too many, the steps for `_MODE_MAX_ERROR`: a run that excites the modes refines them.
@@ -79,21 +79,21 @@ class StepSelection:
     asked: float
     substeps: int | None
 
-    def modes(self, t: float, x: Array, p: Array) -> Array:
+    def initial_modes(self, t: float, x: Array, p: Array) -> Array:
         """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def reached(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
+    def select_steps(self, flight_with: Callable[[int], CompiledLoop], modes: Array) -> CompiledLoop:
         """Return the flight with as many integration steps as its accuracy needs."""
         if self.substeps is not None:
             return flight_with(self.substeps)
-        substeps = steps_to_be_stable(modes, self.step)
+        substeps = stable_step_count(modes, self.step)
         if substeps > MAX_SUBSTEPS:
-            raise self._too_fast(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
+            raise self._too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         flight = flight_with(substeps)
         duration = float(flight.times[-1] - flight.times[0])
-        substeps = max(substeps, steps_for_run(modes, self.step, duration, self.asked))
+        substeps = max(substeps, accurate_step_count(modes, self.step, duration, self.asked))
         best, least, stalled = flight, np.inf, 0
         while True:
             flight = flight_with(substeps)
@@ -109,10 +109,12 @@ class StepSelection:
             if substeps >= MAX_SUBSTEPS:
                 if least <= self.asked:
                     return best
-                raise self._too_fast(f"leave an error of {least:.1e} where {self.asked:.1e} is asked for")
+                raise self._too_fast_error(
+                    f"leave an error of {least:.1e} where {self.asked:.1e} is asked for"
+                )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
 
-    def _too_fast(self, why: str) -> ArgumentError:
+    def _too_fast_error(self, why: str) -> ArgumentError:
         return ArgumentError(
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."

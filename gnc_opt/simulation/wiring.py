@@ -19,13 +19,13 @@ from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.quantities import Quantities, Quantity
-from gnc_opt.simulation.signals import Kinds, Link, chain, kinds
+from gnc_opt.simulation.signals import Kinds, Link, link_blocks, sizes_and_units
 
 
-def check_measured(plant: Model, controller: Controller) -> None:
+def check_measured_signals(plant: Model, controller: Controller) -> None:
     """Refuse a plant without the states and outputs that the controller measures, and without those it follows."""
     for variable in controller.states.variables:
-        _check_there(variable, plant, controller, "measures")
+        _check_variable(variable, plant, controller, "measures")
         if variable.name in plant.outputs and any(
             ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
         ):
@@ -35,10 +35,10 @@ def check_measured(plant: Model, controller: Controller) -> None:
             )
     for variable in controller.followed.variables if controller.estimated is not None else ():
         if variable.name in plant.states:  # the plant may know nothing of what is estimated
-            _check_there(variable, plant, controller, "estimates")
+            _check_variable(variable, plant, controller, "estimates")
 
 
-def _check_there(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
+def _check_variable(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
     kind = "output" if variable.name in plant.outputs else "state"
     layout = plant.outputs if kind == "output" else plant.states
     if variable.name not in layout:
@@ -52,10 +52,12 @@ def _check_there(variable: Variable, plant: Model, controller: Controller, verb:
             f"{kind} '{variable.name}' has {layout[variable.name].size} components in the plant "
             f"'{plant.name}' and {variable.size} in controller '{controller.name}'."
         )
-    _check_unit(f"{kind} '{variable.name}'", plant, layout[variable.name].unit, variable.unit, controller)
+    _check_same_unit(
+        f"{kind} '{variable.name}'", plant, layout[variable.name].unit, variable.unit, controller
+    )
 
 
-def _check_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
+def _check_same_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
     """Raise an error for two declared units that differ in writing; an undeclared unit is accepted."""
     one, other = ("".join(c for c in text if c not in " *·") for text in (unit, expected))
     if one and other and one != other:
@@ -65,7 +67,7 @@ def _check_unit(what: str, plant: Model, unit: str, expected: str, controller: C
         )
 
 
-def check_applied(plant: Model, applied: Kinds, controller: Controller) -> None:
+def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) -> None:
     """Refuse signals that leave the actuators and are no controls of the plant."""
     for name, (size, unit) in applied.items():
         if name not in plant.controls:
@@ -78,10 +80,10 @@ def check_applied(plant: Model, applied: Kinds, controller: Controller) -> None:
                 f"control '{name}' has {plant.controls[name].size} components in the plant '{plant.name}', but {size} "
                 "arrive there."
             )
-        _check_unit(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
+        _check_same_unit(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
 
 
-def check_names(blocks: Sequence[Block]) -> None:
+def check_block_names(blocks: Sequence[Block]) -> None:
     """Raise an error for two blocks of one name, whose parameters would be ambiguous."""
     names = [block.name for block in blocks]
     for name in names:
@@ -120,7 +122,7 @@ class Wiring:
         return self.dt / self.minor_steps
 
     @property
-    def steps_of_links(self) -> list[tuple[Link, float]]:
+    def link_step_lengths(self) -> list[tuple[Link, float]]:
         """All links with the length (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
@@ -140,25 +142,27 @@ class Wiring:
     @cached_property
     def layout(self) -> Layout:
         """Names, sizes and units of everything that can differ between runs."""
-        return Layout("parameter", tuple(variable for variable, _ in self._entries), "the closed loop")
+        return Layout(
+            "parameter", tuple(variable for variable, _ in self._parameter_entries), "the closed loop"
+        )
 
     @cached_property
     def defaults(self) -> Array:
         """Values of `layout`, shape (n,); initial states are not-a-number."""
-        return np.concatenate([value for _, value in self._entries])
+        return np.concatenate([value for _, value in self._parameter_entries])
 
     @cached_property
     def ranges(self) -> tuple[Array, Array]:
         """Least and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
-        for link, step in self.steps_of_links:
+        for link, step in self.link_step_lengths:
             for name, (least, largest) in link.block.limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
                 lower[place], upper[place] = least, largest
         return lower, upper
 
     @cached_property
-    def _entries(self) -> list[tuple[Variable, Array]]:
+    def _parameter_entries(self) -> list[tuple[Variable, Array]]:
         parameters, states = self.plant.parameters, self.plant.states
         numbers = self.plant.parameter_values
         entries = [
@@ -168,7 +172,7 @@ class Wiring:
         entries += [
             (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
         ]
-        for link, _ in self.steps_of_links:
+        for link, _ in self.link_step_lengths:
             for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
                 entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
         return entries
@@ -185,7 +189,7 @@ class Blocks:
     quantities: tuple[Quantity, ...] = ()
 
 
-def wire(
+def wire_loop(
     plant: Model,
     controller: Controller,
     blocks: Blocks,
@@ -194,20 +198,20 @@ def wire(
     divergence_limits: Array,
 ) -> Wiring:
     """Put the blocks in their places; raise `ArgumentError` or `UnknownNameError` if something does not fit."""
-    check_measured(plant, controller)
+    check_measured_signals(plant, controller)
     for block in (*blocks.actuators, *blocks.sensors):
         if isinstance(block, Disturbance):
             raise ArgumentError(
                 f"'{block.name}' is a disturbance, not an actuator or a sensor: give it among the disturbances."
             )
-    check_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
-    actuators, applied = chain(blocks.actuators, kinds(controller.commands), "command")
-    check_applied(plant, applied, controller)
-    sensors = _sensors(controller, blocks.sensors)
-    targets = kinds(plant.controls) | {
-        n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
+    check_block_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
+    actuators, applied = link_blocks(blocks.actuators, sizes_and_units(controller.commands), "command")
+    check_applied_signals(plant, applied, controller)
+    sensors = _sensor_links(controller, blocks.sensors)
+    targets = sizes_and_units(plant.controls) | {
+        n: (size, f"{unit}/s") for n, (size, unit) in sizes_and_units(plant.states).items()
     }
-    pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    pushes = [link_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = Events.of(plant, blocks.events), Quantities.of(plant, blocks.quantities)
     wiring = Wiring(
         plant,
@@ -221,14 +225,14 @@ def wire(
         events,
         quantities,
     )
-    for link, step in wiring.steps_of_links:
+    for link, step in wiring.link_step_lengths:
         link.block.check(link.size, step, dt)
-    _check_sensing(wiring)
+    _check_sensor_functions(wiring)
     _check_trim(wiring)
     return wiring
 
 
-def _check_sensing(wiring: Wiring) -> None:
+def _check_sensor_functions(wiring: Wiring) -> None:
     """Take every sensor through a step, so that functions of users which do not fit are refused here."""
     states, dt = wiring.plant.states, wiring.dt
     tick = Tick(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
@@ -252,9 +256,9 @@ def _check_trim(wiring: Wiring) -> None:
             )
 
 
-def _sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
-    states = kinds(controller.states)
-    links, seen = chain(blocks, states, "measured state")
+def _sensor_links(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
+    states = sizes_and_units(controller.states)
+    links, seen = link_blocks(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
     return tuple(links)

@@ -113,18 +113,28 @@ from gnc_opt.plot.view import motion_time_span, sample_motion
 from gnc_opt.report.document import html_document
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
 from gnc_opt.report.problem_statement import problem_statement_html
-from gnc_opt.simulation.allocation import _within, effect_matrix, min_max_shift, null_vector, pseudo_inverse
+from gnc_opt.simulation.allocation import (
+    _clip_null_space_shift,
+    effect_matrix,
+    min_max_shift,
+    null_vector,
+    pseudo_inverse,
+)
 from gnc_opt.simulation.block import Tick
 from gnc_opt.simulation.compiled_step import StepExecutor
-from gnc_opt.simulation.confidence_intervals import pass_rate, percentile, share_below_maximum
-from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, dispersed
-from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, dormand_prince
+from gnc_opt.simulation.confidence_intervals import (
+    estimate_pass_rate,
+    estimate_percentile,
+    share_below_maximum,
+)
+from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
+from gnc_opt.simulation.dormand_prince import NODES, STAGES, Taken, integrate_dormand_prince
 from gnc_opt.simulation.event_location import Watch
 from gnc_opt.simulation.final_values import integration_errors
-from gnc_opt.simulation.intersample_input import Wave, stacked
-from gnc_opt.simulation.measures import envelope
+from gnc_opt.simulation.intersample_input import Wave, stack_waves
+from gnc_opt.simulation.measures import compute_envelope
 from gnc_opt.simulation.monte_carlo import Criteria, read_criteria
-from gnc_opt.simulation.quantities import SAMPLES, sample_steps
-from gnc_opt.simulation.run import Logged, settling_time
-from gnc_opt.simulation.signals import Places, chain
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, steps_for_run
+from gnc_opt.simulation.quantities import SAMPLES, select_sample_steps
+from gnc_opt.simulation.run import Logged, compute_settling_time
+from gnc_opt.simulation.signals import Places, link_blocks
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, accurate_step_count

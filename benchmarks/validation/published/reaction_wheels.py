@@ -22,7 +22,7 @@ import gnc_opt as go
 from benchmarks.validation.published.comparison import FlightMeasures, Value, failing, flight_values
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import ConstantDisturbance, Noise, Saturation, WheelArray
-from gnc_opt.simulation.run import settling_time
+from gnc_opt.simulation.run import compute_settling_time
 from gnc_opt.spacecraft import quaternion_angle, quaternion_product
 from problems.reaction_wheels.control import (
     CONTROL_STEP,
@@ -180,7 +180,7 @@ class Slew:
     @property
     def settling_time(self) -> float:
         """s, to `SETTLED` of the first angle."""
-        return settling_time(self.times, self.angle, SETTLED * float(self.angle[0]))
+        return compute_settling_time(self.times, self.angle, SETTLED * float(self.angle[0]))
 
 
 def fly(controller: go.Controller, target: ArrayLike, duration: float = DURATION) -> Slew:

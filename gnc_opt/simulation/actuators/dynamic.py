@@ -23,10 +23,10 @@ from gnc_opt.simulation.block import (
     Step,
     Tick,
     clip,
-    differs,
-    rows,
-    scalar,
-    values,
+    differs_after_clipping,
+    read_block_scalar,
+    read_block_values,
+    slice_rows,
 )
 from gnc_opt.simulation.intersample_input import Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
@@ -46,11 +46,13 @@ class _Following(Block):
         """Whether it begins with the feedforward."""
         return isinstance(self.initial, str) and self.initial == "trim"
 
-    def _first(self, size: int, unit: str) -> Defaults:
+    def _initial_parameter(self, size: int, unit: str) -> Defaults:
         """Return the parameter that says where it begins, if a number does."""
         if self.initial is None or self.starts_at_trim:
             return {}
-        return {"initial": (values(self.initial, size, f"the first output of '{self.name}'"), unit)}
+        return {
+            "initial": (read_block_values(self.initial, size, f"the first output of '{self.name}'"), unit)
+        }
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return p.get("initial", signal)
@@ -77,8 +79,8 @@ class Lag(_Following):
     tau: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        tau = values(self.tau, size, f"the time constant of '{self.name}'")
-        return {"tau": (tau, "s"), **self._first(size, unit)}
+        tau = read_block_values(self.tau, size, f"the time constant of '{self.name}'")
+        return {"tau": (tau, "s"), **self._initial_parameter(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
@@ -111,8 +113,8 @@ class RateLimit(_Following):
     rate: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        rate = values(self.rate, size, f"the rate of '{self.name}'")
-        return {"rate": (rate, f"{unit}/s"), **self._first(size, unit)}
+        rate = read_block_values(self.rate, size, f"the rate of '{self.name}'")
+        return {"rate": (rate, f"{unit}/s"), **self._initial_parameter(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (TINY, math.inf)}
@@ -121,7 +123,7 @@ class RateLimit(_Following):
         wanted, reach = signal - state, p["rate"] * tick.h
         change = clip(wanted, -reach, reach)
         mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
-        return Step(mean, state + change, differs(change, wanted))
+        return Step(mean, state + change, differs_after_clipping(change, wanted))
 
 
 @dataclass(frozen=True)
@@ -149,18 +151,21 @@ class Delay(_Following):
     maximum: float | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s"), **self._first(size, unit)}
+        return {
+            "delay": (read_block_scalar(self.delay, f"the delay of '{self.name}'"), "s"),
+            **self._initial_parameter(size, unit),
+        }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"delay": (0.0, self._length(h) * h * (1 + ROUNDING))}
+        return {"delay": (0.0, self._delay_line_length(h) * h * (1 + ROUNDING))}
 
-    def _length(self, h: float) -> int:
+    def _delay_line_length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
         return count_started_steps(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
+        return ca.repmat(super().start(signal, p, tick), self._delay_line_length(tick.h), 1)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
@@ -173,7 +178,7 @@ class Delay(_Following):
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
             older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)
-        return Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
+        return Step(share * older + (1 - share) * newer, slice_rows(line, 0, state.shape[0]))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,16 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.control.sampled_data import advance_phase, count_whole_steps, is_period_start
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.dynamic import MIN_TIME_CONSTANT_S
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, scalar, values
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    clip,
+    read_block_scalar,
+    read_block_values,
+)
 from gnc_opt.tolerances import TINY
 
 
@@ -42,8 +51,8 @@ class Pwm(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
-            "minimum_on": (scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"), "s"),
+            "thrust": (read_block_values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "minimum_on": (read_block_scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"), "s"),
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
@@ -73,10 +82,10 @@ class Pwm(Block):
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
         after = ca.vertcat(command, advance_phase(phase, count))
-        return Step(pulse + _finite_or_nan(command), after, saturated)
+        return Step(pulse + _propagate_nan(command), after, saturated)
 
 
-def _finite_or_nan(signal: Any) -> Any:
+def _propagate_nan(signal: Any) -> Any:
     """0 for numbers, not-a-number for others; written so that it is not simplified away."""
     return ca.if_else(ca.fabs(signal) < math.inf, 0.0, math.nan)
 
@@ -102,14 +111,14 @@ class SchmittTrigger(Block):
     off_level: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        on = values(self.on_level, size, f"the on-level of '{self.name}'")
-        off = values(self.off_level, size, f"the off-level of '{self.name}'")
+        on = read_block_values(self.on_level, size, f"the on-level of '{self.name}'")
+        off = read_block_values(self.off_level, size, f"the off-level of '{self.name}'")
         if not ((off > 0) & (off <= on)).all():
             raise ArgumentError(
                 f"'{self.name}' switches on at {on} and off at {off}: give 0 < off_level <= on_level."
             )
         return {
-            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "thrust": (read_block_values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
             "on_level": (on, unit),
             "off_level": (off, unit),
         }
@@ -118,11 +127,11 @@ class SchmittTrigger(Block):
         return ca.SX.zeros(signal.shape[0])
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        polarity = trigger(signal, state, p["on_level"], p["off_level"])
-        return Step(p["thrust"] * polarity + _finite_or_nan(signal), polarity)
+        polarity = update_schmitt_trigger(signal, state, p["on_level"], p["off_level"])
+        return Step(p["thrust"] * polarity + _propagate_nan(signal), polarity)
 
 
-def trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
+def update_schmitt_trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
     """Return the polarity (-1, 0, 1) of a Schmitt trigger after a signal, from the polarity before (SX)."""
     fresh = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
     holds = ca.logic_and(ca.fabs(signal) >= off, polarity * signal > 0)
@@ -161,8 +170,8 @@ class Pwpf(Block):
         tau = read_positive(self.tau, f"the time constant of '{self.name}'")
         return {
             **levels,
-            "tau": (scalar(tau, self.name), "s"),
-            "gain": (scalar(self.gain, f"the gain of '{self.name}'"), ""),
+            "tau": (read_block_scalar(tau, self.name), "s"),
+            "gain": (read_block_scalar(self.gain, f"the gain of '{self.name}'"), ""),
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
@@ -173,7 +182,10 @@ class Pwpf(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        y, polarity = state[:size], trigger(state[:size], state[size:], p["on_level"], p["off_level"])
+        y, polarity = (
+            state[:size],
+            update_schmitt_trigger(state[:size], state[size:], p["on_level"], p["off_level"]),
+        )
         target = p["gain"] * (signal - p["thrust"] * polarity)
         after = target + (y - target) * ca.exp(-tick.h / p["tau"])
-        return Step(p["thrust"] * polarity + _finite_or_nan(signal), ca.vertcat(after, polarity))
+        return Step(p["thrust"] * polarity + _propagate_nan(signal), ca.vertcat(after, polarity))

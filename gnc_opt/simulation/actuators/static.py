@@ -10,7 +10,16 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    clip,
+    differs_after_clipping,
+    read_block_values,
+)
 from gnc_opt.tolerances import TINY
 
 
@@ -36,8 +45,8 @@ class Saturation(Block):
         return True
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        lower = values(self.lower, size, f"the lower limit of '{self.name}'")
-        upper = values(self.upper, size, f"the upper limit of '{self.name}'")
+        lower = read_block_values(self.lower, size, f"the lower limit of '{self.name}'")
+        upper = read_block_values(self.upper, size, f"the upper limit of '{self.name}'")
         if not (lower <= upper).all():
             raise ArgumentError(
                 f"'{self.name}' has lower limits {lower} above the upper ones {upper}: swap them."
@@ -46,7 +55,7 @@ class Saturation(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         limited = clip(signal, p["lower"], p["upper"])
-        return Step(limited, state, differs(limited, signal))
+        return Step(limited, state, differs_after_clipping(limited, signal))
 
 
 @dataclass(frozen=True)
@@ -73,8 +82,8 @@ class ScaleFactor(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            "factor": (values(self.factor, size, f"the factor of '{self.name}'"), ""),
-            "bias": (values(self.bias, size, f"the bias of '{self.name}'"), unit),
+            "factor": (read_block_values(self.factor, size, f"the factor of '{self.name}'"), ""),
+            "bias": (read_block_values(self.bias, size, f"the bias of '{self.name}'"), unit),
         }
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
@@ -100,7 +109,7 @@ class Deadband(Block):
     width: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"width": (values(self.width, size, f"the width of '{self.name}'"), unit)}
+        return {"width": (read_block_values(self.width, size, f"the width of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"width": (0.0, math.inf)}
@@ -126,7 +135,9 @@ class Quantisation(Block):
     step_size: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
+        return {
+            "step_size": (read_block_values(self.step_size, size, f"the step size of '{self.name}'"), unit)
+        }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"step_size": (TINY, math.inf)}

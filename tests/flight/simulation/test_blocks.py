@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Tick, Wave, chain, effect_matrix, pseudo_inverse
+from testing.internals import Tick, Wave, effect_matrix, link_blocks, pseudo_inverse
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.simulation import (
@@ -238,8 +238,8 @@ SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 
 def test_a_second_signal_of_one_name_is_refused():
     with pytest.raises(ArgumentError, match="makes a second 't'"):
-        chain([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
-    _, left = chain([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
+        link_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
+    _, left = link_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from testing.internals import Criteria, Logged, pass_rate, read_criteria
+from testing.internals import Criteria, Logged, estimate_pass_rate, read_criteria
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
@@ -254,4 +254,4 @@ def test_criteria_are_checked_and_applied():
     [((1, 2), "50.0 %"), ((1, 100), "1.0 %"), ((1, 1001), "0.100 %"), ((1, 10**7), "0.0000 %")],
 )
 def test_small_shares_have_digits(rate, text):
-    assert str(pass_rate(*rate)).split(" (")[0] == text
+    assert str(estimate_pass_rate(*rate)).split(" (")[0] == text

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import NODES, STAGES, dormand_prince
+from testing.internals import NODES, STAGES, integrate_dormand_prince
 
 import gnc_opt as go
 from gnc_opt.simulation import Normal
@@ -11,7 +11,7 @@ from gnc_opt.simulation import Normal
 
 def _advance(f, x0, length, steps):
     x = ca.SX.sym("x", len(x0))
-    end = dormand_prince(f, 0.0, x, length, steps)
+    end = integrate_dormand_prince(f, 0.0, x, length, steps)
     return ca.Function("F", [x], [end])(x0).full()[:, 0]
 
 
@@ -61,7 +61,7 @@ def test_dispersed_runs_of_what_stands_still_are_accurate(rate, damping, step, d
 def _within(length):
     """Return state and rate at the ends of a step of the pendulum and at 0.6 of it; its end, first and last stages."""
     seen, x = [], ca.SX.sym("x", 2)
-    dormand_prince(_pendulum, 0.3, x, length, 1, None, seen.append)
+    integrate_dormand_prince(_pendulum, 0.3, x, length, 1, None, seen.append)
     (taken,) = seen
     told = [*taken.at(0.0), *taken.at(0.6), *taken.at(1.0), taken.after, taken.stages[0], taken.stages[-1]]
     return [v.full()[:, 0] for v in ca.Function("within", [x], told)(_START)]

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Wave, stacked
+from testing.internals import Wave, stack_waves
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
@@ -23,7 +23,11 @@ def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, step
     """Behind a lag, a held component beside it, and half of both behind a block without memory."""
     taus, sigma = ca.SX(list(tau)), (end - begin) / steps
     lagged = Wave(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
-    value = stacked([lagged, Wave(ca.SX(7.0))]).mapped(lambda y: 0.5 * y).input(begin, sigma)
+    value = (
+        stack_waves([lagged, Wave(ca.SX(7.0))])
+        .apply_memoryless(lambda y: 0.5 * y)
+        .sample_for_integration(begin, sigma)
+    )
     for k in range(steps):
         s = begin + sigma * (k + NODES)
         wanted = 0.5 * np.vstack([TARGET + GAP * np.exp(-s / np.array(tau)[:, None]), 7.0 + 0 * s])

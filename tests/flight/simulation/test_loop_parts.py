@@ -54,7 +54,7 @@ def test_what_can_be_dispersed_in_order_with_units_defaults_and_ranges():
     lower, upper = loop.ranges
     assert lower.tolist() == [-np.inf] * 5 + [0, 0] + [-np.inf] * 6 + [0, 0]
     assert upper.tolist() == [np.inf] * 15
-    assert [(link.block.name, step) for link, step in loop.wiring.steps_of_links] == [
+    assert [(link.block.name, step) for link, step in loop.wiring.link_step_lengths] == [
         ("lag", pytest.approx(0.1)), ("cut", pytest.approx(0.1)), ("gyro", 0.4), ("gust", 0.4)
     ]  # fmt: skip
 
@@ -198,11 +198,11 @@ def test_the_first_that_is_not_finite_is_named_in_the_order_of_the_signal():
 def test_runs_are_flown_only_within_the_ranges_of_their_parameters():
     flight = loop_of_all().compile([0.0] * 4, tf=0.4)
     P = flight.nominal.copy()
-    assert flight.refusal(P) == ""
+    assert flight.invalid_parameter_message(P) == ""
     P[6] = 0.0
-    assert flight.refusal(P) == ""
+    assert flight.invalid_parameter_message(P) == ""
     P[6] = -0.5
-    assert flight.refusal(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
+    assert flight.invalid_parameter_message(P) == "'lag.tau[1]' is -0.5, outside [0, inf]"
     with pytest.raises(ArgumentError, match=r"cannot be flown: 'lag\.tau\[1\]'"):
         flight.run(P, 0)
     both = flight.final(np.column_stack([P, flight.nominal]), [0, 1])

@@ -13,7 +13,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 from scipy.stats import chi2
-from testing.internals import Dispersion, pass_rate, percentile, share_below_maximum
+from testing.internals import Dispersion, estimate_pass_rate, estimate_percentile, share_below_maximum
 from testing.loops import controller, double_integrator, feedback, scheduled
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
@@ -192,10 +192,12 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
     trials, n = 400, 60
     for share in (0.5, 0.9):
         passed, times = np.unique(generator.binomial(n, share, trials), return_counts=True)
-        rates = [rate for k, m in zip(passed, times, strict=True) for rate in [pass_rate(int(k), n)] * m]
+        rates = [
+            rate for k, m in zip(passed, times, strict=True) for rate in [estimate_pass_rate(int(k), n)] * m
+        ]
         covered = np.mean([r.low <= share <= r.high for r in rates])
         assert covered > 0.95 - 3 * np.sqrt(0.05 * 0.95 / trials)
-        found = [percentile(generator.exponential(size=n), share) for _ in range(trials)]
+        found = [estimate_percentile(generator.exponential(size=n), share) for _ in range(trials)]
         truth = -np.log(1 - share)
         covered = np.mean([f.low <= truth <= f.high for f in found])
         assert covered > 0.95 - 3 * np.sqrt(0.05 * 0.95 / trials)
@@ -204,20 +206,23 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
 
 def test_known_intervals():
     # n zero failures: the lower Clopper-Pearson bound is (alpha / 2)^(1/n)
-    assert pass_rate(100, 100).low == pytest.approx(0.025 ** (1 / 100)) and pass_rate(100, 100).high == 1
-    assert pass_rate(0, 50).high == pytest.approx(1 - 0.025 ** (1 / 50))
+    assert (
+        estimate_pass_rate(100, 100).low == pytest.approx(0.025 ** (1 / 100))
+        and estimate_pass_rate(100, 100).high == 1
+    )
+    assert estimate_pass_rate(0, 50).high == pytest.approx(1 - 0.025 ** (1 / 50))
     # the classical 95 % interval of a median of 20: the 6th and the 15th value
-    found = percentile(np.arange(1.0, 21.0), 0.5)
+    found = estimate_percentile(np.arange(1.0, 21.0), 0.5)
     assert (found.low, found.value, found.high) == (6, 10, 15)
     # 59 runs: with 95 % confidence their largest value bounds 95 % (Wilks)
     assert share_below_maximum(58) < 0.95 < share_below_maximum(59)
     # a sample of ten says nothing of the upper end of the 99th percentile
-    assert percentile(np.arange(10.0), 0.99).high == np.inf
+    assert estimate_percentile(np.arange(10.0), 0.99).high == np.inf
 
 
 def test_percentiles_count_failures_as_worst():
-    found = percentile([1.0, np.nan, 3.0, 2.0], 0.75)
-    assert found.value == 3 and percentile([1.0, np.nan], 0.99).value == np.inf
+    found = estimate_percentile([1.0, np.nan, 3.0, 2.0], 0.75)
+    assert found.value == 3 and estimate_percentile([1.0, np.nan], 0.99).value == np.inf
 
 
 def test_measures_limits_and_pass_rates(serial):

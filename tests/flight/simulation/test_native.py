@@ -65,7 +65,7 @@ def bits(flight: CompiledLoop) -> list[bytes]:
 @pytest.mark.parametrize("through", [None, 0.5])
 def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: float | None) -> None:
     flight = flown(through)
-    quick = flight.natively(2)
+    quick = flight.with_machine_code(2)
     assert {Path(p).parent for p in quick.libraries} == {cache} and not any(flight.libraries)
     assert bits(quick) == bits(flight) and quick.fingerprint == flight.fingerprint
     assert bits(pickle.loads(pickle.dumps(quick))) == bits(flight)
@@ -124,7 +124,7 @@ def test_machine_code_has_the_bits_of_the_interpreter_for_every_operation() -> N
     a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
     results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
     step = ca.Function("step", [x, w, c], [ca.vertcat(*results)])
-    fly = module.loaded(module.native(step))
+    fly = module.load_step_library(module.build_step_library(step))
     assert fly is not None
     X, C = np.zeros(x.shape[0]), np.array([1.0, 2.0])
     X[0] = 0.75
@@ -150,8 +150,8 @@ def test_without_machine_code_the_interpreter_flies(
     elif why == "no place":
         cache.write_text("a file")
     else:
-        monkeypatch.setattr(module, "_compile", _refuse)
-    quick = flight.natively(2)
+        monkeypatch.setattr(module, "_compile_library", _refuse)
+    quick = flight.with_machine_code(2)
     assert quick.libraries == ("", "") and bits(quick) == bits(flight)
 
 
@@ -160,7 +160,9 @@ def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
     cache: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     plant, law = predictive()
-    flight = ClosedLoop(plant, replace(law, easy=None)).compile([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
+    flight = (
+        ClosedLoop(plant, replace(law, easy=None)).compile([1.0, 0.0], t0=0.0, tf=2.0).with_machine_code(10)
+    )
     assert flight.libraries == ("", "") and list(cache.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 
@@ -181,12 +183,14 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
     noise = [Noise("gauge", 1e-3, on="q")]
     flight = ClosedLoop(plant, law, sensors=noise, events=events).compile([1.0, 0.0], t0=0.0, tf=8.0)
-    quick = flight.natively(2)
+    quick = flight.with_machine_code(2)
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = StepExecutor._interpret
-    monkeypatch.setattr(StepExecutor, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
+    interpret = StepExecutor._propagate_interpreted
+    monkeypatch.setattr(
+        StepExecutor, "_propagate_interpreted", lambda *a: interpreted.append(len(a[2])) or interpret(*a)
+    )
     quick.final(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
     assert set(interpreted) == {1} and 2 * max(3, at_limit) <= len(interpreted) < 120
@@ -198,9 +202,9 @@ def _refuse(*_: Any) -> None:
 
 @needs_compiler
 def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = module.native(flown(weight=2)._folded[0].step)
-    monkeypatch.setattr(flight_module, "native", lambda _: library)
-    assert library and flown().natively(2).libraries == ("", "")
+    library = module.build_step_library(flown(weight=2)._step_executors[0].step)
+    monkeypatch.setattr(flight_module, "build_step_library", lambda _: library)
+    assert library and flown().with_machine_code(2).libraries == ("", "")
 
 
 @needs_compiler
@@ -218,7 +222,7 @@ def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_step_that_fails_is_told_as_by_the_interpreter() -> None:
     x, w, c = (ca.MX.sym(name) for name in "xwc")
     step = ca.Function("only", [x, w, c], [(x - w).attachAssert(x > c, "too low")])
-    fly = module.loaded(module.native(step))
+    fly = module.load_step_library(module.build_step_library(step))
     final = np.empty(1)
     assert fly is not None
     fly(np.array([5.0]), np.array([[1.0], [2.0]]), np.array([3.0]), final)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import SAMPLES, envelope, sample_steps
+from testing.internals import SAMPLES, compute_envelope, select_sample_steps
 from testing.loops import double_integrator, feedback
 from testing.models import dynamics
 
@@ -66,7 +66,7 @@ def test_they_are_those_of_the_motion(campaign):
         most = np.max(np.tile(q[:-1], 2) + s * (np.tile(v[:-1], 2) + 0.5 * s * np.tile(a, 2)))
         nearest = np.sqrt(max(1.5 - max(q[0], most), 0.0) ** 2 + 0.01)
         assert campaign.measure("max(intrusion)")[i] == pytest.approx(0.3 - nearest, abs=2e-9)
-        assert campaign.samples[0, :, i] == pytest.approx(energy[sample_steps(300)])
+        assert campaign.samples[0, :, i] == pytest.approx(energy[select_sample_steps(300)])
     assert campaign.measure("max(clock)") == pytest.approx(30.0)
     assert campaign.measure("integral(clock)") == pytest.approx(450.0)
     assert campaign.unit("max(kinetic energy)") == "J" and campaign.unit("integral(kinetic energy)") == "J s"
@@ -170,7 +170,7 @@ def test_they_are_followed_through_events():
 def test_what_is_kept_does_not_grow_with_the_run(campaign):
     assert campaign.samples.shape == (3, SAMPLES, 60)
     assert campaign.sample_times[[0, -1]] == pytest.approx([0.0, 30.0])
-    assert sample_steps(7).tolist() == list(range(8)) and sample_steps(864_000).size == SAMPLES
+    assert select_sample_steps(7).tolist() == list(range(8)) and select_sample_steps(864_000).size == SAMPLES
 
 
 def test_quantities_change_no_bit_of_a_run(campaign):
@@ -210,7 +210,7 @@ def test_an_envelope_is_made_of_order_statistics(campaign):
 def test_the_true_percentile_is_within_the_band_as_often_as_it_says():
     generator, inside = np.random.default_rng(5), []
     for _ in range(200):
-        found = envelope("y", "", np.arange(1.0), generator.standard_normal((1, 25)), (0.5, 0.9), 0.8)
+        found = compute_envelope("y", "", np.arange(1.0), generator.standard_normal((1, 25)), (0.5, 0.9), 0.8)
         truth = scipy.stats.norm.ppf([0.5, 0.9])
         inside.append((found.low[:, 0] <= truth) & (truth <= found.high[:, 0]))
     assert np.all(np.mean(inside, axis=0) > 0.8 - 3 * np.sqrt(0.16 / 200))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from testing.internals import pass_rate, settling_time
+from testing.internals import compute_settling_time, estimate_pass_rate
 from testing.loops import memory_of_impulse, scheduled
 
 from gnc_opt.simulation import ClosedLoop, Saturation
@@ -39,11 +39,13 @@ def test_effort_energy_and_saturation_are_integrals_over_the_steps():
 
 def test_settling_is_for_good():
     times = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
-    assert settling_time(times, np.array([2.0, 0.5, 2.0, 0.5, 0.1]), 1.0) == 3.0
-    assert settling_time(times, np.array([2.0, 1.0, 1.0, 1.0, 1.0]), 1.0) == 1.0  # the band itself is inside
-    assert settling_time(times, np.array([0.0, 0.5, 0.2, 0.5, 0.1]), 1.0) == 0.0
-    assert settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, 2.0]), 1.0) == np.inf
-    assert settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, np.nan]), 1.0) == np.inf
+    assert compute_settling_time(times, np.array([2.0, 0.5, 2.0, 0.5, 0.1]), 1.0) == 3.0
+    assert (
+        compute_settling_time(times, np.array([2.0, 1.0, 1.0, 1.0, 1.0]), 1.0) == 1.0
+    )  # the band itself is inside
+    assert compute_settling_time(times, np.array([0.0, 0.5, 0.2, 0.5, 0.1]), 1.0) == 0.0
+    assert compute_settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, 2.0]), 1.0) == np.inf
+    assert compute_settling_time(times, np.array([0.0, 0.0, 0.0, 0.0, np.nan]), 1.0) == np.inf
 
 
 @pytest.mark.parametrize(
@@ -53,4 +55,4 @@ def test_settling_is_for_good():
 def test_shares_are_shown_with_the_digits_of_what_is_missing(passed, shown):
     """99.97 % must not be printed as 100 %; 9997 of 10000, the others of 1000."""
     runs = 10000 if passed > 1000 else 1000
-    assert str(pass_rate(passed, runs)).startswith(shown)
+    assert str(estimate_pass_rate(passed, runs)).startswith(shown)

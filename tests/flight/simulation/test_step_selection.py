@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import MAX_SUBSTEPS, dormand_prince, steps_for_run
+from testing.internals import MAX_SUBSTEPS, accurate_step_count, integrate_dormand_prince
 
 
 @pytest.mark.parametrize("mode", [4j, -0.3 + 4j, -2.0, -20.0])
@@ -15,7 +15,7 @@ def test_steps_for_a_run_keep_the_sum_of_its_errors(mode):
 
     def error(steps):
         h = length / steps
-        one = ca.Function("one", [x], [dormand_prince(lambda t, x, u: a @ x, 0.0, x, h)])
+        one = ca.Function("one", [x], [integrate_dormand_prince(lambda t, x, u: a @ x, 0.0, x, h)])
         state, total = np.array([1.0, 0.0]), 0.0
         for _ in range(round(duration / h)):
             after = np.ravel(one(state).full())
@@ -23,7 +23,7 @@ def test_steps_for_a_run_keep_the_sum_of_its_errors(mode):
             state = scipy.linalg.expm(a * h) @ state
         return total
 
-    n = steps_for_run(np.array([mode]), length, duration, asked)
+    n = accurate_step_count(np.array([mode]), length, duration, asked)
     assert 1 < n < MAX_SUBSTEPS
     assert error(n) <= asked * 1.001 < error(n - 1)
-    assert steps_for_run(np.array([mode]), length, duration, 1e-30) >= n  # for 1e-6
+    assert accurate_step_count(np.array([mode]), length, duration, 1e-30) >= n  # for 1e-6
