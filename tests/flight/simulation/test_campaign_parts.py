@@ -231,7 +231,7 @@ def test_criteria_that_are_no_mappings_are_refused(kind):
 def test_criteria_are_checked_and_applied():
     campaign = campaign_by_hand(limits={}, measured={})
     measures = {"twice": lambda c: 2 * c.measure("q"), "sure": lambda c: c.limits["q"] + np.zeros(len(c))}
-    applied = Criteria(limits={"q": 0.0, "twice": 10}, measures=measures).applied(campaign)
+    applied = Criteria(limits={"q": 0.0, "twice": 10}, measures=measures).apply_to_campaign(campaign)
     assert applied.limits == {"q": 0.0, "twice": 10.0} and applied.measure("twice")[:3].tolist() == [10, 2, 4]
     assert applied.measure("sure").tolist() == [0.0] * 4  # measures of one's own may look at the limits
     Criteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check(campaign)
@@ -243,7 +243,7 @@ def test_criteria_are_checked_and_applied():
         with pytest.raises((ArgumentError, UnknownNameError), match=message):
             wrong.check(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
-        Criteria(measures={"own": lambda c: np.zeros(3)}).applied(campaign)
+        Criteria(measures={"own": lambda c: np.zeros(3)}).apply_to_campaign(campaign)
 
 
 # --- statistics and metrics -------------------------------------------------------------------------------
