@@ -19,21 +19,3 @@ from problems.attitude_control.control import (
     loop,
 )
 from problems.attitude_control.model import MANOEUVRE, MAX_MOMENTUM, MAX_TORQUE, TARGET, build, plant, slew
-
-__all__ = [
-    "DISPERSIONS",
-    "LAWS",
-    "LIMITS",
-    "MANOEUVRE",
-    "MAX_MOMENTUM",
-    "MAX_TORQUE",
-    "START",
-    "TARGET",
-    "build",
-    "campaign",
-    "controller",
-    "estimator",
-    "loop",
-    "plant",
-    "slew",
-]

@@ -15,5 +15,3 @@ To be read in this order:
 from problems.flexible_spacecraft.control import quasi_sliding_mode
 from problems.flexible_spacecraft.model import build_model
 from problems.flexible_spacecraft.optimal import REFERENCE, build, build_gentle
-
-__all__ = ["REFERENCE", "build", "build_gentle", "build_model", "quasi_sliding_mode"]

@@ -13,5 +13,3 @@ To be read in this order:
 
 from problems.formation_flying.model import build_model
 from problems.formation_flying.optimal import REFERENCE, build, build_fast
-
-__all__ = ["REFERENCE", "build", "build_fast", "build_model"]

@@ -34,29 +34,3 @@ from problems.reaction_wheels.model import (
     wheel_model,
 )
 from problems.reaction_wheels.optimal import REFERENCE, Goal, build, published_peak_torque
-
-__all__ = [
-    "AXES",
-    "DESIGN_SPEED",
-    "DURATION",
-    "INERTIA",
-    "INVERSE",
-    "MANOEUVRES",
-    "MAX_MOMENTUM",
-    "NOMINAL_SPEED",
-    "NULL",
-    "REFERENCE",
-    "REST",
-    "RPM",
-    "TORQUE_CONSTANT",
-    "VOLTAGE_CONSTANT",
-    "WHEEL_INERTIA",
-    "Drive",
-    "Goal",
-    "build",
-    "paper_quaternion",
-    "published_peak_torque",
-    "resting",
-    "target_quaternion",
-    "wheel_model",
-]

@@ -30,27 +30,3 @@ from problems.rendezvous.model import (
     printed_angular_acceleration,
 )
 from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, switch_arcs, switch_mesh
-
-__all__ = [
-    "ALTITUDE",
-    "CASES",
-    "EQUATIONS",
-    "FINAL_POSITION",
-    "FINAL_SIGMA",
-    "INERTIA",
-    "MASS",
-    "MAX_FORCE",
-    "MAX_TORQUE",
-    "MESH",
-    "PAPER_MESH",
-    "REFERENCE",
-    "SWITCHES",
-    "VIEW",
-    "Channel",
-    "Equation",
-    "build",
-    "chaser_model",
-    "printed_angular_acceleration",
-    "switch_arcs",
-    "switch_mesh",
-]

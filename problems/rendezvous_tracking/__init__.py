@@ -37,35 +37,3 @@ from problems.rendezvous_tracking.control import (
 )
 from problems.rendezvous_tracking.guidance import Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import Replanned
-
-__all__ = [
-    "ACCEPTED",
-    "AUTHORITY",
-    "CASES",
-    "CONTROLLERS",
-    "CORRECTIONS",
-    "DIFFERENTIAL_FORCE",
-    "DISPERSIONS",
-    "DT",
-    "FORCE_STEP",
-    "HORIZON",
-    "LAG",
-    "LAYER",
-    "LIMITS",
-    "MPC_RUNS",
-    "NOISE",
-    "REACHING",
-    "RESERVE",
-    "SETTLING",
-    "TORQUE_STEP",
-    "Conditions",
-    "Filtered",
-    "Guided",
-    "Measured",
-    "Replanned",
-    "Tracking",
-    "example_run",
-    "plan",
-    "settled",
-    "turned",
-]

@@ -10,16 +10,3 @@ To be read in this order:
 
 from problems.rocket_landing.control import CONTROLLERS, DISPERSIONS, LATEST, LIMITS, Landing, resolver
 from problems.rocket_landing.model import START, build, descent, plant
-
-__all__ = [
-    "CONTROLLERS",
-    "DISPERSIONS",
-    "LATEST",
-    "LIMITS",
-    "START",
-    "Landing",
-    "build",
-    "descent",
-    "plant",
-    "resolver",
-]

@@ -29,25 +29,3 @@ from problems.tethered_formation.model import (
     tether_model,
 )
 from problems.tethered_formation.optimal import MESH, REFERENCE, Goal, build, solve
-
-__all__ = [
-    "DURATION",
-    "FIRST_SWING",
-    "FORCE",
-    "MAX_ANGLE",
-    "MAX_RATE",
-    "MESH",
-    "PAIR",
-    "RADIUS",
-    "RATE",
-    "REFERENCE",
-    "Goal",
-    "Gravity",
-    "Orbit",
-    "build",
-    "equilibrium",
-    "first_state",
-    "reference",
-    "solve",
-    "tether_model",
-]
