@@ -48,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What is slow is not slowed further, nor what is about problems: hardly a line is covered by nothing else."""
+    """Measure no coverage of tests about problems: they are slow, and other tests cover the same lines."""
     if config.getoption("--first-tests"):
         first: dict[Path, pytest.Item] = {}
         for item in items:
@@ -56,7 +56,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 first.setdefault(item.path, item)
         items[:] = first.values()
     for item in items:
-        if item.get_closest_marker("slow") or item.path.parent.name == "problems":
+        if item.path.parent.name == "problems":
             item.add_marker("no_cover")
 
 

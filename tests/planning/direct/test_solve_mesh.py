@@ -186,6 +186,7 @@ def gate(most: float) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """Told little of the times, lost from lines and in flight: found from a point that meets the constraints, with the
     times that were held free again, as fast as when much is told. Half of the way takes half of the time, by symmetry.

@@ -80,6 +80,7 @@ def test_same_as_without_the_variable(kind: str, phases: int) -> None:
     assert go.verify(found).ok
 
 
+@pytest.mark.slow
 def test_samples_of_a_trajectory_name_it_as_a_control() -> None:
     solved = go.solve(chemist("explicit"), tol=1e-9)
     t = np.linspace(0.0, 1.0, 201)

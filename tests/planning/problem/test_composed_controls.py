@@ -60,6 +60,7 @@ def landed() -> go.Solution:
     return go.solve(problem, mesh="10x3", tol=1e-8)
 
 
+@pytest.mark.slow
 def test_least_fuel_in_the_plane_is_that_along_a_line() -> None:
     solution = moved()
     assert solution.converged

@@ -187,6 +187,7 @@ def flown() -> go.Solution:
     return go.solve(by_hand(SLACK["root"], "scalars"), mesh="10x3")
 
 
+@pytest.mark.slow
 def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
     solution = flown()
     assert solution.converged
@@ -382,6 +383,7 @@ def test_an_acceleration_limit_by_hand_is_solved_without_bounds_of_the_thrust() 
     assert solution.objective == pytest.approx(40 * np.exp(-0.05 * FUEL), rel=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [lambda a: ca.sumsqr(a) <= 25.0, lambda a: ca.norm_2(a) <= 5.0])
 def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_components(limit: Any) -> None:
     r"""Rest to rest over 1 m in 1 s for \int a^2, |a| <= 5: on the limit but for 2 s, s^2 = 3/4 - 3/5, about half-way.

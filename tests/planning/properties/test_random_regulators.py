@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -50,6 +51,7 @@ def riccati(data: dict[str, np.ndarray], t: float) -> np.ndarray:
     return np.linalg.solve(flow[n:, n:] - s @ flow[:n, n:], s @ flow[:n, :n] - flow[n:, :n])
 
 
+@pytest.mark.slow
 @settings(max_examples=24, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),

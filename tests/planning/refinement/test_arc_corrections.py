@@ -169,6 +169,7 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
 # --- boundaries, and instants beside them -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_slew_about_one_axis_reverses_two_torques_at_half_time() -> None:
     """60 deg about x, inertias 120, 100, 80 kg m^2, 1 N m about each axis: the others help by precession.
 

@@ -41,6 +41,7 @@ def by_hand() -> Array:
     return np.array([*bangs, hanging, *last])
 
 
+@pytest.mark.slow
 def test_bangs_between_arcs_on_limits_are_no_noise() -> None:
     """They are shorter than two segments of the mesh, and their switching functions small."""
     model = go.Model("crane")

@@ -47,6 +47,7 @@ def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: s
     assert held == {("a", ArcKind.LOWER), ("a", ArcKind.UPPER), ("v", ArcKind.UPPER)}
 
 
+@pytest.mark.slow
 def test_a_car_touches_a_disc_that_is_narrower_than_its_turn() -> None:
     """Straight on, a turn of radius R = 1/2 about a disc of radius 0.3 that it touches at the top, straight on.
 
@@ -97,6 +98,7 @@ def test_a_speed_limit_holds_across_a_waypoint() -> None:
         np.testing.assert_allclose(costates, slope, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_gates_for_a_car_whose_speed_is_limited() -> None:
     """At top speed the car turns as fast as it can or not at all, on both sides of a gate that it passes in a turn.
 

@@ -69,6 +69,7 @@ def test_the_limit_is_held_by_throttle_and_then_for_a_moment_by_pitch(flown: go.
     assert throttle[-1] == pytest.approx(1.0, abs=1e-6), "it comes to its bound without a jump"
 
 
+@pytest.mark.slow
 def test_what_the_limit_costs_is_the_integral_of_its_multiplier(flown: go.Solution) -> None:
     step = 10.0
     (s,) = flown.samples().values()

@@ -56,6 +56,7 @@ def flown(speed: float, idle: float) -> float:
     return float(solve_ivp(rates, (idle, 80.0), start, args=(1.0,), events=turned, **exact).t[-1])
 
 
+@pytest.mark.slow
 def test_the_corner_moves_with_what_another_control_does_to_the_speed() -> None:
     solution = go.solve(level_turn(255.0))
     best = minimize_scalar(lambda idle: flown(255.0, idle), bounds=(0.0, 2.0), method="bounded")

@@ -64,6 +64,7 @@ def test_an_arc_between_bangs() -> None:
     np.testing.assert_allclose(found.ravel(), [2, -2, 0, -2, 2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_touches_between_bangs() -> None:
     """Turning past a cone touches it twice with every torque on a bound; there costates jump along the gradient of S.
 

@@ -53,6 +53,7 @@ def test_a_path_constraint_takes_over_from_the_bound_of_a_control(limit: Limit) 
     np.testing.assert_allclose(found, [FULL, MOST * mass], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_limit_of_thrust_per_mass_is_switched_on_and_off() -> None:
     r"""Rest to rest over 1 m in 3 s: a burn of |a| = 1 each, so that the mass is left that exp(-k \\Delta v) leaves."""
     model = go.Model("cart")

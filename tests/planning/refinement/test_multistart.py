@@ -162,6 +162,7 @@ def test_free_parameters_are_drawn_within_their_bounds() -> None:
     assert problem.parameter_guess["k"] == [1.0]
 
 
+@pytest.mark.slow
 def test_spurious_solutions_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     # Without the guard on sigma, violent guesses lead a coarse mesh to "optima" whose attitude passes through infinity
     # between two nodes; start 29 beats the true minimum time by 0.3 s. Their own dynamics miss by metres.
@@ -209,6 +210,7 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 def test_both_ways_past_a_pillar_are_found() -> None:
     found = search(pillar(), refine=False, n=12, mesh="20x3")
     assert [m.objective for m in found.minima][:2] == pytest.approx(ways_past_the_pillar(), abs=2e-3)
@@ -256,6 +258,7 @@ def aircraft() -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
     # The straight line leads to 5.73 s; the best known minimum is 3.7808558 s (Sager). The mesh is worth 1e-3 s.
     found = search(aircraft(), n=16, seed=1, mesh="20x3", refine=False)
@@ -335,6 +338,7 @@ def test_ctrl_c_stops_running_workers(
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     arguments = ["multistart", __file__, "--n", "10000", "--mesh", MESH, "--json", str(target)]

@@ -137,6 +137,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     assert go.refine(cart, tol=1e-7).converged
 
 
+@pytest.mark.slow
 def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
     refined = go.refine(cubic, tol=1e-12, limits=go.RefinementLimits(max_passes=1))
     assert told(refined).status is RefinementStatus.ITERATION_LIMIT
@@ -305,6 +306,7 @@ def test_progress_shows_the_tolerance_that_was_asked_for(
     assert "refining to 1.0e-04" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_arc_that_chatters_is_told() -> None:
     """An aircraft turns with a limited bank rate: straight flight is singular of second order, phi and psi held by u.
 

@@ -65,6 +65,7 @@ def least_time(cells: int = 100_000) -> float:
     return sum(2 * step / (math.sqrt(2 * a) + math.sqrt(2 * b)) for a, b in pairwise(e))
 
 
+@pytest.mark.slow
 def test_a_limit_that_depends_on_the_place_is_held_with_drag() -> None:
     model, x, v, _u = dynamics("train", "x v", "u", lambda x, v, u: {x: v, v: u - DRAG * v**2})
     problem, leg = one_phase("speed limit by place", model, initial=0.0, final=(2.0, 60.0))

@@ -33,6 +33,7 @@ def along_bound() -> float:
     return float(sum(scipy.integrate.quad(*part, epsabs=1e-13, epsrel=1e-13)[0] for part in parts))
 
 
+@pytest.mark.slow
 def test_a_kink_in_a_layer_at_the_end_of_a_long_phase() -> None:
     """Segments of equal length along the free arc would be three hundred time constants long."""
     model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: -(x**3) + u})

@@ -84,6 +84,7 @@ def test_the_miss_is_that_of_another_integrator(mesh: str) -> None:
     assert accuracy.miss == pytest.approx(abs(end[row] - [1.0, 0.0][row]), rel=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", ["3x4", "5x4"])
 def test_the_violation_is_that_along_another_integration(mesh: str) -> None:
     """The speed is limited at the nodes, and exceeds the limit between them."""
@@ -118,6 +119,7 @@ def turning() -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_a_violation_within_a_held_cell_is_found() -> None:
     """The control is constant over cells of a segment, so that a limit of a + v / 5 is exceeded most at their edges."""
     solution = go.solve(minimum_time(load=1.1), mesh="5x3", tol=None)

@@ -51,6 +51,7 @@ def test_table(solution: go.Solution) -> None:
     assert frame.attrs["units"]["v[1]"] == "m/s" and frame.attrs["units"]["lam_m"] == "1/(kg)"
 
 
+@pytest.mark.slow
 def test_dataset(solution: go.Solution) -> None:
     pytest.importorskip("xarray")
     t = np.array([0.0, 0.25, 1.0])

@@ -57,6 +57,7 @@ def test_initial_values_are_predicted_too() -> None:
     assert predict(twin, last, None, 0.0).miss(exact) < 1e-8
 
 
+@pytest.mark.slow
 def test_where_a_solution_vanishes() -> None:
     """Less than 2 s cannot be done."""
     problem = rest_to_rest()
@@ -83,6 +84,7 @@ def cubic(k: float) -> go.Problem:
     return problem
 
 
+@pytest.mark.slow
 def test_the_end_of_a_branch_is_a_jump() -> None:
     found = go.continuation(cubic, [0.0, 0.6], smallest=2e-3, mesh="2x3")
     assert found.complete and len(found.events) == 1
@@ -93,6 +95,7 @@ def test_the_end_of_a_branch_is_a_jump() -> None:
     assert float(found.final.parameter("p")) < -1.0
 
 
+@pytest.mark.slow
 def test_a_structure_is_carried_along() -> None:
     """Saturated, free, saturated: below T^2 = 6 the control meets its bounds."""
     problem = rest_to_rest(2.2)

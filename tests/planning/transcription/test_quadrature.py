@@ -238,6 +238,7 @@ def test_integration_entries_are_correctly_rounded(scheme: Scheme, n: int) -> No
     np.testing.assert_array_equal(collocation_rule(scheme, n).integration, truth)
 
 
+@pytest.mark.slow
 @each_rule
 def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -> None:
     rule = collocation_rule(scheme, n)

@@ -90,6 +90,7 @@ def test_what_keeps_below_a_limit_that_is_higher_is_not_explained_by_it(
     assert height < 0.25 or not go.verify_trajectory(below(height, "path"), *trajectory(height)).ok
 
 
+@pytest.mark.slow
 def test_touch_of_order_three() -> None:
     ends = {"q": 0.0, "v": 1.0, "a": 0.0}, {"q": 0.0, "v": -1.0, "a": 0.0}
     for height in (0.55, 0.6):

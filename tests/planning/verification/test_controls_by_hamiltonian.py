@@ -296,6 +296,7 @@ def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
     np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])
 
 
+@pytest.mark.slow
 def test_a_coast_leaves_no_doubt_of_a_minimum() -> None:
     """Two burns in the plane with the least fuel: directions along the coast do nothing, and need not curve H."""
     model = go.Model("cart")

@@ -562,6 +562,7 @@ def failed(verdict: Verdict) -> set[str]:
     return {c.name for c in verdict.failed}
 
 
+@pytest.mark.slow
 def test_costates_that_are_no_rounding_fail() -> None:
     followed = go.solve(tracking(2.0), mesh="10x4", tol=None)
     leg = followed.phase()

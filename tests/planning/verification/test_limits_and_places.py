@@ -423,6 +423,7 @@ def _flight(push: float) -> tuple[Any, Any, Any]:
     return t, np.array([q, 0 * t, v, 0 * t]), np.array([u, 0 * t])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost", _COSTS)
 def test_a_coast_of_least_fuel_is_judged_however_its_cost_is_written(cost: str) -> None:
     problem, _ = _problem(cost)

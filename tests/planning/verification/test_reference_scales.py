@@ -399,6 +399,7 @@ def test_a_state_that_waits_is_not_measured_by_what_controls_could_do_meanwhile(
     assert "dynamics" in failed(added(right, "u", 0, 1e-3, segment=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounding", [1e-12, 1e-8])
 def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
     """Rest to rest over 1 in 3 s for the least fuel: with 0.8 of the thrust for longer it takes more.

@@ -118,6 +118,7 @@ def test_what_is_not_crossed_or_does_not_jump_is_judged(rate) -> None:
     assert verdict.ok
 
 
+@pytest.mark.slow
 def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
     """It goes to y = 0, waits and returns; |y| has any slope there, and CasADi's is none."""
     model, y, u = dynamics("waits", "y", "u", lambda y, u: {y: u})

@@ -674,6 +674,7 @@ def test_a_coupled_arc_is_ok_within_the_tolerance_and_no_minimum() -> None:
     assert verdict["second order"].result is go.ConditionResult.INCONCLUSIVE
 
 
+@pytest.mark.slow
 def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() -> None:
     """The furthest x by g' = exp(-16 t) cos b: b = 0. H curves in b by (1 - t) exp(-16 t), which decays."""
     model = go.Model("grip")

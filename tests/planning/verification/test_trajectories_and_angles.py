@@ -314,12 +314,14 @@ def test_bounds_of_a_turn_are_no_limit_to_a_heading_that_crosses_them(
     assert go.verify(kept).minimum
 
 
+@pytest.mark.slow
 def test_a_steering_angle_of_a_hundred_revolutions_does_not_turn_away() -> None:
     """Its bounds of a turn are no limit, but a solver that may go round and round from 4000 points does so."""
     found = go.solve(spiral(), mesh="1000x4", tol=None, options=go.SolverOptions(max_iterations=60))
     assert found.objective == pytest.approx((1 - RADIUS**-0.5) / THRUST, rel=1e-4)  # Edelbaum's circles
 
 
+@pytest.mark.slow
 def test_what_leaves_bounds_of_a_turn_is_failed(crossing: go.Solution) -> None:
     t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
@@ -341,6 +343,7 @@ def test_bounds_that_leave_a_direction_out_are_limits() -> None:
     assert found.control("heading")(0.5) == pytest.approx(3.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation() -> None:
     """Behind the start: over the pole, by a solver; in degrees."""
     turn, target = 360.0, np.array([-2.0, 0.1, -0.5])
@@ -402,6 +405,7 @@ def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution)
     assert not go.verify_trajectory(crossing.problem, t, x, {"heading": off}).ok
 
 
+@pytest.mark.slow
 def test_azimuth_and_elevation_of_a_straight_thrust() -> None:
     turn = 2 * np.pi
     found = go.solve(space(turn))
@@ -460,6 +464,7 @@ def test_the_other_boat_is_judged_all_the_same(waiting: go.Solution) -> None:
     assert not go.verify_trajectory(waiting.problem, t, x, u).ok
 
 
+@pytest.mark.slow
 def test_along_the_pole_any_azimuth_will_do() -> None:
     """2 m straight up from rest to any speed, in 2 s; what H curves by in the azimuth is rounding."""
     problem = space(2 * np.pi, speed=0.0, to=[0.0, 0.0, 2.0])

@@ -167,6 +167,7 @@ def test_wrong_by_a_thousandth_fails(wrong: Callable[[], Trajectory], sees: str)
     assert sees in failed(least_energy(), wrong())
 
 
+@pytest.mark.slow
 def test_feasible_switch_at_the_wrong_time_fails() -> None:
     """Weaker braking after an earlier switch keeps all limits and takes longer: no multipliers explain it."""
     switch, force = 0.98, 1.0
@@ -352,6 +353,7 @@ def test_a_free_constant_beside_a_switch(bend: float) -> None:
     assert verdict.minimum if bend > 0 else [c.name for c in verdict.failed] == ["second order"]
 
 
+@pytest.mark.slow
 def test_vector_control_by_its_own_name() -> None:
     """From rest at the origin to (3, 4) at rest with a force of at most 1: full force, turned round half-way."""
     model = go.Model("body")
