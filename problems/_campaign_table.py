@@ -1,24 +1,18 @@
-"""Campaigns of several controllers side by side: command line, table, statistics in a file, changed conditions."""
+"""Campaigns of several controllers side by side: command line, table, statistics in a file."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from gnc_opt.errors import GncOptError, did_you_mean
-from gnc_opt.problem_file import parse_setting
 from gnc_opt.simulation import Campaign
 from gnc_opt.simulation.campaign_text import campaign_dict
-
-Conditions = TypeVar("Conditions")
 
 
 def parser(prog: str, description: str) -> argparse.ArgumentParser:
@@ -86,35 +80,3 @@ def write(file: Path, campaigns: Mapping[str, Campaign]) -> None:
     """Write the statistics of campaigns to a file, as JSON by law."""
     summary = {name: campaign_dict(campaign) for name, campaign in campaigns.items()}
     file.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def with_settings(conditions: Conditions, settings: Sequence[str]) -> Conditions:
-    """Return a dataclass of conditions with some of its fields changed, each by ``NAME=VALUE``.
-
-    Raises
-    ------
-    ProblemFileError
-        A setting is not of the form ``NAME=VALUE``.
-    GncOptError
-        There is no such condition, or its value is of another kind.
-    """
-    results = {f.name: getattr(conditions, f.name) for f in fields(conditions)}  # type: ignore[arg-type]
-    for text in settings:
-        name, value = parse_setting(text)
-        if name not in results:
-            raise GncOptError(
-                f"--set {text!r}: there is no condition '{name}': {did_you_mean(name, list(results))}"
-            )
-        results[name] = _of_kind(results[name], value, text)
-    return replace(conditions, **results)  # type: ignore[type-var]
-
-
-def _of_kind(default: Any, value: Any, text: str) -> Any:
-    """Return a value as what its default is: whole numbers are floats too, lists tuples of the same length."""
-    if isinstance(default, tuple) and isinstance(value, list) and len(value) == len(default):
-        return tuple(_of_kind(d, v, text) for d, v in zip(default, value, strict=True))
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not type(default):
-        raise GncOptError(f"--set {text!r} does not fit: the value has to be like {default!r}.")
-    return value

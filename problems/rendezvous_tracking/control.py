@@ -133,7 +133,7 @@ def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is flown, and with what it differs; ``python -m problems.rendezvous_tracking --set`` changes it.
+    """Laws that are simulated, dispersions, noise and actuators.
 
     Attributes
     ----------
