@@ -7,7 +7,7 @@ import functools
 import inspect
 import keyword
 import numbers
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
@@ -113,6 +113,13 @@ def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
 def read_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
     """Return an optional mapping, empty for ``None``; all else is refused with the remedy."""
     return {} if value is None else cast(Mapping[Any, Any], expect(value, Mapping, what, remedy))
+
+
+def require_distinct(names: Sequence[str], what: str) -> None:
+    """Raise `ArgumentError` for a name that two things (``"events of a loop"``) have."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ArgumentError(f"two {what} are called '{name}': rename one.")
 
 
 def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:

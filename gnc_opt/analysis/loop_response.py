@@ -40,9 +40,6 @@ _STABLE = 1.0 + 1e-9
 _LOOKS = np.array([0.01, 0.1, 0.5])
 """Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
 
-_NOTHING_LEFT = 1e-14
-"""Of a disturbance: less of it is rounding, and the open loop infinite."""
-
 
 @dataclass(frozen=True)
 class _Probe(Block):
@@ -91,9 +88,7 @@ class LoopResponse(Strict):
         """Return L, (n_omega, m, m) complex, at one of the instants."""
         closed = self._closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
-        if np.any(
-            np.linalg.norm(left, -2, axis=(1, 2)) <= _NOTHING_LEFT * np.linalg.norm(closed, 2, axis=(1, 2))
-        ):
+        if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
             raise _pole_frequency_error()
         return _solve_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 

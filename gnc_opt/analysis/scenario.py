@@ -33,19 +33,8 @@ class Scenario:
 
     Parameters
     ----------
-    loop : ClosedLoop
-    x0 : array (n_states,) or mapping by name
-        Nominal initial state.
-    tf, t0 : float
-        Last and first time, s.
-    dispersions : mapping
-        By dotted name of ``loop.layout``.
-    parameters : mapping, optional
-        Nominal changes of parameters by dotted name.
-    target : mapping, optional
-        Final states for comparison, by name; default: the reference at the end.
-    measures : mapping, optional
-        User-defined measures: functions of the campaign that return a number per run, by name.
+    loop, x0, tf, t0, dispersions, parameters, target, measures
+        As in `monte_carlo`.
     seed : int
 
     Raises

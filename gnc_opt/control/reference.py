@@ -15,7 +15,7 @@ from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory import Trajectory, TrajectoryPhase
 from gnc_opt.model.variables import Layout, as_point
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 Signal: TypeAlias = Callable[[Array], Array]
 """Of times (n,), columns (size, n)."""
@@ -66,8 +66,6 @@ TRIM_TOLERANCE = 1e-6
 """Largest rate of a state at rest with the best control (1/s), relative to the largest state if above 1."""
 
 _NODES, _WEIGHTS = leggauss(8)  # of the mean of a control over a step without a jump
-_NEWTON = 1e-14
-"""A step of Newton's method below this share of the control is rounding."""
 
 
 class Reference(Strict):
@@ -320,7 +318,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
         u = u + step
-        if np.max(np.abs(step), initial=0.0) <= _NEWTON * (1 + np.max(np.abs(u), initial=0.0)):
+        if np.max(np.abs(step), initial=0.0) <= ROUNDING * (1 + np.max(np.abs(u), initial=0.0)):
             break
     left = np.abs(model.f(t, state, u))
     worst = int(np.argmax(left))

@@ -16,11 +16,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.sampled_data import count_whole_steps
-from gnc_opt.errors import ArgumentError, DesignError, in_words, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.estimation.error_space import Space, euclidean_space, product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.variables import Layout, Variable, user_expression
 
 _MOST_LATE = 200
 """Largest number of components of late samples: the filter's work grows with the cube of its states."""
@@ -254,17 +254,8 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Channel
 
 def _replace_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
-    try:
-        found = function(x, ref)
-    except Exception as error:
-        raise ArgumentError(
-            f"the difference of the measurement of '{name}' is no function of a sample and what it should be "
-            f"({in_words(error)}): write lambda y, y_hat: ..."
-        ) from error
-    if not isinstance(found, ca.SX) or found.shape != (space.errors, 1) or ca.symvar(found) == []:
-        shape = getattr(found, "shape", None)
-        raise ArgumentError(
-            f"the difference of the measurement of '{name}' returns {type(found).__name__} {shape or ''}: return an SX "
-            f"column of {space.errors} components made of its two arguments."
-        )
+    remedy = f"return {space.errors} components made of a sample and what it should be, lambda y, y_hat: ..."
+    what = f"the difference of the measurement of '{name}'"
+    if not ca.symvar(user_expression(function, (x, ref), space.errors, what, remedy)):
+        raise ArgumentError(f"{what} is the same whatever its arguments: {remedy}.")
     return Space(space.size, space.errors, function, space.retraction)

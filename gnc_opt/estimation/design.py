@@ -24,6 +24,7 @@ from gnc_opt.estimation.linearization import Approximation, Regression, Tangent
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_options
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
+from gnc_opt.tolerances import EQUAL
 
 
 @one_thread()
@@ -114,9 +115,6 @@ def design_ukf(
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
 """Standard deviations by the name of a state, one number or one per component of its error."""
-
-_CONSISTENT = 1e-6
-"""By how much the way there and back may miss the identity to first order."""
 
 
 class FilterDesign:
@@ -319,7 +317,7 @@ def _check_retraction_inverse(model: Model, x0: Array) -> None:
     both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
     value, slope = (np.asarray(m.full()) for m in both(x0, np.zeros(model.errors.size)))
     miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))
-    bad = np.flatnonzero(~(miss <= _CONSISTENT))
+    bad = np.flatnonzero(~(miss <= EQUAL))
     if bad.size:
         label = model.errors.labels[int(bad[0])]
         raise DesignError(

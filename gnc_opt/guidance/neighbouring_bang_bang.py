@@ -41,19 +41,14 @@ from gnc_opt.errors import ArgumentError, DesignError, shown
 from gnc_opt.guidance.bang_bang_plan import Prediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import RANK, TINY
-
-_DIFFERENCE_STEP_SHARE = 4e-5
-"""Step of the central differences, in shares of the duration: their errors are squares of it."""
+from gnc_opt.simulation.step_selection import MAX_SUBSTEPS
+from gnc_opt.tolerances import CONVEX, RANK, TINY
 
 _MET = 1e-6
 """Largest miss of the end, as the move of switch times that corrects it, in shares of the duration."""
 
 _STATIONARY = 1e-3
 """Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
-
-_CURVED = 1e-6
-"""Smallest curvature, times the duration: below it the condition is inconclusive."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +73,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "such a plan cannot be corrected by them; follow it by design_tvlqr()."
         )
-    d = _DIFFERENCE_STEP_SHARE * duration
-    first, _, _ = _terminal_derivatives(prediction, tau, d)
+    first, _, _ = _terminal_derivatives(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
@@ -94,7 +88,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
         return np.concatenate([stationary, psi.full()[:, 0] / _row_norms(first.S) / duration])
 
     found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
-    optimum, gradient, psi = _terminal_derivatives(prediction, found.x[: tau.size] * duration, d)
+    optimum, gradient, psi = _terminal_derivatives(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
@@ -106,7 +100,7 @@ def find_neighbouring_optimum(prediction: Prediction) -> Optimum:
             f"the switch times of the plan of '{name}' are not those of least time (gradient "
             f"{np.max(np.abs(gradient)):.2g} s/s): minimise the final time, and refine the solution."
         )
-    if not optimum.curvature > _CURVED:
+    if not optimum.curvature > CONVEX:
         raise DesignError(
             f"the plan of '{name}' fails the second-order condition (least curvature {optimum.curvature:.2g} "
             "along what keeps the end): its switch times do not follow the state uniquely; follow it by "
@@ -125,35 +119,21 @@ def _has_full_row_rank(S: Array) -> bool:
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _terminal_derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum, Array, Array]:
+def _terminal_derivatives(prediction: Prediction, tau: Array) -> tuple[Optimum, Array, Array]:
     """Return S, H and the multipliers of least squares at these times, with the gradient of L and psi."""
-    plan = prediction.plan
-    nothing = np.zeros(plan.reference.model.errors.size)
+    plan, g = prediction.plan, np.eye(tau.size)[-1]
 
-    def evaluate_terminal_conditions(times: Array, nu: Array = nothing) -> tuple[Array, Array]:
-        psi, slope = prediction.terminal_conditions_function(plan.initial_time, plan.initial, times, nu)
-        return psi.full()[:, 0], slope.full()[:, 0]
+    times, nu = ca.SX.sym("tau", tau.size), ca.SX.sym("nu", plan.reference.model.errors.size)
+    psi, slope = prediction.terminal_conditions_function(plan.initial_time, plan.initial, times, nu)
+    outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
+    function = ca.Function("derivatives", [times, nu], outputs)
 
-    moves = d * np.eye(tau.size)
-    S = np.stack(
-        [
-            (evaluate_terminal_conditions(tau + m)[0] - evaluate_terminal_conditions(tau - m)[0]) / (2 * d)
-            for m in moves
-        ],
-        axis=1,
-    )
-    g = np.eye(tau.size)[-1]
-    nu = np.linalg.lstsq(S.T, -g, rcond=None)[0]
-    psi, slope = evaluate_terminal_conditions(tau, nu)
-    H = np.stack(
-        [
-            (evaluate_terminal_conditions(tau + m, nu)[1] - evaluate_terminal_conditions(tau - m, nu)[1])
-            / (2 * d)
-            for m in moves
-        ],
-        axis=1,
-    )
-    H = 0.5 * (H + H.T)
+    def evaluate_derivatives(multipliers: Array) -> list[Array]:
+        return [np.asarray(each.full()) for each in function(tau, multipliers)]
+
+    nu = np.linalg.lstsq(evaluate_derivatives(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
+    psi, slope, S, H = evaluate_derivatives(nu)
+    psi, slope, H = psi[:, 0], slope[:, 0], 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
     least = float(curvatures[0]) * (tau[-1] - plan.initial_time) if curvatures.size else np.inf
@@ -162,8 +142,6 @@ def _terminal_derivatives(prediction: Prediction, tau: Array, d: float) -> tuple
 
 OFF = 0.1
 """Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
-
-_PREDICTION_MAX_STEPS = 64
 
 _TIME = 0.03
 """Weight of the flight time: this duration counts as one accepted error, squared, per flight."""
@@ -306,7 +284,7 @@ def _refine_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array)
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
         if off <= OFF:
             return Prediction(plan, ending, steps)
-        if steps >= _PREDICTION_MAX_STEPS:
+        if steps >= MAX_SUBSTEPS:
             raise DesignError(
                 f"the plan of '{plan.reference.model.name}', flown by its switch times, misses its end by {off:.2g} "
                 "of the accepted errors: refine the solution."
@@ -380,10 +358,6 @@ class _Guidance:
         """Return the facts of the design."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
-        if f"{best.tau[-1]:.6g}" != f"{max(best.tau[-1], plan.times[-1]):.6g}":  # faster than the fastest
-            how += (
-                f", by a prediction that may miss the end by {OFF:g} of the accepted errors: larger Q, finer"
-            )
         return [
             ReportEntry("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
             ReportEntry(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import ErrorType, expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ModelError, ProblemError, shown, unknown_name
+from gnc_opt.errors import ArgumentError, ModelError, ProblemError, in_words, shown, unknown_name
 from gnc_opt.model.expressions import holds_nan
 
 
@@ -259,6 +259,19 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
             "math.sqrt(x) or math.sin(x)."
         )
     return ca.densify(expression)
+
+
+def user_expression(
+    function: Callable[..., Any], arguments: Sequence[Any], size: int, what: str, remedy: str
+) -> Any:
+    """Return the SX column (size, 1) that a function of a user makes of its arguments; else raise `ArgumentError`."""
+    try:
+        found = ca.SX(function(*arguments))
+    except Exception as error:  # whatever a function of the user's raises
+        raise ArgumentError(f"{what} cannot be evaluated: {in_words(error)}; {remedy}.") from error
+    if found.shape != (size, 1):
+        raise ArgumentError(f"{what} returns the shape {found.shape} where ({size}, 1) is needed: {remedy}.")
+    return found
 
 
 def foreign_symbols(expression: Any, known: list[Any]) -> list[str]:

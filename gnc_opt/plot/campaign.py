@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import (
     COLORS,
-    QUIET,
     apply_style,
     axis_label,
     legend_above,
@@ -48,13 +47,8 @@ _CURVE: dict[str, Any] = {"color": COLORS[0], "linewidth": 1.5}
 _PERCENTILE: dict[str, Any] = {"color": COLORS[1], "marker": "o", "markersize": 4, "linewidth": 1.6}
 _BARS: dict[str, Any] = {"color": COLORS[5], "rwidth": 0.92}
 
-_NOTE: dict[str, Any] = {
-    "fontsize": 10,
-    "bbox": {"facecolor": "white", "edgecolor": QUIET, "linewidth": 0.5, "pad": 2},
-}
-
-_LIMIT_MAX_DISTANCE = 2.0
-"""Limits farther from the values than so many times their range are named, not drawn."""
+_FAR = 3.0
+"""Limits farther out than so many times the largest value, or range of values, do not widen the axes."""
 
 
 def plot_dispersion(campaign: Campaign, name: str) -> Figure:
@@ -90,7 +84,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     limit = campaign.limits.get(name)
     finite = np.all(np.isfinite(errors), axis=0)
     reach = 1.1 * max(float(np.max(np.abs(errors[:, finite]), initial=0.0)), np.finfo(float).tiny)
-    drawn = limit is not None and limit <= (1 + _LIMIT_MAX_DISTANCE) * reach
+    drawn = limit is not None and limit <= _FAR * reach
     if limit is not None and drawn:
         reach = max(reach, 1.1 * limit)
     with apply_style():
@@ -123,11 +117,7 @@ def _dispersion_legend_handles(
     if name in campaign.limits:
         unit = campaign.layouts["error"][name].unit
         text = f"limit {campaign.limits[name]:.3g} {unit}".rstrip()
-        handles.append(
-            Line2D([], [], label=text, **_LIMIT)
-            if drawn
-            else Line2D([], [], label=f"{text}, far outside", linestyle="none")
-        )
+        handles.append(Line2D([], [], label=text if drawn else f"{text}, far outside", **_LIMIT))
     return handles
 
 
@@ -159,8 +149,8 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
             finite = np.sort(values[np.isfinite(values)])
             _draw_histogram(left, finite)
             _draw_distribution(right, campaign, name, finite)
-            for ax, height in ((left, 0.88), (right, 0.3)):  # where there are rarely data
-                _draw_limit(ax, campaign.limits.get(name), finite, height)
+            for ax in (left, right):
+                _draw_limit(ax, campaign.limits.get(name), finite)
                 ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
                 ax.xaxis.set_major_locator(MaxNLocator(5))
         handles = [
@@ -202,22 +192,13 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
     ax.set_ylabel("share of runs")
 
 
-def _draw_limit(ax: Axes, limit: float | None, finite: Any, height: float) -> None:
+def _draw_limit(ax: Axes, limit: float | None, finite: Any) -> None:
     if limit is None:
         return
-    if finite.size:
-        far = _LIMIT_MAX_DISTANCE * (finite[-1] - finite[0])
-        if not finite[0] - far <= limit <= finite[-1] + far:
-            above = limit > finite[-1]
-            ax.annotate(
-                f"limit {limit:.3g} →" if above else f"← limit {limit:.3g}",
-                (0.97 if above else 0.03, height),
-                xycoords="axes fraction",
-                ha="right" if above else "left",
-                **_NOTE,
-            )
-            return
+    ends = ax.get_xlim()
     ax.axvline(limit, zorder=2, **_LIMIT)
+    if finite.size and abs(limit - np.mean(finite[[0, -1]])) > _FAR * np.ptp(finite):
+        ax.set_xlim(ends)
 
 
 def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:

@@ -38,6 +38,7 @@ from gnc_opt.plot.style import (
     new_figure,
     variable_name_text,
 )
+from gnc_opt.tolerances import AT_LIMIT
 
 _FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
 _POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}
@@ -46,9 +47,6 @@ _SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle":
 
 MOST_ROWS = 3
 """Controls in one column of axes: three fit the first page of a printed report."""
-
-_ON_BOUND = 1e-3
-"""Shares of a control's range: nearer to a bound it counts as on it."""
 
 
 def plot_controls(
@@ -65,11 +63,8 @@ def plot_controls(
 
     Parameters
     ----------
-    solution : Solution
-    names : sequence of str, optional
-        Controls; default all.
-    phase : str, optional
-        Default all, one after the other.
+    solution, names, phase
+        As in `plot_states`, of controls.
 
     Raises
     ------
@@ -208,7 +203,7 @@ def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     flown = leg.flown(t)[row]
     room = np.minimum(flown - lower, upper - flown)
-    return room <= _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
+    return room <= AT_LIMIT * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 
 
 def _negligible_switching_value(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:

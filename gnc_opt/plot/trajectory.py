@@ -89,11 +89,8 @@ def plot_costates(
 
     Parameters
     ----------
-    solution : Solution
-    names : sequence of str, optional
-        States whose costates to draw; default all.
-    phase : str, optional
-        Default all, one after the other.
+    solution, names, phase
+        As in `plot_states`.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,15 +102,10 @@ def write_campaign_report(
     Parameters
     ----------
     campaign : Campaign
-    directory : str or Path
-        Made if it does not exist. Files of an earlier report are replaced.
-    title : str
-    view : gnc_opt.plot.View, optional
-        Motion in three dimensions: any of the runs, simulated again.
+    directory, title, view, command
+        As in `write_run_report`; the motion is that of any of the runs, simulated again.
     runs : int
         At most so many are shown there, those that did not pass first.
-    command : str, optional
-        As in `write_run_report`.
 
     Returns
     -------
@@ -143,22 +138,13 @@ def write_campaign_report(
         "Distributions": figure_html(
             files, "distributions", "Distribution of each measure over all runs, with its limit."
         ),
-        "Dispersions": figures_html(
-            {
-                path: f"Errors of {stem.removeprefix('dispersion_')} at the end of all runs, by pairs of components."
-                for stem, path in files.items()
-                if stem.startswith("dispersion_")
-            }
+        "Dispersions": _prefixed_figures_html(
+            files, "dispersion_", "errors at the end of all runs, by pairs of components."
         ),
-        "Envelopes": figures_html(
-            {
-                path: (
-                    f"{stem.removeprefix('envelope_')} over time: 1st, 50th and 99th percentile of the runs, "
-                    "with their intervals of 95 % confidence."
-                )
-                for stem, path in files.items()
-                if stem.startswith("envelope_")
-            }
+        "Envelopes": _prefixed_figures_html(
+            files,
+            "envelope_",
+            "1st, 50th and 99th percentile of the runs over time, with their intervals of 95 % confidence.",
         ),
         "Failures": table(("run", "cause"), failures),
         "Software": command_html(command)
@@ -175,6 +161,12 @@ def write_campaign_report(
     saved = campaign.save(folder / "campaign.npz")
     page = write_page(folder, html_document(title, headline, sections))
     return [page, saved, statistics, *files.values()]
+
+
+def _prefixed_figures_html(files: Mapping[str, Path], prefix: str, caption: str) -> str:
+    """Return all pictures whose names have a prefix."""
+    stems = [stem for stem in files if stem.startswith(prefix)]
+    return figures_html({files[stem]: f"{stem.removeprefix(prefix)}: {caption}" for stem in stems})
 
 
 # --- motion -----------------------------------------------------------------------------------------------

@@ -32,12 +32,10 @@ from gnc_opt.simulation.block import (
     differs_after_clipping,
     read_block_values,
 )
+from gnc_opt.tolerances import RANK
 
 Method: TypeAlias = Literal["pseudo-inverse", "min-max", "non-negative"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]
-
-_SINGULAR = 1e-10
-"""Share of the largest below which singular values, and entries of a null vector, are zero."""
 
 
 def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array:
@@ -50,7 +48,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     """
     effects = effect_matrix(matrix, failed, what)
     left, sizes, _ = np.linalg.svd(effects)
-    rank = int(np.sum(sizes > _SINGULAR * float(sizes[0])))
+    rank = int(np.sum(sizes > RANK * float(sizes[0])))
     if rank < effects.shape[0]:
         least = float(sizes[rank]) if rank < sizes.size else 0.0
         lost = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
@@ -73,7 +71,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
     """
     effects = effect_matrix(matrix, failed, what)
     alive = [i for i in range(effects.shape[1]) if i not in failed]
-    basis = scipy.linalg.null_space(effects[:, alive], rcond=_SINGULAR)
+    basis = scipy.linalg.null_space(effects[:, alive], rcond=RANK)
     if basis.shape[1] == 0:
         return None
     if basis.shape[1] > 1:
@@ -82,7 +80,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
         )
     n = np.zeros(effects.shape[1])
     n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
-    return np.where(np.abs(n) < _SINGULAR, 0.0, n)
+    return np.where(np.abs(n) < RANK, 0.0, n)
 
 
 def cheapest_outputs(
@@ -114,7 +112,7 @@ def min_max_shift(u: Any, n: Array) -> Any:
     for i, j in itertools.combinations(range(n.size), 2):
         for sign in (1.0, -1.0):
             slope = n[i] - sign * n[j]
-            if abs(slope) < _SINGULAR:
+            if abs(slope) < RANK:
                 continue
             shift = -(u[i] - sign * u[j]) / slope
             here = ca.mmax(ca.fabs(u + shift * n))

@@ -28,7 +28,7 @@ from gnc_opt.simulation.confidence_intervals import (
 from gnc_opt.simulation.measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.text import Printed
+from gnc_opt.text import Printed, json_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +51,11 @@ class Campaign(Strict, Printed):
         Of the states at the end, relative to the reference or target, by the plant's own difference.
     target : array (n_states,)
         Reference of the errors; NaN without one.
-    effort, energy : array (n_controls, m)
-    saturation_time, variation : array (n_commands, m)
-        As in `Run`.
-    integration_error : array (m,)
-    memory : array (n_memory, m)
-        Of the controller at the end.
-    event_counts, event_times : array (n_events, m)
-        Number of occurrences of each event, and the first time (s), NaN without an occurrence.
-    sums : array (3 n_quantities, m)
-        Largest values, least values and integrals of the loop's quantities.
-    samples : array (n_quantities, n_samples, m)
-        Of them, at ``sample_times``; NaN after the end of a run.
+    effort, energy, saturation_time, variation, integration_error, memory : arrays (..., m)
+    event_counts, event_times, replans, sums, samples : arrays (..., m)
+        As in `FinalValues`.
     sample_times : array (n_samples,)
-        s.
-    replans : array (2, m)
-        Numbers of successful and of failed re-plans in flight.
+        Of ``samples``, s.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -288,9 +277,9 @@ class Campaign(Strict, Printed):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return the statistics and what failed as JSON text; with a path also write it."""
-        from gnc_opt.simulation.campaign_text import campaign_json
+        from gnc_opt.simulation.campaign_text import campaign_dict
 
-        text = campaign_json(self)
+        text = json_text(campaign_dict(self))
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text

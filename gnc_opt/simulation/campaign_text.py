@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
-from gnc_opt.text import json_text, plain_json
+from gnc_opt.text import plain_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
 
-_LISTED = 5
-"""Causes of failure that are printed, and failed runs of each."""
+LISTED = 5
+"""Causes of failure, failed runs of each, and events of a run that are printed."""
 
 CampaignStatistics: TypeAlias = Any
 """A `gnc_opt.simulation.Campaign`, which imports this module."""
@@ -75,10 +75,10 @@ def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
         struck[f"{status}: {what}" if what else status].append(index)
     ordered = sorted(struck.items(), key=lambda item: -len(item[1]))
     lines = []
-    for cause, indices in ordered[:_LISTED]:
-        more = ", ..." if len(indices) > _LISTED else ""
-        lines.append(f"  {len(indices)} {cause} (run {', '.join(map(str, indices[:_LISTED]))}{more})")
-    rest = sum(len(indices) for _, indices in ordered[_LISTED:])
+    for cause, indices in ordered[:LISTED]:
+        more = ", ..." if len(indices) > LISTED else ""
+        lines.append(f"  {len(indices)} {cause} (run {', '.join(map(str, indices[:LISTED]))}{more})")
+    rest = sum(len(indices) for _, indices in ordered[LISTED:])
     return [*lines, f"  {rest} for other causes"] if rest else lines
 
 
@@ -133,8 +133,3 @@ def _percentile_dict(found: Percentile) -> dict[str, Any]:
 
 def _pass_rate_dict(found: PassRate) -> dict[str, Any]:
     return {"passed": found.passed, "rate": found.rate, "low": found.low, "high": found.high}
-
-
-def campaign_json(campaign: CampaignStatistics) -> str:
-    """Return `campaign_dict` as indented JSON text with a trailing newline."""
-    return json_text(campaign_dict(campaign))

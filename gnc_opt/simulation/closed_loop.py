@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
+from gnc_opt.errors import ArgumentError, shown, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_point, as_vector
 from gnc_opt.simulation.active_reference import PlanUpdater
@@ -231,7 +231,6 @@ class ClosedLoop:
         """
         nominal = self.parameters(x0, parameters)
         times = self._control_step_times(t0, tf)
-        self._warn_of_missed_events(times[0], nominal)
         rows = self._sample_schedule(times)
         flight = self._with_accurate_steps(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
@@ -241,18 +240,6 @@ class ClosedLoop:
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.initial_modes(times[0], *self._initial_plant_values(nominal))
         return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes)
-
-    def _warn_of_missed_events(self, t: float, nominal: Array) -> None:
-        """Warn of an event that is to end the nominal run and has happened before it begins."""
-        if not self.events:
-            return
-        behind = self.wiring.events.find_event_before_start(t, *self._initial_plant_values(nominal))
-        if behind is not None:
-            event, value = behind
-            warn_user(
-                f"event '{event.name}' ends a run when its expression comes through zero {event.direction}; this one "
-                f"begins beyond that, at {value:.6g}, and flies on until it has been on the other side."
-            )
 
     def _initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""

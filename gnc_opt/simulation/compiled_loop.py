@@ -35,33 +35,19 @@ class CompiledLoop:
 
     Attributes
     ----------
-    layout : Layout
-        Of the columns P.
-    nominal : array (n_parameters,)
-    ranges : tuple of two arrays (n_parameters,)
-        Permitted values of P.
-    times : array (n_steps + 1,)
-        s.
-    followed_rows : int array (n,) or None
-        Rows of the schedule that are the reference of the states that the controller follows.
-    substeps : int
-        Integration steps per minor step.
-    kernel, companion : Kernel
-        The loop as compiled functions; the companion has half the step, for the error estimate.
-    schedule : array (n_signals, n_steps + 1)
-        Rows r of the controller, as planned before the flight.
-    dt : float
-        s.
-    states, measured, followed, commands, controls, memory : Layout
+    layout, nominal, ranges : Layout, array (n_parameters,), pair of them
+        Of the columns P: names and units, nominal values, least and largest permitted values.
+    times, dt, schedule : array (n_steps + 1,), float, array (n_signals, n_steps + 1)
+        s, s, and the rows r of the controller as planned before the flight.
+    followed_rows, estimates : int array (n,) or None
+        Rows of the schedule that are the reference; entries of the memory that are the estimated states.
+    kernel, companion, substeps : Kernel, Kernel, int
+        The loop as functions, with so many integration steps per minor step, and with twice as many.
+    states, measured, followed, commands, controls, memory, error_layout, events, quantities : Layout
         Names, sizes and units; ``followed`` are the states that the reference is of.
     errors : casadi Function
         Errors of the states relative to the reference.
-    error_layout, events, quantities : Layout
-    classifier : OutcomeClassifier
-    minor_steps : int
-    replanner : PlanUpdater or None
-    estimates : int array (n,) or None
-        Entries of the memory with the estimated states that the controller follows; None if it measures them.
+    classifier, replanner, minor_steps : OutcomeClassifier, PlanUpdater or None, int
     libraries : tuple of two str
         Paths of the compiled steps of both kernels; "" for the interpreter.
 
@@ -108,6 +94,19 @@ class CompiledLoop:
     def n_steps(self) -> int:
         """Number of control steps."""
         return int(self.times.size - 1)
+
+    @property
+    def layouts(self) -> dict[str, Layout]:
+        """Names, sizes and units by kind, as in `Run` and `Campaign`."""
+        kinds = {
+            "parameter": self.layout,
+            "state": self.states,
+            "error": self.error_layout,
+            "event": self.events,
+        }
+        kinds |= {"measured": self.measured, "followed": self.followed, "command": self.commands}
+        kinds |= {"applied": self.controls, "memory": self.memory}
+        return kinds | ({"quantity": self.quantities} if self.quantities.size else {})
 
     @property
     def accuracy(self) -> float:
@@ -254,17 +253,7 @@ class CompiledLoop:
             seed=str(seed),
             events=tuple(events),
             replans=tuple(course.replans),
-            layouts={
-                "state": self.states,
-                "measured": self.measured,
-                "followed": self.followed,
-                "command": self.commands,
-                "applied": self.controls,
-                "memory": self.memory,
-                "error": self.error_layout,
-                "parameter": self.layout,
-                "event": self.events,
-            },
+            layouts=self.layouts,
         )
 
     def invalid_parameter_message(self, P: Array) -> str:

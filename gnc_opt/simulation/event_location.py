@@ -22,11 +22,7 @@ from gnc_opt.simulation.dormand_prince import Taken
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.simulation.quantities import join_records
 from gnc_opt.simulation.signals import Places
-from gnc_opt.tolerances import SAME_TIME
-
-_INSTANT = 1e-13
-"""Of a minor step: how close Newton's method comes to the instant."""
-
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4
 """Of a minor step: over which rates are taken as differences."""
@@ -284,7 +280,7 @@ class _Passage:
         now, low, high, before, _ = ca.vertsplit(r)
         above = y > 0
         low, high = ca.if_else(above, now, low), ca.if_else(above, high, now)
-        step, close = -y / slope, _INSTANT * self.h
+        step, close = -y / slope, ROUNDING * self.h
         there = ca.logic_or(y == 0, ca.logic_or(ca.fabs(step) <= close, high - low <= close))
         inside = ca.logic_and(
             ca.logic_and(now + step > low, now + step < high), ca.fabs(step) <= 0.5 * before

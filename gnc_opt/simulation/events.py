@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import expect, read_label
+from gnc_opt.arguments import expect, read_label, require_distinct
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.model import Model
@@ -165,16 +165,6 @@ class Events:
     def __len__(self) -> int:
         return len(self.declared)
 
-    def find_event_before_start(self, t: float, x: Array, p: Array) -> tuple[Event, float] | None:
-        """Return an event that is to end a run, but lies behind its start (t, x), and its expression there."""
-        y = self.rows(t, x, np.zeros(x.size), p)[0].full()[:, 0]
-        holds = self.effects(t, x, p)[0].full()[:, 0]
-        for value, owner in zip(y, self.owners, strict=True):
-            event = self.declared[owner]
-            if event.ends and event.direction != "either" and value < 0 and holds[owner]:
-                return event, float(value * _SIGNS[event.direction][0])
-        return None
-
     def undefined_events(self, t: Any, x: Any, p: Any, y: Any) -> Any:
         """Return, by the rows y at (t, x), which events (n_events, 1) are undefined (NaN) while they can happen; SX."""
         holds, _ = self.effects(t, x, p)
@@ -192,9 +182,7 @@ class Events:
     @classmethod
     def of(cls, plant: Model, declared: tuple[Event, ...]) -> Events:
         """Read events of a plant; raise `ArgumentError` or `ModelError` for what is none."""
-        for event in declared:
-            if [other.name for other in declared].count(event.name) > 1:
-                raise ArgumentError(f"two events of the closed loop are called '{event.name}': rename one.")
+        require_distinct([event.name for event in declared], "events of the closed loop")
         if not declared:
             return cls((), (), None, None)
         t, x, _, p = plant.arguments()

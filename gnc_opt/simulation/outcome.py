@@ -144,16 +144,6 @@ class Outcome:
         """Whether all is well."""
         return self.status is RunStatus.OK
 
-    @property
-    def diverged(self) -> bool:
-        """Whether a state left its plausible size."""
-        return self.status is RunStatus.DIVERGED
-
-    @property
-    def not_finite(self) -> bool:
-        """Whether the run left the finite numbers."""
-        return self.status is RunStatus.NOT_FINITE
-
     def __str__(self) -> str:
         at = f" at {self.time:.6g} s" if self.time == self.time else ""
         return f"{self.status.value}: {self.what}{at}" if self.what else self.status.value

@@ -14,9 +14,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arguments import read_label
+from gnc_opt.arguments import read_label, require_distinct
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.dormand_prince import Taken
@@ -72,10 +71,7 @@ class Quantities:
     @classmethod
     def of(cls, plant: Model, declared: Sequence[Quantity]) -> Quantities:
         """Return declared quantities of a plant; raise `ArgumentError` for what is none."""
-        names = [quantity.name for quantity in declared]
-        for name in names:
-            if names.count(name) > 1:
-                raise ArgumentError(f"two quantities of the closed loop are called '{name}': rename one.")
+        require_distinct([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
             plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
             for q in declared

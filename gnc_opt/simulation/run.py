@@ -17,6 +17,7 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.tabular import Records, named
 from gnc_opt.model.variables import Layout, Variable, as_vector
 from gnc_opt.simulation.active_reference import Replan
+from gnc_opt.simulation.campaign_text import LISTED
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.spacecraft.attitude import attitude_angle
@@ -311,13 +312,10 @@ RUN_FILES = FileFormat(
     alike=(2, 3),  # 2 knows no events, 3 no re-plans
 )
 
-_MOST_TOLD = 4
-"""Events that are printed."""
-
 
 def _events_text(events: Sequence[EventOccurrence]) -> str:
-    more = f", ... ({len(events)})" if len(events) > _MOST_TOLD else ""
-    return ", ".join(str(event) for event in events[:_MOST_TOLD]) + more
+    more = f", ... ({len(events)})" if len(events) > LISTED else ""
+    return ", ".join(str(event) for event in events[:LISTED]) + more
 
 
 def _replans_text(replans: Sequence[Replan]) -> str:

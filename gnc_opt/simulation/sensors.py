@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ArgumentError
+from gnc_opt.model.variables import user_expression
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -162,37 +163,17 @@ class SensorOutage(Block):
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:
-            out = ca.logic_and(
-                out, ca.logic_not(self._outage_condition(tick) <= 0)
-            )  # NaN counts as an outage
+            states = ", ".join(tick.x)
+            remedy = f"write a function of the time and of the plant's states by name, {states}"
+            found = user_expression(self.where, (tick.t, tick.x), 1, f"where= of '{self.name}'", remedy)
+            out = ca.logic_and(out, ca.logic_not(found <= 0))  # NaN counts as an outage
         return Step(ca.if_else(out, math.nan, signal), state)
-
-    def _outage_condition(self, tick: Tick) -> Any:
-        try:
-            found = ca.SX(self.where(tick.t, tick.x))  # type: ignore[misc]
-        except Exception as error:  # whatever a function of the user's raises
-            raise ArgumentError(
-                f"where= of '{self.name}' cannot be evaluated: {error!r}. Write a function of the time and of the "
-                f"plant's states by name, {', '.join(tick.x)}."
-            ) from error
-        if found.shape != (1, 1):
-            raise ArgumentError(
-                f"where= of '{self.name}' returns the shape {found.shape}: return one number, above zero where the "
-                "sensor fails."
-            )
-        return found
 
 
 def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:
     """Refuse errors of so many components that the retraction does not take."""
-    try:
-        moved = ca.SX(retraction(ca.SX.sym("x", size), ca.SX.sym("e", count)))
-    except Exception as error:  # whatever a function of the user's raises
-        raise ArgumentError(
-            f"{what} has {count} component{'s' * (count > 1)}, which its retraction does not take: give one number per "
-            "component of the error."
-        ) from error
-    if moved.shape != (size, 1):
-        raise ArgumentError(
-            f"the retraction beside {what} returns the shape {moved.shape} where ({size}, 1) is needed: return a state."
-        )
+    arguments = ca.SX.sym("x", size), ca.SX.sym("e", count)
+    remedy = (
+        f"take a state and an error, of {count} component{'s' * (count > 1)} as given, and return a state"
+    )
+    user_expression(retraction, arguments, size, f"the retraction beside {what}", remedy)

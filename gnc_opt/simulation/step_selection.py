@@ -25,6 +25,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.outcome import RunStatus
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
@@ -99,12 +100,12 @@ class StepSelection:
             flight = flight_with(substeps)
             ending = flight.final(flight.nominal[:, None], [0])
             error, outcome = float(ending.state_error[0]), ending.outcomes[0]
-            if np.isnan(error) or outcome.not_finite or error <= 0.1 * self.asked:
+            if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
                 return flight
             stalled = stalled + 1 if error > 0.5 * least else 0
             if error < least:
                 best, least = flight, error
-            if stalled > 1 or (outcome.diverged and substeps >= MAX_SUBSTEPS):
+            if stalled > 1 or (outcome.status is RunStatus.DIVERGED and substeps >= MAX_SUBSTEPS):
                 return best
             if substeps >= MAX_SUBSTEPS:
                 if least <= self.asked:

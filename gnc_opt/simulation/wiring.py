@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arguments import require_distinct
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean
@@ -81,14 +82,6 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
                 "arrive there."
             )
         _check_same_unit(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
-
-
-def check_block_names(blocks: Sequence[Block]) -> None:
-    """Raise an error for two blocks of one name, whose parameters would be ambiguous."""
-    names = [block.name for block in blocks]
-    for name in names:
-        if names.count(name) > 1:
-            raise ArgumentError(f"two blocks of the closed loop are called '{name}': rename one.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +197,8 @@ def wire_loop(
             raise ArgumentError(
                 f"'{block.name}' is a disturbance, not an actuator or a sensor: give it among the disturbances."
             )
-    check_block_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
+    every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
+    require_distinct([block.name for block in every], "blocks of the closed loop")
     actuators, applied = link_blocks(blocks.actuators, sizes_and_units(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
     sensors = _sensor_links(controller, blocks.sensors)

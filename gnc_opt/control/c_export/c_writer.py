@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +14,6 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
-_LINE = 8
-"""Numbers on a line of a table."""
 _LITERAL = re.compile(r"(?<![\w.\[])(\d+\.\d+)(?![\w.])")
 _CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 
@@ -83,9 +82,7 @@ FLOAT = CNumbers("float", "f", np.float32, 1e-4, 1e-5)
 
 def wrap_initializer(entries: Iterable[str]) -> str:
     """Return entries of an initializer over lines."""
-    texts = list(entries)
-    lines = [", ".join(texts[i : i + _LINE]) for i in range(0, len(texts), _LINE)]
-    return ",\n    ".join(lines)
+    return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 
 _FORMS: dict[str, str] = {

@@ -27,12 +27,6 @@ from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
 from gnc_opt.model.variables import Layout
 
 _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
-_C_HEADERS = frozenset({
-    "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646",
-    "limits", "locale", "math", "setjmp", "signal", "stdarg", "stdbool",
-    "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
-})  # fmt: skip
-"""Standard headers of C99, without suffix (ISO/IEC 9899:1999, 7.1.2)."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +101,7 @@ def export_c(
     ------
     ArgumentError
         The law contains operations without a C equivalent, the schedule changes after the span, dt or the
-        span is unknown, the file name is that of a C header, or the samples do not fit.
+        span is unknown, or the samples do not fit.
     GncOptError
         Samples are given and the C compiler is missing or fails.
 
@@ -158,11 +152,6 @@ def _read_prefix(name: str) -> str:
     if not prefix.isascii():
         raise ArgumentError(
             f"'{prefix}' cannot be the name of flight code: use letters of C, A to Z and a to z."
-        )
-    if prefix.lower() in _C_HEADERS:  # file systems may not tell capitals apart
-        raise ArgumentError(
-            f"'{prefix}' cannot be the name of flight code: its files would hide the header '{prefix.lower()}.h' of C; "
-            f"give export_c(..., name='{prefix}_law')."
         )
     return prefix
 

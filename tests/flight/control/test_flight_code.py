@@ -127,17 +127,6 @@ def test_open_loop_knows_its_span(tmp_path):
     assert code.source.read_text() == given.source.read_text()
 
 
-@pytest.mark.parametrize("name", ["math", "stdio", "Time_", "limits", "Float"])
-def test_files_are_not_called_like_headers_of_c(tmp_path, name):
-    """<math.h> of the law and <stdio.h> of the driver are not to be found beside them."""
-    if name == "Time_":
-        assert export_c(follower(), tmp_path, dt=0.1, name=name).header.name == "Time_.h"
-        return
-    with pytest.raises(ArgumentError, match=rf"'{name}' .* header '{name.lower()}\.h' .* name='{name}_law'"):
-        export_c(follower(), tmp_path, dt=0.1, name=name)
-    assert not list(tmp_path.iterdir())
-
-
 def test_refusals(tmp_path):
     model, _ = pendulum()
     t, x, a = ca.MX.sym("t"), ca.MX.sym("x", 2), ca.MX.sym("a")
@@ -251,8 +240,6 @@ def test_constants_and_texts_of_c():
     ]
     for act in (
         lambda: DOUBLE.entry(INF),
-        lambda: _read_prefix("math"),
-        lambda: _read_prefix("Math"),
         lambda: _read_prefix("a b"),
     ):
         with pytest.raises(ArgumentError):

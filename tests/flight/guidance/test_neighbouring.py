@@ -157,13 +157,6 @@ def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     assert steps[0] < steps[1] < steps[2]
 
 
-@pytest.mark.parametrize(("size", "told"), [(3.0, True), (1e-3, False)])
-def test_an_end_before_the_least_time_is_told_to_be_the_prediction_s(swinging, size, told):
-    end = next(f for f in guidance(swinging, Q=np.ones(2) / size**2).explain().facts if f.name == "end")
-    assert (end.value < swinging.objective - 1e-5) == told == ("may miss the end" in end.remark)
-    assert "without a reserve" in end.remark
-
-
 # --- in the loop ------------------------------------------------------------------------------------------
 
 

@@ -103,7 +103,7 @@ def test_a_damaged_file_is_named_and_can_be_deleted(tmp_path, content):
     whole = fly(3, checkpoint=tmp_path)
     path = max(tmp_path.iterdir())
     bits = bytearray(path.read_bytes())
-    bits[len(bits) // 2] ^= 1
+    bits[len(bits) // 3] ^= 1
     path.write_bytes(bytes(bits) if content is None else content)
     with pytest.raises(GncOptError, match=r"Delete this file") as refusal:
         fly(3, checkpoint=tmp_path)

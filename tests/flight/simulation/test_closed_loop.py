@@ -238,7 +238,7 @@ def test_a_measurement_that_is_no_number_is_named_with_its_time():
 @pytest.mark.parametrize(
     ("where", "words"),
     [
-        (lambda t, x: x["rate"], r"cannot be evaluated: KeyError\('rate'\).*plant's states by name, q, v"),
+        (lambda t, x: x["rate"], r"cannot be evaluated: KeyError.*rate.*plant's states by name, q, v"),
         (lambda t, x: x["v"], r"returns the shape \(2, 1\)"),
     ],
 )
@@ -276,7 +276,7 @@ def test_a_state_beyond_its_plausible_size_has_diverged():
     loop = ClosedLoop(plant, idle, dt=1.0, accuracy=1e-7)
     assert loop.simulate(x0, tf=34.0).outcome.ok
     run = loop.simulate(x0, tf=40.0)
-    assert run.outcome.status is RunStatus.DIVERGED and run.outcome.diverged and not run.outcome.not_finite
+    assert run.outcome.status is RunStatus.DIVERGED
     assert str(run.outcome) == "diverged: state 'x[1]' beyond 1e+15 at 34 s"
     assert run.states[1, -1] == pytest.approx(-np.exp(40.0), rel=1e-7)
 

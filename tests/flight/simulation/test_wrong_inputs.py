@@ -89,31 +89,6 @@ def test_several_numbers_are_a_seed() -> None:
     )
 
 
-def test_a_start_behind_the_end_of_a_run_is_told() -> None:
-    """Below the ground nothing falls through it: the run goes on, and says beforehand that it will."""
-    ground = Event("touchdown", H, "falling")
-    with pytest.warns(
-        go.ProblemWarning, match="'touchdown' ends a run when .* falling; this one begins .* at -1"
-    ):
-        run = loop(ground).simulate({"h": -1.0, "w": -1.0}, tf=0.2)
-    assert run.events == ()
-
-
-@pytest.mark.parametrize(
-    ("event", "start"),
-    [
-        (Event("touchdown", H, "falling"), START),
-        (Event("touchdown", H, "falling"), {"h": 0.0, "w": 1.0}),  # a launch
-        (Event("touchdown", H, "falling", where=W > 0), {"h": -1.0, "w": -1.0}),
-        (Event("either", H), {"h": -1.0, "w": -1.0}),
-        (Event("apex", W, "falling", reset={}), {"h": 1.0, "w": -1.0}),
-    ],
-)
-def test_others_are_not(event: Event, start: Any, recwarn: pytest.WarningsRecorder) -> None:
-    loop(event).simulate(start, tf=0.2)
-    assert not [w for w in recwarn if issubclass(w.category, go.ProblemWarning)]
-
-
 @functools.lru_cache
 def response() -> LoopResponse:
     regulator = go.design_lqr(BALL, [0.0, 0.0], Q=1, R=1, dt=0.1)
