@@ -38,7 +38,7 @@ def flown(states):
 def test_errors_are_measured_by_the_covariance_of_what_plant_and_estimator_share():
     estimate = np.array([[1.0, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12], [0, 0, 0, 0]])
     plant = np.array([[9.5, 9, np.nan, 14], [7, 7, 7, 7], [2, 2, 2, 2.5], [5, 4, 8, 8]])
-    found, components = c._nees(flown(plant), estimator(), estimate)
+    found, components = c._compute_nees(flown(plant), estimator(), estimate)
     errors = np.array([plant[2] - estimate[0], plant[3] - estimate[1], plant[0] - estimate[2]])
     P = COVARIANCE[:3, :3]
     expected = [e @ np.linalg.solve(P, e) for e in errors.T]
@@ -50,13 +50,13 @@ def test_states_that_are_known_exactly_or_not_there_are_refused():
     singular = COVARIANCE.copy()
     singular[1] = singular[:, 1] = 0.0
     with pytest.raises(ArgumentError, match=r"holds 'q\[1\]' for exactly known"):
-        c._nees(flown(np.ones((4, 2))), estimator(singular), np.zeros((4, 2)))
+        c._compute_nees(flown(np.ones((4, 2))), estimator(singular), np.zeros((4, 2)))
     tiny = np.diag([1.0, 1e-15, 1.0, 1.0])  # of a state of 0.03 that is less than rounding leaves
     with pytest.raises(ArgumentError, match=r"holds 'q\[1\]' for exactly known, to rounding"):
-        c._nees(flown(np.full((4, 2), 0.03)), estimator(tiny @ COVARIANCE @ tiny), np.zeros((4, 2)))
+        c._compute_nees(flown(np.full((4, 2), 0.03)), estimator(tiny @ COVARIANCE @ tiny), np.zeros((4, 2)))
     other = Layout("state", (Variable("a", 2), Variable("b"), Variable("c")))
     with pytest.raises(ArgumentError, match="no state that 'filter' estimates"):
-        c._nees(flown(np.ones((4, 2))), estimator(states=other), np.zeros((4, 2)))
+        c._compute_nees(flown(np.ones((4, 2))), estimator(states=other), np.zeros((4, 2)))
 
 
 def below(mean, components, values):
@@ -66,10 +66,13 @@ def below(mean, components, values):
 
 def test_a_mean_of_chi_squares_is_within_its_band_as_often_as_promised():
     for components, values, confidence in ((3, 1, 0.95), (2, 50, 0.9), (1, 7, 0.5)):
-        low, high = c._band(components, values, confidence)
+        low, high = c._mean_chi_square_interval(components, values, confidence)
         assert below(low, components, values) == pytest.approx(0.5 - confidence / 2, abs=1e-9)
         assert below(high, components, values) == pytest.approx(0.5 + confidence / 2, abs=1e-9)
-    assert np.isnan(c._band(3, 0, 0.95)).all() and np.isfinite(c._band(3, 1, 0.95)).all()
+    assert (
+        np.isnan(c._mean_chi_square_interval(3, 0, 0.95)).all()
+        and np.isfinite(c._mean_chi_square_interval(3, 1, 0.95)).all()
+    )
 
 
 @pytest.mark.parametrize(("components", "gate"), [(1, 0.99), (1, 0.8), (3, 0.95)])
@@ -78,17 +81,17 @@ def test_a_mean_behind_a_gate_is_within_its_band_as_often_as_promised(components
     draws = rng.chisquare(components, 260_000)
     passed = draws[draws <= 2 * gammaincinv(components / 2, gate)]
     means = passed[: passed.size // values * values].reshape(-1, values).mean(axis=1)
-    low, high = c._band(components, values, confidence, gate)
+    low, high = c._mean_chi_square_interval(components, values, confidence, gate)
     assert np.mean(means < low) == pytest.approx(0.05, abs=0.012)
     assert np.mean(means > high) == pytest.approx(0.05, abs=0.012)
 
 
 def test_innovations_are_averaged_over_all_samples_taken():
     ends = np.array([[30.0, 6.0, np.nan], [10.0, 2.0, np.nan], [1.0, 2.0, np.nan]])
-    found = c._innovations(estimator(), "gps", ends, 0.9)
+    found = c._test_innovations(estimator(), "gps", ends, 0.9)
     assert (found.average, found.taken, found.refused) == (3.0, 12, 3)
-    assert found.band == c._band(3, 12, 0.9) and found.ok
-    none = c._innovations(estimator(), "gps", 0 * ends[:, :1], 0.9)
+    assert found.band == c._mean_chi_square_interval(3, 12, 0.9) and found.ok
+    none = c._test_innovations(estimator(), "gps", 0 * ends[:, :1], 0.9)
     assert np.isnan(none.average) and not none.ok and none.taken == 0
 
 
