@@ -1,1 +1,1 @@
-"""Mathematics of the optimality conditions, shared by verification, refinement and sensitivity."""
+"""Mathematics of the optimality conditions, shared by the optimality check, refinement and sensitivity."""

@@ -231,7 +231,7 @@ def _message(status: RefinementStatus, best: Candidate, verdict: Verdict | None,
     error = best.error
     text = f"{status.value}: error {error:.1e} (tolerance {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
-        return f"{text}, verdict ok"
+        return f"{text}, optimality check passed"
     if error > tol:
         text += f" at {best.history.final.where}"
     if best.solved:

@@ -60,7 +60,8 @@ def refine(
     -------
     Solution
         With ``history`` and, where switch times were optimised, ``structure``. The history ends as CONVERGED only
-        if the tolerance was reached and no condition of the verdict fails; otherwise its message says what is open.
+        if the tolerance was reached and no condition of the optimality check fails; otherwise its message
+        names the open conditions.
         The solution keeps that verdict: ``verify(solution)`` returns it without another check.
 
     Raises

@@ -90,11 +90,12 @@ class RefinementStatus(StatusWord):
 
 _REMEDIES = {
     RefinementStatus.CONVERGED: (
-        "The estimated error is below the tolerance, and no condition of the verdict fails. Nothing needs to be done."
+        "The estimated error is below the tolerance, and no condition of the optimality check fails. Nothing needs to "
+        "be done."
     ),
     RefinementStatus.CONDITIONS_FAIL: (
-        "The estimated error is below the tolerance, but a condition of the verdict fails. See the meaning of the "
-        "condition; a smaller `tol`, another first mesh or another guess may help."
+        "The estimated error is below the tolerance, but a condition of the optimality check fails. See the meaning "
+        "of the condition; a smaller `tol`, another first mesh or another guess may help."
     ),
     RefinementStatus.UNCHECKED: (
         "The estimated error of the objective is within the tolerance; the optimality check was switched off. "
@@ -249,7 +250,7 @@ class History(Printed):
 
     @property
     def converged(self) -> bool:
-        """Whether the returned solution is within the tolerance and, after `refine`, passes the verdict."""
+        """Whether the returned solution is within the tolerance and, after `refine`, passes the optimality check."""
         return self.status is RefinementStatus.CONVERGED
 
     @property

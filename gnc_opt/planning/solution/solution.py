@@ -497,7 +497,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     path : str or Path
     problem : Problem, optional
         The problem that was solved, built again. Without it states, controls, costates, multipliers and the
-        quality figures of saving time are there; Hamiltonian, expressions and verification need it.
+        quality figures of saving time are there; Hamiltonian, expressions and the optimality check need it.
 
     Returns
     -------

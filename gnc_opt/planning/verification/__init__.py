@@ -1,4 +1,4 @@
-"""Verification: dense defects, independent propagation and Pontryagin's minimum principle."""
+"""Optimality check: dense defects, independent propagation and Pontryagin's minimum principle."""
 
 from gnc_opt.planning.solution.quality import Quality
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult, Verdict
