@@ -364,7 +364,7 @@ def _gain() -> Iterator[Value]:
     runs = [measure(standard(name)) for name in ("J", "J k=0.01", "J k=0.02", "J robust")]
     title = "J, k = 0, .01, .02, .05:"
     yield Value(f"{title} peak torque (N m)", [m.torque for m in runs])
-    yield Value(f"{title} modal maximum (kg^.5 m)", [m.initial_modes[1] for m in runs])
+    yield Value(f"{title} modal maximum (kg^.5 m)", [m.modes[1] for m in runs])
     for attribute, name, sign in (
         ("rate_norm", "peak |omega| (rad/s)", 1),
         ("effort", "effort (N m s)", 1),
@@ -381,7 +381,7 @@ def _chattering() -> Iterator[Value]:
     yield Value("tanh, held 0.1 s: total variation of the torque (N m)", variation(smooth))
     yield Value("sign, held 0.1 s: total variation (N m)", variation(switching))
     yield Value("sign, held 0.1 s: effort (N m s)", np.sum(switching.effort))
-    yield Value("sign, held 0.1 s: modal range (kg^.5 m)", measure(switching).initial_modes)
+    yield Value("sign, held 0.1 s: modal range (kg^.5 m)", measure(switching).modes)
     yield Value("chattering, sign to tanh", variation(switching) / variation(smooth))
 
 
@@ -440,8 +440,8 @@ def _sensitivity() -> Iterator[Value]:
         for gains, body in ((INERTIAL, still), (UNIT, FULL), (INERTIAL, FULL))
     )
     yield Value("J, rigid (C = 0): braking torque (N m)", rigid.braking)
-    yield Value("U, full frequencies: modal range (kg^.5 m)", unit.initial_modes)
-    yield Value("J, full frequencies: modal range (kg^.5 m)", inertial.initial_modes)
+    yield Value("U, full frequencies: modal range (kg^.5 m)", unit.modes)
+    yield Value("J, full frequencies: modal range (kg^.5 m)", inertial.modes)
     yield Value("J, full frequencies: braking torque about z (N m)", inertial.braking[2])
 
 
