@@ -1,4 +1,4 @@
-"""Former public names and their present ones: for the message of an old name and the page "Renamed"."""
+"""Former public names and what takes their place: for the message of an old name and the page "Renamed"."""
 
 from __future__ import annotations
 
@@ -53,6 +53,23 @@ RENAMED = {
 }
 """From the full former name to the full present one."""
 
+REMOVED = {
+    "gnc_opt.analysis.correlations": "scipy.stats.spearmanr on `campaign.parameters` and `campaign.measure(name)`",
+    "gnc_opt.control.CodeOptions": "the keywords of `export_c`",
+    "gnc_opt.control.GuidanceOptions": "the keywords of `gnc_opt.guidance.design_neighbouring_optimal`",
+    "gnc_opt.control.PowerRate": "`ExponentialRate` or `SuperTwisting`",
+    "gnc_opt.control.decoupling_matrix": "`output_errors(model, reference, outputs)`, which has it as an attribute",
+    "gnc_opt.control.design_hierarchical_sliding_mode": "`design_sliding_mode` with a weighted sum of surfaces",
+    "gnc_opt.control.design_neighbouring_extremal": "`design_tvlqr` along the plan, or a `Replanner`",
+    "gnc_opt.control.design_scheduled_ekf": "`gnc_opt.estimation.design_ekf`",
+    "gnc_opt.control.relative_degrees": "`output_errors(model, reference, outputs)`, which has them as an attribute",
+    "gnc_opt.design_hierarchical_sliding_mode": "`design_sliding_mode` with a weighted sum of surfaces",
+    "gnc_opt.design_neighbouring_extremal": "`design_tvlqr` along the plan, or a `Replanner`",
+    "gnc_opt.design_scheduled_ekf": "`design_ekf`",
+    "gnc_opt.polish": "`refine`, which gives exact switching times",
+}
+"""From the full name of what is gone to what to use instead."""
+
 RENAMED_STATUS_WORDS = {
     "alarm": "controller_alarm",
     "inaccurate": "integration_error",
@@ -83,7 +100,9 @@ class RenamedError(GncOptError, ImportError):
 
 
 def check_renamed(module: str, name: str) -> None:
-    """Raise `RenamedError` if a module had a public name that is another one now."""
-    now = RENAMED.get(f"{module}.{name}")
-    if now is not None:
-        raise RenamedError(f"{module}.{name} is now {now}: see the page 'Renamed' of the documentation.")
+    """Raise `RenamedError` if a module had a public name that is another one now, or is gone."""
+    former = f"{module}.{name}"
+    if former in RENAMED:
+        raise RenamedError(f"{former} is now {RENAMED[former]}: see the page 'Renamed' of the documentation.")
+    if former in REMOVED:
+        raise RenamedError(f"{former} is removed: use {REMOVED[former]}.")

@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 import gnc_opt
-from gnc_opt.renamed import RENAMED, RENAMED_PARAMETERS, RENAMED_STATUS_WORDS, RenamedError, StatusWord
+from gnc_opt.renamed import (
+    REMOVED,
+    RENAMED,
+    RENAMED_PARAMETERS,
+    RENAMED_STATUS_WORDS,
+    RenamedError,
+    StatusWord,
+)
 
 
 @pytest.mark.parametrize("former", RENAMED)
@@ -19,6 +26,13 @@ def test_a_former_name_reports_the_present_one(former: str) -> None:
         getattr(import_module(module), name)
     home, _, last = present.rpartition(".")
     assert getattr(import_module(home), last) is not None
+
+
+@pytest.mark.parametrize("former", REMOVED)
+def test_a_removed_name_reports_what_to_use(former: str) -> None:
+    module, _, name = former.rpartition(".")
+    with pytest.raises(RenamedError, match=re.escape(f"{former} is removed: use {REMOVED[former]}.")):
+        getattr(import_module(module), name)
 
 
 def test_an_import_of_a_former_name_reports_the_present_one() -> None:
