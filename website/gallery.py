@@ -41,21 +41,22 @@ def by_trade() -> dict[str, list[Example]]:
 
 
 def pages(pictures: bool) -> dict[str, str]:
-    """Return the Markdown of every example and of their overview by its place in the site."""
-    each = {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
-    return {"gallery/index.md": "\n".join(_overview(pictures))} | each
+    """Return the Markdown of every example by its place in the site."""
+    return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
+
+
+def overview(pictures: bool) -> str:
+    """Return the section of pictures of the page of examples: the controls, or the states of what has none."""
+    return "\n".join(_overview(pictures))
 
 
 def _overview(pictures: bool) -> Iterator[str]:
-    """All exhibits at a glance: the controls, or the states of what has none."""
-    yield "# Gallery\n"
-    yield "All examples, solved and plotted. [The list](../problems.md) gives their subjects and known answers.\n"
     for trade, members in by_trade().items():
-        yield f'## {trade}\n\n<div class="exhibits" markdown>\n'
+        yield f'### {trade}\n\n<div class="exhibits" markdown>\n'
         for example in members:
             title, kind = heading(example), shown(example)[-1]
-            picture = f"![{title}: {kind}]({example.name}_{kind}.svg)<br>" if pictures else ""
-            yield f"[{picture}{title}]({example.name}.md)\n"
+            picture = f"![{title}: {kind}](gallery/{example.name}_{kind}.svg)<br>" if pictures else ""
+            yield f"[{picture}{title}](gallery/{example.name}.md)\n"
         yield "</div>\n"
 
 

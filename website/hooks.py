@@ -57,9 +57,11 @@ SEARCH_WEIGHTS = {
 
 _ON_THE_SITE = {
     "**API reference** in the site that `mkdocs build` writes": "**[API reference](api/index.md)**",
-    "**[Gallery](problems.md)**": "**[Gallery](gallery/index.md)**",
 }
 """What the first page says in the repository, where nothing is generated, and on the site."""
+
+_PICTURES = "The site that `mkdocs build` writes shows a picture and the code of every example here.\n"
+"""Of the page of examples in the repository; the site has the pictures in its place."""
 
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
@@ -69,7 +71,6 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """List what is generated in the navigation."""
     sections = dict(_sections(config.nav))
-    sections["Examples"].insert(0, "gallery/index.md")
     sections["Examples"].extend(
         {trade: [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]}
         for trade, members in gallery.by_trade().items()
@@ -115,6 +116,8 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     text = "".join(shown)
     for here, there in _ON_THE_SITE.items() if place == "index.md" else ():
         text = text.replace(here, there)
+    if place == "problems.md" and "config" in more:
+        text = text.replace(_PICTURES, gallery.overview(bool(more["config"].extra["figures"])))
     return text
 
 

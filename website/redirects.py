@@ -50,6 +50,7 @@ _PAGES = {
     "sliding_mode": "control/sliding_mode",
     "estimation": "control/estimation",
     "analysis": "analysis/covariance",
+    "gallery/index": "problems",
 }
 """Old page: new page."""
 

@@ -2,14 +2,16 @@
 
     python -m benchmarks.validation.engine_page RESULTS.json
 
-writes the table between its markers in ``docs/problems.md``: question, reference, relative error of the answer,
-CPU time, and result of the optimality check. Problems without a result have empty cells.
+writes the table between its markers in ``docs/problems.md``: question, reference, whether the objective agrees or its
+relative difference, CPU time, and result of the optimality check; above it, how many agree and pass. Problems without
+a result have empty cells.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -18,7 +20,10 @@ from gnc_opt.problem_file import Example, examples
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 BEGIN, END = "<!-- table of benchmarks.validation.engine -->", "<!-- end of the table -->"
-_HEADING = "| file | question | reference | error | CPU s | check | source |"
+_HEADING = "| file | question | reference | agrees | CPU s | check | source of the reference |"
+_AGREES = 3
+_CHECK = 5
+"""Columns."""
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -26,9 +31,21 @@ def table(rows: Sequence[Row]) -> str:
     known = {row.problem: row for row in rows}
     chosen = [e for e in examples() if group_of(e) in ("flagship", "further")]
     chosen.sort(key=lambda e: (e.path.parent.name, e.name))
-    lines = [_HEADING, "|---" * (_HEADING.count("|") - 1) + "|"]
-    lines += ["| " + " | ".join(_cells(each, known.get(each.name))) + " |" for each in chosen]
+    cells = [tuple(_cells(each, known.get(each.name))) for each in chosen]
+    lines = [_counts(cells), "", _HEADING, "|---" * (_HEADING.count("|") - 1) + "|"]
+    lines += ["| " + " | ".join(row) + " |" for row in cells]
     return "\n".join(lines)
+
+
+def _counts(cells: Sequence[tuple[str, ...]]) -> str:
+    """Return how many problems agree with the reference, and how many have which result of the check."""
+    agree = sum(row[_AGREES] == "yes" for row in cells)
+    found = Counter(row[_CHECK] for row in cells)
+    best, others = found["minimum"], found["ok"]
+    return (
+        f"Of {len(cells)} problems, {agree} agree with the reference. The check certifies {best} as a strict local "
+        f"minimum; {others} more pass, and {len(cells) - best - others} are not certified."
+    )
 
 
 def _cells(problem: Example, row: Row | None) -> Iterator[str]:
@@ -39,7 +56,7 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
     if row is None or row.relative_error is None:
         yield from ("", "" if row is None else f"{row.cpu_s:.1f}", "" if row is None else "not solved")
     else:
-        yield "right" if row.right else f"{row.relative_error:.0e}"
+        yield "yes" if row.right else f"no: {row.relative_error:.0e}"
         yield f"{row.cpu_s:.1f}"
         yield "minimum" if row.minimum else "ok" if row.ok else "not ok"
     yield reference.source.replace("independent Radau collocation", "Radau")

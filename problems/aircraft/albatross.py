@@ -1,4 +1,4 @@
-r"""Albatross: the weakest wind in which a bird can soar for ever without a flap of its wings.
+r"""Albatross: the weakest wind in which a bird soars indefinitely without flapping.
 
 Teaches a periodic problem with a free parameter: speed, climb, heading and height repeat after each cycle, the place
 does not, and the wind at 10 m is minimised. Energy comes from the shear of the wind over the sea.

@@ -1,4 +1,4 @@
-r"""Dubins path: the shortest path of an aircraft with a limited turn rate to a place and a heading.
+r"""Dubins path: the shortest path of an aircraft with a limited turn rate to a given position and heading.
 
 Teaches that a turn rate is bang-singular: circles of the least radius joined by a straight line, on which the switching
 function vanishes. The length is a closed form; a path that turns the other way round is another minimum.

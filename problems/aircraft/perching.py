@@ -1,4 +1,4 @@
-r"""Perching: a glider pitches up beyond the stall and comes to a place with little speed, as a bird lands on a wire.
+r"""Perching: a glider pitches up beyond the stall and reaches a point at low speed, as a bird lands on a wire.
 
 Teaches aerodynamics at any angle of attack: lift and drag of flat plates, wing and elevator, are smooth functions of
 the whole range. The elevator's rate is the control.

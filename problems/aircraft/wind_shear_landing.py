@@ -1,4 +1,4 @@
-r"""Abort landing in a wind shear: how high above ground can an airliner stay that flies through a downburst?
+r"""Abort landing in a wind shear: the largest minimum altitude of an airliner that flies through a downburst.
 
 Teaches a minimax objective: a parameter ``lowest`` is maximised below which the altitude may not fall, so that the
 answer touches it several times. The limit is of third order (altitude, climb rate, flight path, rate of the angle of

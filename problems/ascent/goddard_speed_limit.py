@@ -1,4 +1,4 @@
-r"""Goddard rocket with a speed limit: the highest ascent of a rocket that must not fly faster than a tenth.
+r"""Goddard rocket with a speed limit: the highest ascent with at most a tenth of the circular orbital speed.
 
 Teaches a sequence of four different arcs: full thrust, singular, on the state limit, and off. On the limit the thrust
 balances drag and weight.

@@ -1,4 +1,4 @@
-r"""Lunar ascent: the fastest way of a lander's upper stage from the Moon's surface into an orbit of 15 km.
+r"""Lunar ascent: the fastest ascent of a lander's upper stage from the Moon's surface into an orbit of 15 km.
 
 Teaches the law of steering without an atmosphere: over a flat Moon the tangent of the thrust angle is a ratio of two
 linear functions of time. Here the Moon is round; the law nearly holds.

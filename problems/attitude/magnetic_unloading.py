@@ -1,4 +1,4 @@
-r"""Magnetic unloading: coils empty the momentum of the wheels over one orbit with the least energy.
+r"""Magnetic unloading: magnetic coils unload the momentum of the wheels over one orbit with minimum energy.
 
 Teaches controls whose effect turns with the orbit: a magnetic moment makes no torque along the field, so that all three
 components of the momentum can be removed only because the field changes direction. The problem is linear and quadratic.

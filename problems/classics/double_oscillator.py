@@ -1,4 +1,4 @@
-r"""Double oscillator: two coupled masses, one of them shaken, are calmed by a controlled damper.
+r"""Double oscillator: a controlled damper reduces the motion of two coupled masses, one of them shaken.
 
 Teaches dynamics that depend on time, and initial velocities that are free.
 

@@ -1,4 +1,4 @@
-r"""Aeroassisted plane change: the fastest exit from one pass through the atmosphere that turns the orbit by 15 degrees.
+r"""Aeroassisted plane change: the largest speed after one pass through the atmosphere that turns the orbit by 15 deg.
 
 Teaches an end condition on an angle between planes instead of on states, and a guess of three points that goes down
 into the atmosphere and out again. The heat flux is limited.

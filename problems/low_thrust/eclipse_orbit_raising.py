@@ -1,4 +1,4 @@
-r"""Orbit raising with eclipses: the fastest planar spiral with solar-electric thrust, none in the Earth's shadow.
+r"""Orbit raising with eclipses: the fastest planar spiral with solar-electric thrust outside the Earth's shadow.
 
 Teaches a control that has no effect over part of the flight: in the shadow any direction of thrust is optimal. The
 shadow is a cylinder whose edge is smoothed over a twentieth of a radius.

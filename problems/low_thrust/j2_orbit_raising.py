@@ -1,5 +1,4 @@
-r"""Low-thrust raising with oblateness: a satellite climbs from 500 km and turns its plane under J2, over many
-revolutions.
+r"""Low-thrust raising with oblateness: a satellite climbs from 500 km and turns its plane under J2 in many orbits.
 
 Teaches the true anomaly's place taken by the longitude: with it as independent variable the dynamics are smooth over
 sixteen revolutions, and time is a state that is minimised.

@@ -1,4 +1,4 @@
-r"""Quadrotor flip: a planar quadrotor turns once about itself in the least time and hovers again where it began.
+r"""Quadrotor flip: a planar quadrotor makes one full turn in the least time and ends in hover where it began.
 
 Teaches a manoeuvre whose guess must contain the turn: without it nothing moves. Thrust is bang-bang, the turn rate
 bang-singular.
