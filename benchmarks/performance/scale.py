@@ -158,12 +158,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the rows to this file")
     options = parser.parse_args(argv)
     rows = []
-    for segments in () if options.spiral else SEGMENTS[: 3 if options.machine_code_step else None]:
+    for segments in () if options.spiral else SEGMENTS[: 3 if options.quick else None]:
         rows.append(_apart(rendezvous_of, segments))
         print(rows[-1], flush=True)
     times = [row["per_segment_ms"] for row in rows] or [1.0]
     met = max(times) <= GROWTH * min(times)
-    if not options.machine_code_step:
+    if not options.quick:
         rows.append(_apart(spiral_of_a_hundred))
         print(rows[-1], flush=True)
         met = met and rows[-1]["solved"] and abs(rows[-1]["off"]) < NEAR

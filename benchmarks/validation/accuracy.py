@@ -247,7 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = [c for c in known_cases(given.set) if not given.only or c[0].name in given.only]
     rows: list[Row] = []
     print(HEADING)
-    for case, value, error in chosen[:: QUICK if given.machine_code_step else 1]:
+    for case, value, error in chosen[:: QUICK if given.quick else 1]:
         with ProcessPoolExecutor(1) as pool:  # ends with the problem: a limit on CPU time kills it
             try:
                 found = pool.submit(measure, case, value, error, given.set, given.limit).result()
