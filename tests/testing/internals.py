@@ -106,7 +106,7 @@ from gnc_opt.planning.transcription.transcription import Transcription, transcri
 from gnc_opt.planning.verification.bang_bang_second_order import obstacle, strict_switches
 from gnc_opt.planning.verification.engine import CONDITION_TOLERANCE, second_order_parts
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem
-from gnc_opt.planning.verification.verify_trajectory import _solution
+from gnc_opt.planning.verification.verify_trajectory import _build_solution
 from gnc_opt.plot.scene import scene_html
 from gnc_opt.plot.style import derivative_unit, number_text, unit_text, variable_name_text
 from gnc_opt.plot.view import motion_time_span, sample_motion

@@ -10,7 +10,7 @@ from testing.internals import (
     CONDITION_TOLERANCE,
     Magnitudes,
     Samples,
-    _solution,
+    _build_solution,
     ends_of,
     from_problem,
     second_order_parts,
@@ -30,4 +30,4 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:
     """The solution of a problem with one phase whose costates explain samples (n_times,), (n, n_times) best."""
-    return _solution(problem, {next(iter(problem.phases)): Samples(t, x, u)}, np.zeros(0))
+    return _build_solution(problem, {next(iter(problem.phases)): Samples(t, x, u)}, np.zeros(0))

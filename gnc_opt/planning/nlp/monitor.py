@@ -121,9 +121,9 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def eval_buffer(self, arg: Any, res: Any) -> int:
         run = self.run
         if run is not None:
-            x, f, g = (_view(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
+            x, f, g = (_buffer_view(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
             run.see(x, float(f[0]), g)
-            _view(res[0], 1)[0] = float(run.stop)
+            _buffer_view(res[0], 1)[0] = float(run.stop)
         return 0
 
 
@@ -147,7 +147,7 @@ def sigint_stops(run: SolveWatch) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _view(buffer: Any, size: int) -> Array:
+def _buffer_view(buffer: Any, size: int) -> Array:
     """View of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)

@@ -136,7 +136,7 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
         "sb": "yes",
         "linear_solver": options.linear_solver,
         "tol": float(options.tolerance),
-        "compl_inf_tol": _complementarity(options.tolerance),
+        "compl_inf_tol": _complementarity_options(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
         "diverging_iterates_tol": DIVERGING_MAGNITUDE,
@@ -157,14 +157,14 @@ def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str,
     return {f"ipopt.{name}": value for name, value in chosen.items()}
 
 
-def _complementarity(tolerance: float) -> float:
+def _complementarity_options(tolerance: float) -> float:
     """Return IPOPT's `compl_inf_tol`, which also ends the barrier's descent: smaller, for accurate multipliers."""
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
 def last_barrier(tolerance: float) -> float:
     """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10."""
-    return _complementarity(tolerance) / (10.0 + 1.0)
+    return _complementarity_options(tolerance) / (10.0 + 1.0)
 
 
 def _other_options(options: SolverOptions) -> dict[str, Any]:

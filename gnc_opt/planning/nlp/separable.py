@@ -52,10 +52,10 @@ class PointFunction:
         value = ca.densify(expression)
         return cls(
             ca.Function(name, [z, d], [value]),
-            ca.Function(f"{name}_jacobian", [z, d], [value, _nonzeros(jacobian)]),
-            ca.Function(f"{name}_hessian", [z, d, multiplier], [_nonzeros(hessian)]),
-            _pattern(jacobian),
-            _pattern(hessian),
+            ca.Function(f"{name}_jacobian", [z, d], [value, _count_nonzeros(jacobian)]),
+            ca.Function(f"{name}_hessian", [z, d, multiplier], [_count_nonzeros(hessian)]),
+            _sparsity_pattern(jacobian),
+            _sparsity_pattern(hessian),
         )
 
     @property
@@ -120,7 +120,7 @@ class SeparableProgram:
         linear, weights = self._matrices
         total = linear @ x
         for block, weight in zip(self.blocks, weights, strict=True):
-            outputs = block.function.value.map(block.points)(_gather(extended, block), block.data)
+            outputs = block.function.value.map(block.points)(_gather_entries(extended, block), block.data)
             total += weight @ ca.vec(outputs)
         return ca.densify(total)
 
@@ -132,10 +132,10 @@ class SeparableProgram:
         values, entries = linear @ x, ca.MX(ca.DM(constant))
         for block, weight, scatter in zip(self.blocks, weights, scatters, strict=True):
             outputs, nonzeros = block.function.jacobian.map(block.points)(
-                _gather(extended, block), block.data
+                _gather_entries(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
-            entries += _matrix(scatter) @ ca.vec(nonzeros)
+            entries += _sparse_matrix(scatter) @ ca.vec(nonzeros)
         return ca.densify(values), entries
 
     def hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
@@ -144,9 +144,13 @@ class SeparableProgram:
         pattern, scatters = self._hessian_structure
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
-            local = ca.reshape(_matrix(block.weights.T) @ multipliers, block.function.rows, block.points)
-            nonzeros = block.function.hessian.map(block.points)(_gather(extended, block), block.data, local)
-            total += _matrix(scatter) @ ca.vec(nonzeros)
+            local = ca.reshape(
+                _sparse_matrix(block.weights.T) @ multipliers, block.function.rows, block.points
+            )
+            nonzeros = block.function.hessian.map(block.points)(
+                _gather_entries(extended, block), block.data, local
+            )
+            total += _sparse_matrix(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
 
     @property
@@ -162,7 +166,7 @@ class SeparableProgram:
     @cached_property
     def _matrices(self) -> tuple[Any, list[Any]]:
         """C and W of each block as CasADi matrices."""
-        return _matrix(self.linear), [_matrix(block.weights) for block in self.blocks]
+        return _sparse_matrix(self.linear), [_sparse_matrix(block.weights) for block in self.blocks]
 
     @cached_property
     def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
@@ -170,7 +174,7 @@ class SeparableProgram:
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
-        unique = _union([linear_keys, *keys])
+        unique = _merge_patterns([linear_keys, *keys])
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [
@@ -183,7 +187,7 @@ class SeparableProgram:
     def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
         entries = [_hessian_entries(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
-        unique = _union(keys)
+        unique = _merge_patterns(keys)
         scatters = [
             e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)
         ]
@@ -238,18 +242,18 @@ def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
     return _Entries(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
-def _union(keys: list[Indices]) -> Indices:
+def _merge_patterns(keys: list[Indices]) -> Indices:
     """Return the distinct keys in order; several times faster than numpy.unique, which hashes integers."""
     ordered = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keys]))
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
-def _gather(extended: Any, block: PointBlock) -> Any:
+def _gather_entries(extended: Any, block: PointBlock) -> Any:
     n_z, n_points = block.variables.shape
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 
 
-def _matrix(matrix: Any) -> Any:
+def _sparse_matrix(matrix: Any) -> Any:
     """Convert a scipy sparse matrix to a CasADi DM of the same sparsity."""
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
@@ -258,11 +262,11 @@ def _matrix(matrix: Any) -> Any:
     return ca.DM(pattern, csc.data.tolist())  # an array is converted entry by entry
 
 
-def _nonzeros(expression: Any) -> Any:
+def _count_nonzeros(expression: Any) -> Any:
     """Return the nonzeros of an SX matrix as a dense column vector."""
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 
-def _pattern(expression: Any) -> tuple[Indices, Indices]:
+def _sparsity_pattern(expression: Any) -> tuple[Indices, Indices]:
     rows, columns = expression.sparsity().get_triplet()
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)

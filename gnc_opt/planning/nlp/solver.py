@@ -249,10 +249,10 @@ class NlpSolver:
             f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flat_vector(g_dm)
             lam_x[fixed] = -_flat_vector(gradient)[fixed]
-        doubtful = status in _MAY_HIDE_UNBOUNDED and _diverged(x, f, RUNAWAY)
-        if started and (doubtful or (status is Status.ACCEPTABLE and _diverged(x, f, SUSPICIOUS))):
+        doubtful = status in _MAY_HIDE_UNBOUNDED and _has_diverged(x, f, RUNAWAY)
+        if started and (doubtful or (status is Status.ACCEPTABLE and _has_diverged(x, f, SUSPICIOUS))):
             status = Status.UNBOUNDED
-        function_time = _time_in(stats, "t_wall_nlp_")
+        function_time = _timed_seconds(stats, "t_wall_nlp_")
         return NlpResult(
             x=x,
             f=f,
@@ -264,7 +264,7 @@ class NlpSolver:
             iterations=int(stats.get("iter_count", 0)) if started else 0,
             wall_time=wall,
             function_time=function_time,
-            linear_solver_time=max(0.0, wall - function_time - _time_in(stats, "t_wall_callback_fun")),
+            linear_solver_time=max(0.0, wall - function_time - _timed_seconds(stats, "t_wall_callback_fun")),
         )
 
 
@@ -283,11 +283,11 @@ def _stopped_status(status: Status, run: SolveWatch) -> Status:
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 
-def _diverged(x: Array, f: float, limit: float) -> bool:
+def _has_diverged(x: Array, f: float, limit: float) -> bool:
     return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 
-def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
+def _timed_seconds(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 

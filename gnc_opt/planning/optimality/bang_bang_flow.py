@@ -94,11 +94,11 @@ class BangBangFlow:
 
     def adjoints(self, adjoint: Array) -> Array:
         """Gradient of ``adjoint @ final`` with respect to the states at all ends of steps (n, n_steps + 1)."""
-        return self._worths(adjoint)[:-1]
+        return self._cost_gradients(adjoint)[:-1]
 
     def gradient(self, adjoint: Array) -> Array:
         """First derivative of ``adjoint @ final``, (n_unknowns,), without any sensitivity."""
-        worths, n_times = self._worths(adjoint), self._widths.shape[1]
+        worths, n_times = self._cost_gradients(adjoint), self._widths.shape[1]
         found = worths[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += worths[-1, :-1] @ self._widths
         return np.asarray(found)
@@ -112,7 +112,7 @@ class BangBangFlow:
         hessians, directions = self._steps.hessians(worths.T), self._sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
-    def _worths(self, adjoint: Array) -> Array:
+    def _cost_gradients(self, adjoint: Array) -> Array:
         """Cost gradients in the states before every step and, last row, the step widths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:
@@ -162,7 +162,7 @@ def bang_bang_flow(
     rates = problem.once(("flow", leg.name), lambda: _Rates.of(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, widths = _inputs(s, pieces, n_times, refinement, steps)
+    inputs, widths = _step_inputs(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -172,7 +172,7 @@ def bang_bang_flow(
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
-def _inputs(
+def _step_inputs(
     s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""

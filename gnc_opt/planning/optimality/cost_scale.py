@@ -112,7 +112,7 @@ class Magnitudes:
         ]
         columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
         for j, (k, i, step) in enumerate(moves, 1):
-            columns[k][i, j] = _within(columns[k][i, j] + step, boxes.get(k), i)
+            columns[k][i, j] = _clip_to_trajectory(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
         found = evaluate_columns(end_values(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
@@ -145,14 +145,14 @@ def integral_spans(s: PhaseSamples) -> Array:
         for i, step in enumerate(steps):
             for moved in (step, -step):
                 other = rows.copy()
-                other[i] = _within(other[i] + moved, box, i)
+                other[i] = _clip_to_trajectory(other[i] + moved, box, i)
                 at = (other, s.u) if rows is s.x else (s.x, other)
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
                 spans = np.fmax(spans, MIN_EFFECT_SHARE * np.where(np.isfinite(change), change, 0.0))
     return np.where(np.isfinite(spans), spans, 0.0)
 
 
-def _within(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
+def _clip_to_trajectory(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
     """Return values clipped to the trajectory's range, outside which the cost may be undefined or excessive."""
     return values if box is None else np.clip(values, box[0][i], box[1][i])
 

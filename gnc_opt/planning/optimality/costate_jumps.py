@@ -111,7 +111,7 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = StateConstraintSides.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
     rest, rises, every = jumps.copy(), np.zeros(breaks.size), np.zeros(pushers.active.shape)
-    scale, spare = s.state_scale, _spare_pushes(s)
+    scale, spare = s.state_scale, _nearby_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
@@ -185,7 +185,7 @@ def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
     return np.asarray(np.where(upper > -lower, upper, lower))
 
 
-def _spare_pushes(s: PhaseSamples) -> Array:
+def _nearby_impulses(s: PhaseSamples) -> Array:
     """The same by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
     return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])

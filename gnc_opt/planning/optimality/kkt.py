@@ -54,13 +54,13 @@ class SaddlePoint:
         if not self.redundant:
             try:
                 self._factors = scipy.sparse.linalg.splu(self._matrix)
-                self.redundant = not self._condition() < SINGULAR
+                self.redundant = not self._condition_number() < SINGULAR
             except RuntimeError:  # a pivot is exactly zero
                 self.redundant = True
         if self.redundant:
-            self._examine()
+            self._examine_singularity()
 
-    def _condition(self) -> float:
+    def _condition_number(self) -> float:
         n = self._matrix.shape[0]
         inverse = scipy.sparse.linalg.LinearOperator(
             (n, n),
@@ -74,7 +74,7 @@ class SaddlePoint:
             else 1.0
         )
 
-    def _examine(self) -> None:
+    def _examine_singularity(self) -> None:
         """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
@@ -140,8 +140,8 @@ def factorised(matrix: Any) -> Callable[[Array], Array]:
     if not dense.size or copies < 2:
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
         return solve
-    stretches = _stretches(matrix[others][:, others], copies)
-    factors = scipy.sparse.linalg.splu(_stretched(matrix, dense, others, stretches))
+    stretches = _assign_row_blocks(matrix[others][:, others], copies)
+    factors = scipy.sparse.linalg.splu(_split_dense_rows(matrix, dense, others, stretches))
     first = others.size + copies * np.arange(dense.size)  # copies
 
     def solve_stretched(right: Array) -> Array:
@@ -155,7 +155,7 @@ def factorised(matrix: Any) -> Callable[[Array], Array]:
     return solve_stretched
 
 
-def _stretches(matrix: Any, copies: int) -> Indices:
+def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
     """The stretch of every row, by its place in an order in which the matrix is banded (Cuthill & McKee's)."""
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_matrix(matrix), symmetric_mode=True)
     stretches = np.empty(order.size, dtype=int)
@@ -163,7 +163,7 @@ def _stretches(matrix: Any, copies: int) -> Indices:
     return stretches
 
 
-def _stretched(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
+def _split_dense_rows(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
     """The matrix of the other rows, the copies of each dense one, and the multipliers of their equality."""
     copies = int(np.max(stretches)) + 1
     entries = scipy.sparse.coo_array(matrix)

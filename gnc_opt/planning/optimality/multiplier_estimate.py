@@ -148,7 +148,7 @@ def _of_phase(
     gradients = gradients[:, pure]
     sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
     at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, trajectory.near * sizes)
-    chosen = _may_push(at_lower | at_upper, touched_only)
+    chosen = _can_constraint_act(at_lower | at_upper, touched_only)
     which, k = np.nonzero(chosen)
     columns = np.tile(np.arange(which.size), places.shape[0])
     return PointMultipliers(
@@ -166,7 +166,7 @@ def _at_limits(leg: Phase, values: Array, pure: Indices, slack: Array) -> tuple[
     return values <= limits.lower[pure, None] + slack, values >= limits.upper[pure, None] - slack
 
 
-def _may_push(active: Mask, touched_only: Mask) -> Mask:
+def _can_constraint_act(active: Mask, touched_only: Mask) -> Mask:
     """Where active constraints (n, K + 1) may have an atom: not within arcs, nor at the ends of some constraints'."""
     before, after = np.zeros_like(active), np.zeros_like(active)
     before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
@@ -210,7 +210,7 @@ def estimate(
         Distance from a limit, in shares of the scale, within which it may push.
     """
     x = _variables(transcription, problem, fitted, q)
-    scales = _ranges(transcription, problem, fitted, x)
+    scales = _variable_spans(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
@@ -218,7 +218,7 @@ def estimate(
     row_scales = 1 / np.where(steepest > 0, steepest, 1.0)
     worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
-    weights = scales / np.sqrt(_quadrature(transcription))
+    weights = scales / np.sqrt(_quadrature_weights(transcription))
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
@@ -228,14 +228,14 @@ def estimate(
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
-        @ scipy.sparse.diags_array(1 / _or_one(atoms.sizes))
+        @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
     pushing = row_limits.with_more(_Limits(atoms.at_lower, atoms.at_upper))
-    restarts = {name: _restarts(problem, name, phase, q) for name, phase in fitted.items()}
+    restarts = {name: _find_restart_boundaries(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = _adjoint_rows(transcription, restarts), _basis_columns(transcription, restarts)
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
-    scaled = _sort_out(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
+    scaled = _select_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
@@ -344,7 +344,7 @@ class _CostateForm:
         return found
 
 
-def _sort_out(
+def _select_multipliers(
     matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _Limits, row_limits: _Limits
 ) -> Array:
     """Scaled multipliers of the rows: least squares, without those that would push the wrong way."""
@@ -447,7 +447,7 @@ def _basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]
     return columns
 
 
-def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+def _find_restart_boundaries(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries at which costates are unknowns, since adjoint errors grow from one to the next."""
     leg, breaks = problem.phases[name], phase.x.breaks
     p = model_parameters(problem, leg, q)
@@ -455,7 +455,7 @@ def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indi
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(np.nan_to_num(functions.state_jacobian(middles, x, phase.u(middles))), 2, 0)
-    size = _or_one(np.ptp(x, axis=1))
+    size = _replace_zeros_by_one(np.ptp(x, axis=1))
     scaled = np.clip(jacobian * size / size[:, None] * widths[:, None, None], -MOST_EXPONENT, MOST_EXPONENT)
     steps, found, transition = scipy.linalg.expm(scaled), [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
@@ -466,11 +466,11 @@ def _restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indi
     return np.array(found[::-1], dtype=int)
 
 
-def _ranges(
+def _variable_spans(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Spans of the variables along the trajectory, which are independent of origin and guess."""
-    scales = _or_one(np.abs(x))
+    scales = _replace_zeros_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
         for places, box in (
@@ -487,11 +487,11 @@ def _ranges(
     return scales
 
 
-def _or_one(values: Array) -> Array:
+def _replace_zeros_by_one(values: Array) -> Array:
     return np.where(values > 0, values, 1.0)
 
 
-def _quadrature(transcription: Transcription) -> Array:
+def _quadrature_weights(transcription: Transcription) -> Array:
     """Weights by which the rows of states and controls at points become densities; 1 elsewhere."""
     weights = np.ones(transcription.n_variables)
     for part in transcription.parts.values():

@@ -116,8 +116,8 @@ class ProgramPoint:
         objective = min(objective, 1 / rounding) if rounding > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
-        box = _scaled(transcription.variable_interval(problem), scales)
-        row_box = _scaled(transcription.row_interval(problem), 1 / row_scales)
+        box = _scale_interval(transcription.variable_interval(problem), scales)
+        row_box = _scale_interval(transcription.row_interval(problem), 1 / row_scales)
         weights, row_weights = quadrature_weights(transcription)
         p = transcription.parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
@@ -238,7 +238,7 @@ def quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
     return variables, rows
 
 
-def _scaled(box: Interval, scales: Array) -> Interval:
+def _scale_interval(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 

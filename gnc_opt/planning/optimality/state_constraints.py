@@ -71,22 +71,24 @@ class StateConstraints:
             return 0
         if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
             return 0
-        order = self._found(row).order or 0
+        order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
     def holders(self, row: int) -> tuple[int, ...]:
         """The controls that can hold a row on its limit, first the one that moves it most where it does least."""
-        controls = self._found(row).controls
+        controls = self._constraint_order(row).controls
         if len(controls) < 2:
             return controls
-        return tuple(sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True))
+        return tuple(
+            sorted(controls, key=lambda c: float(np.min(np.abs(self._control_effect(row, c)))), reverse=True)
+        )
 
     def leans(self, row: int) -> tuple[int, ...]:
         """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
-        moved = [self._moved(row, control) for control in self.holders(row)]
+        moved = [self._control_effect(row, control) for control in self.holders(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
-    def _moved(self, row: int, control: int) -> Array:
+    def _control_effect(self, row: int, control: int) -> Array:
         """How a control moves the derivative of its order of a row, at the samples closest to its limits."""
         s, order = self.samples, self.order(row)
         distance = np.min(
@@ -98,7 +100,7 @@ class StateConstraints:
         moved[control] += PROBE * s.control_scale[control]
         return self.derivative(row, order, times, x, moved) - self.derivative(row, order, times, x, u)
 
-    def _found(self, row: int) -> ConstraintOrder:
+    def _constraint_order(self, row: int) -> ConstraintOrder:
         return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
     def values(self, times: Array, x: Array, u: Array) -> Array:
@@ -124,7 +126,7 @@ class StateConstraints:
     def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.once(("derivative", name, row, k), lambda: self._function(row, k))
+        function = self.problem.once(("derivative", name, row, k), lambda: self._derivative_function(row, k))
         return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
 
     def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
@@ -134,7 +136,7 @@ class StateConstraints:
             return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])
         return np.asarray(np.eye(x.size)[row - n_paths])
 
-    def _function(self, row: int, k: int) -> Any:
+    def _derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]
         t, x, u, p = leg.model.arguments()
         expression = constraint_order(self.problem, leg, row).derivatives[k]

@@ -54,11 +54,14 @@ class Switches:
         leg = s.leg
         times, channels = inner_switches(s)
         ends = leg.breaks[[0, -1]]
-        at_start, at_end = _vanishing(s, 0), _vanishing(s, -1)
+        at_start, at_end = _controls_with_vanishing_switching(s, 0), _controls_with_vanishing_switching(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
-        times, channels = _joined(times[order], TOGETHER * (ends[1] - ends[0]), ends), channels[order]
+        times, channels = (
+            _merge_equal_times(times[order], TOGETHER * (ends[1] - ends[0]), ends),
+            channels[order],
+        )
         bounds, after_start = leg.control_bounds, leg.flown(leg.breaks[0])
         at_upper = after_start - bounds.lower > bounds.upper - after_start
         first = np.where(at_upper, bounds.upper, bounds.lower)
@@ -132,14 +135,14 @@ def inner_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     return breaks[k], i
 
 
-def _vanishing(s: PhaseSamples, sample: int) -> Indices:
+def _controls_with_vanishing_switching(s: PhaseSamples, sample: int) -> Indices:
     """Controls whose switching function vanishes at the first or last sample."""
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((worth < GRAZES) & (bounds.upper > bounds.lower))
 
 
-def _joined(times: Array, near: float, ends: Array) -> Array:
+def _merge_equal_times(times: Array, near: float, ends: Array) -> Array:
     """Sorted times with those that are nearly equal made equal, at the ends too."""
     times = times.copy()
     for k in range(1, times.size):

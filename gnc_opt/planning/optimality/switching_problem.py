@@ -79,7 +79,7 @@ class Unknowns:
             times = ("initial time", *switches[leg.name].labels, "final time")
             labels += [f"phase {leg.name}, {what}" for what in times]
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
-            start_scale, start_worth = _of_starts(s, starts[leg.name])
+            start_scale, start_worth = _start_value_scales(s, starts[leg.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
@@ -103,7 +103,7 @@ class Unknowns:
         )
 
 
-def _of_starts(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+def _start_value_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
     """Scales of free start values, and the changes of the cost for them."""
     scale = state_variations(s)[rows]
     still = scale > s.state_scale[rows]
@@ -166,12 +166,12 @@ class InducedProblem:
         flows = {}
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
-            grid, flow = _grid(*asked)
+            grid, flow = _choose_grid(*asked)
             flows[s.leg.name] = flow if refinement == 1 else bang_bang_flow(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
-            changes = _changes(samples, unknowns, flows)
+            changes = _end_derivatives(samples, unknowns, flows)
         derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
-        both = [flow for s in samples for flow in _ends_of(s, flows)]
+        both = [flow for s in samples for flow in _flow_ends(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
         def at_ends(nu: Array) -> tuple[Array, ...]:
@@ -179,7 +179,7 @@ class InducedProblem:
 
         n_constraints = solution.constraint_multipliers.size
         slope, jacobian, _ = at_ends(np.zeros(n_constraints))
-        conditions = _conditions(solution, samples, ends, unknowns, changes, jacobian @ changes)
+        conditions = _collect_end_conditions(solution, samples, ends, unknowns, changes, jacobian @ changes)
         gradient = slope.ravel() @ changes
         return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
 
@@ -196,7 +196,7 @@ class InducedProblem:
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
         for s in self._samples:
-            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _size(s)
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _flow_size(s)
             adjoint = np.zeros(flow.final.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
@@ -208,7 +208,7 @@ class InducedProblem:
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
 
 
-def _grid(
+def _choose_grid(
     problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
 ) -> tuple[int, BangBangFlow]:
     """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow."""
@@ -222,32 +222,34 @@ def _grid(
     return GRIDS[which], flows[which]
 
 
-def _size(s: PhaseSamples) -> int:
+def _flow_size(s: PhaseSamples) -> int:
     """States, integrals and time."""
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
-def _ends_of(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
+def _flow_ends(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
     """States, integrals and time at the start and at the end of a flow."""
     flow = flows[s.leg.name]
-    return flow.initial[: _size(s)], flow.final[: _size(s)]
+    return flow.initial[: _flow_size(s)], flow.final[: _flow_size(s)]
 
 
-def _changes(samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]) -> Array:
+def _end_derivatives(
+    samples: list[PhaseSamples], unknowns: Unknowns, flows: Mapping[str, BangBangFlow]
+) -> Array:
     """Derivatives of all starts and ends, and of the free parameters, with respect to the unknowns."""
     rows = []
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_sensitivity):
-            block = np.zeros((_size(s), unknowns.scale.size))
-            block[:, places] = sensitivity[: _size(s)] * unknowns.scale[places]
+            block = np.zeros((_flow_size(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _flow_size(s)] * unknowns.scale[places]
             rows.append(block)
     shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
     rows.append(np.diag(unknowns.scale)[shared])
     return np.vstack(rows)
 
 
-def _conditions(
+def _collect_end_conditions(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -261,7 +263,7 @@ def _conditions(
     others: list[_Rows] = []
     row = 0
     for s in samples:
-        leg, name, size, n = s.leg, s.leg.name, _size(s), s.leg.states.size
+        leg, name, size, n = s.leg, s.leg.name, _flow_size(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         labels = [f"phase {name}, final {label}" for label in leg.states.labels]
         limits = intersect(leg.final_bounds, leg.state_bounds)
@@ -277,7 +279,9 @@ def _conditions(
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-        others.append(_Rows(labels, times, _stacked(list(boxes)), jacobian, np.zeros(3), np.full(3, s.span)))
+        others.append(
+            _Rows(labels, times, _stack_intervals(list(boxes)), jacobian, np.zeros(3), np.full(3, s.span))
+        )
         row += 2 * size
     labels = [f"constraint {label}" for label in solution.constraint_labels]
     nu, limits = solution.constraint_multipliers, problem.constraint_interval()
@@ -290,7 +294,7 @@ def _conditions(
     return Conditions(
         tuple(label for rows in found for label in rows.labels),
         np.concatenate([rows.values for rows in found]),
-        _stacked([rows.limits for rows in found]),
+        _stack_intervals([rows.limits for rows in found]),
         np.vstack([rows.jacobian for rows in found]),
         np.concatenate([rows.multipliers for rows in found]),
         np.concatenate([rows.sizes for rows in found]),
@@ -307,7 +311,7 @@ class _Rows:
     sizes: Array
 
 
-def _stacked(boxes: list[Interval]) -> Interval:
+def _stack_intervals(boxes: list[Interval]) -> Interval:
     return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
 
 

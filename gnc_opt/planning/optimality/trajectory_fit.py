@@ -88,10 +88,10 @@ class FittedPhase:
             tuple(n for n in self.mesh.degrees for _ in range(parts)),
             tuple(parts * k for k in self.mesh.movable),
         )
-        return FittedPhase(mesh, *(_cut(p, breaks, parts) for p in (self.x, self.u)))
+        return FittedPhase(mesh, *(_subdivide(p, breaks, parts) for p in (self.x, self.u)))
 
 
-def _cut(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
+def _subdivide(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """The same polynomials, with values at the nodes of every part of their segments."""
     nodes = tuple(n for n in whole.nodes for _ in range(parts))
     values = tuple(
@@ -114,16 +114,19 @@ def fit(samples: Samples, rates: Rates) -> FittedPhase:
     """
     twice = np.flatnonzero(np.diff(samples.t) == 0)
     every = tuple(range(samples.u.shape[0]))
-    jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not _changes(samples, int(i))) for i in twice]
-    unmarked = _unmarked_jumps(samples, twice)
+    jumps = [
+        _Jump(int(i), float(samples.t[i]), every, of_slope=not _is_control_jump(samples, int(i)))
+        for i in twice
+    ]
+    unmarked = _find_unmarked_jumps(samples, twice)
     jumps += unmarked
-    jumps += _kinks(samples, jumps)
+    jumps += _find_kinks(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
     controls = _Controls(samples, jumps)
     controls.choose(samples, rates)
     for interval in sorted({jump.after for jump in unmarked}):
-        _place(samples, controls, [j for j in unmarked if j.after == interval], rates)
-    return _polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
+        _place_jumps(samples, controls, [j for j in unmarked if j.after == interval], rates)
+    return _fit_polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
 
 
 @dataclass
@@ -136,13 +139,13 @@ class _Jump:
     of_slope: bool = False
 
 
-def _changes(samples: Samples, i: int) -> bool:
+def _is_control_jump(samples: Samples, i: int) -> bool:
     """Whether a control jumps at a time given twice, or only its slope: then that time is not one to be optimised."""
     size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
     return bool(np.any(size > VISIBLE * np.ptp(samples.u, axis=1)))
 
 
-def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
+def _find_unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     t, u = samples.t, samples.u
     size = np.abs(np.diff(u, axis=1))
     size[:, twice] = 0.0
@@ -155,16 +158,16 @@ def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
 
 
-def _kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
+def _find_kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
     found = []
     for c in range(samples.u.shape[0]):
         edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
         for first, last in itertools.pairwise(edges):
-            found += _kinks_of(samples.t[first:last], samples.u[c, first:last], first, c)
+            found += _find_control_kinks(samples.t[first:last], samples.u[c, first:last], first, c)
     return found
 
 
-def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
+def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
     """Kinks of one control between two jumps: isolated intervals across which its slope changes."""
     if t.size < _KNOWN_BESIDE:
         return []
@@ -185,14 +188,14 @@ def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
             _interpolants(t[start : k + 1], u[start : k + 1])[0],
             _interpolants(t[k + 1 :], u[k + 1 :])[0],
         )
-        time = _meeting(left, right, float(t[k]), float(t[k + 1]), AT_SAMPLE * float(np.ptp(u)))
+        time = _intersection_time(left, right, float(t[k]), float(t[k + 1]), AT_SAMPLE * float(np.ptp(u)))
         if time is not None:
             found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
     return found
 
 
-def _meeting(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
+def _intersection_time(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
     """Where two interpolants meet between two samples, if they do."""
 
     def gap(time: float) -> float:
@@ -238,7 +241,7 @@ class _Controls:
         misses = []
         for kinked in (False, True):
             self._kinked[:] = kinked
-            ends = _carried(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
+            ends = _propagate_states(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
             misses.append(np.max(np.abs(ends - samples.x[:, long + 1]) / size, axis=0))
         self._kinked[long] = misses[1] < misses[0]
 
@@ -252,7 +255,7 @@ def _interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     return scipy.interpolate.CubicSpline(t, u), akima
 
 
-def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
+def _place_jumps(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> None:
     """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
@@ -264,7 +267,7 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
         ends = np.unique([first, *np.clip(times, first, last), last])
         x = samples.x[:, i]
         for a, b in itertools.pairwise(ends):
-            x = _carried(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
+            x = _propagate_states(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
         return np.asarray(
             np.nan_to_num((x - samples.x[:, i + 1]) / size, nan=_LOST, posinf=_LOST, neginf=-_LOST)
         )
@@ -279,7 +282,7 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
         jump.time = first if near[0] else last if near[1] else float(time)
 
 
-def _carried(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
+def _propagate_states(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) -> Array:
     """States (n, k) at times b from those at times a (k,), by Runge-Kutta steps of order 4."""
     h, middle = (b - a) / _RUNGE_KUTTA_STEPS, 0.5 * (a + b)
 
@@ -295,7 +298,7 @@ def _carried(x: Array, a: Array, b: Array, controls: _Controls, rates: Rates) ->
     return np.asarray(x)
 
 
-def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> FittedPhase:
+def _fit_polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rates) -> FittedPhase:
     t, x = samples.t, samples.x
     inner = [j for j in jumps if not np.any(t == j.time)]
     times = np.unique([*t, *(j.time for j in inner)])
@@ -304,7 +307,7 @@ def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
     after[:, np.searchsorted(times, t)] = x
     for time in dict.fromkeys(j.time for j in inner):
         k = int(np.searchsorted(times, time))
-        here = _carried(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
+        here = _propagate_states(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
         before[:, [k]] = after[:, [k]] = here
     widths, middles = np.diff(times), 0.5 * (times[:-1] + times[1:])
     left, right = after[:, :-1], before[:, 1:]

@@ -63,7 +63,7 @@ def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseColloca
             if k == 0 and i in going_on:
                 box.lower[start], box.upper[start] = -np.inf, np.inf
             elif k == 0 or row[k - 1] is not kind:
-                box.lower[start] = box.upper[start] = _limits(bounds, kind)[i]
+                box.lower[start] = box.upper[start] = _active_limits(bounds, kind)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
@@ -111,10 +111,10 @@ def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseC
         i = junction.constraint - collocation.n_paths
         if i >= 0 and junction.conditions:
             place = collocation.boundary_states[i, junction.boundary]
-            box.lower[place] = box.upper[place] = _limits(bounds, junction.kind)[i]
+            box.lower[place] = box.upper[place] = _active_limits(bounds, junction.kind)[i]
 
 
-def _limits(bounds: Interval, kind: ArcKind) -> Array:
+def _active_limits(bounds: Interval, kind: ArcKind) -> Array:
     return bounds.upper if kind is ArcKind.UPPER else bounds.lower
 
 
@@ -129,7 +129,7 @@ def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
 def _put_kinds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
-        limits = np.broadcast_to(_limits(bounds, kind)[:, None], kinds.shape)
+        limits = np.broadcast_to(_active_limits(bounds, kind)[:, None], kinds.shape)
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
@@ -157,7 +157,7 @@ def junction_values(junction: Junction, paths: Interval, order: int | None) -> A
     """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
     values = np.zeros(junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
-        values[0] = _limits(paths, junction.kind)[junction.constraint]
+        values[0] = _active_limits(paths, junction.kind)[junction.constraint]
     return values
 
 

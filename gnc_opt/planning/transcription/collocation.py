@@ -94,7 +94,7 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_place_grid(boundary, n), _place_grid(points, n), _place_grid(controls, m))
+        grids = (_collocation_grid(boundary, n), _collocation_grid(points, n), _collocation_grid(controls, m))
         return *grids, int(places[-1]) - self.first_variable
 
     @property
@@ -236,6 +236,6 @@ def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -
     return matrix
 
 
-def _place_grid(first: Indices, count: int) -> Indices:
+def _collocation_grid(first: Indices, count: int) -> Indices:
     """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

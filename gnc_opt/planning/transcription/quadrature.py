@@ -67,7 +67,7 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
-    return _rule(*_checked_rule(scheme, n))
+    return _build_rule(*_checked_rule(scheme, n))
 
 
 def gauss_rule(n: int) -> CollocationRule:
@@ -121,7 +121,7 @@ def _checked_rule(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 
 
 @cache
-def _rule(scheme: Scheme, n: int) -> CollocationRule:
+def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _decimal_points_and_weights(scheme, n)
     with _many_digits():
         nodes = family_of(scheme).state_nodes(x)
@@ -130,14 +130,14 @@ def _rule(scheme: Scheme, n: int) -> CollocationRule:
         differentiation = _square_differentiation(nodes, w)[collocated]
         integration = _legendre_integrals(x, n) @ _decimal_modes(scheme, n)
         end_values = _values_at_one(nodes, w)
-    tables = map(_rounded, (nodes, differentiation, end_values, integration))
+    tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
     return CollocationRule(scheme, n, *_points_and_weights(scheme, n), *tables)
 
 
 @cache
 def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
     x, w = _decimal_points_and_weights(scheme, n)
-    return _rounded(x), _rounded(w)
+    return _round_to_float(x), _round_to_float(w)
 
 
 @cache
@@ -187,7 +187,7 @@ def _decimal_modes(scheme: Scheme, n: int) -> Numbers:
 
 @cache
 def _float_modes(scheme: Scheme, n: int) -> Array:
-    return _rounded(_decimal_modes(scheme, n))
+    return _round_to_float(_decimal_modes(scheme, n))
 
 
 def _reciprocal_products(x: Numbers) -> Numbers:
@@ -220,7 +220,7 @@ def _cached_barycentric_weights(nodes: bytes) -> Array:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     with _many_digits():
         w = _reciprocal_products(_decimals(x))
-        return _rounded(w / max(abs(w)))
+        return _round_to_float(w / max(abs(w)))
 
 
 def _many_digits() -> AbstractContextManager[Context]:
@@ -231,7 +231,7 @@ def _decimals(values: Iterable[float]) -> Numbers:
     return np.array([Decimal(float(value)) for value in values], dtype=object)
 
 
-def _rounded(values: Numbers) -> Array:
+def _round_to_float(values: Numbers) -> Array:
     table = values.astype(float)
     table.setflags(write=False)
     return table

@@ -57,7 +57,7 @@ def scale_rows(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
     """Return row scales (n_constraints,) and the objective's scale, for a guess and scales of the variables."""
-    gradient, nonzeros, room = _derivatives(transcription, problem, start)
+    gradient, nonzeros, room = _scaled_derivatives(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
@@ -70,7 +70,9 @@ def scale_rows(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array, Array]:
+def _scaled_derivatives(
+    transcription: Transcription, problem: Problem, start: Array
+) -> tuple[Array, Array, Array]:
     """Largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
     box = transcription.variable_interval(problem)
     usual = scale_variables(transcription, problem, start, overridden=False)
@@ -85,11 +87,11 @@ def _derivatives(transcription: Transcription, problem: Problem, start: Array) -
             np.maximum(gradient, _matrix_size(slope)),
             np.maximum(nonzeros, _matrix_size(jacobian)),
         )
-        room = np.maximum(room, _finite(np.minimum(values - limits.lower, limits.upper - values)))
+        room = np.maximum(room, _replace_nonfinite(np.minimum(values - limits.lower, limits.upper - values)))
     return gradient, nonzeros, room
 
 
-def _finite(values: Array) -> Array:
+def _replace_nonfinite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 

@@ -58,8 +58,8 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
         "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function beside "
         f"it has the wrong sign by more than {GRAZES:.0e} of H; what is less is zero within the errors of costates."
     )
-    worst = min(filter(None, map(_worst_crossing, samples)), default=None)
-    touched = next(filter(None, map(_touched, samples)), "")
+    worst = min(filter(None, map(_find_worst_crossing, samples)), default=None)
+    touched = next(filter(None, map(_find_touched_zero, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.wrong):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
@@ -83,7 +83,7 @@ class _Crossing:
         return self.slope < -GRAZES and not self.harmless
 
 
-def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
+def _find_worst_crossing(s: PhaseSamples) -> _Crossing | None:
     """The worst crossing of a phase, or None without a switch."""
     leg = s.leg
     times, channels = inner_switches(s)
@@ -104,7 +104,7 @@ def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
-        violation = _violation_beside(s, int(i), times[channels == i], float(t))
+        violation = _switching_sign_violation(s, int(i), times[channels == i], float(t))
         if np.isnan(slope) or np.isnan(violation):
             found.append(_Crossing(False, -np.inf, where))
         elif slope < -GRAZES and violation <= GRAZES:
@@ -116,24 +116,26 @@ def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
     return min(found)
 
 
-def _violation_beside(s: PhaseSamples, i: int, own: Array, time: float) -> float:
+def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) -> float:
     """The most by which a switching function has the wrong sign between the switches before and after one, of H."""
     before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
     near = (s.times >= before) & (s.times <= after)
     bounds = s.leg.control_bounds
     side = np.sign(s.u[i, near] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
-    return float(np.max(side * _switching(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale))
+    return float(
+        np.max(side * _evaluate_switching_functions(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale)
+    )
 
 
-def _switching(s: PhaseSamples) -> Array:
+def _evaluate_switching_functions(s: PhaseSamples) -> Array:
     return aimed_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
-def _touched(s: PhaseSamples) -> str:
+def _find_touched_zero(s: PhaseSamples) -> str:
     """Where a switching function touches zero along a bang arc, or nothing."""
     times, channels = inner_switches(s)
-    worth = np.abs(_switching(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds, on_bound = s.leg.control_bounds, _on_bound(s)
+    worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
+    bounds, on_bound = s.leg.control_bounds, _controls_on_bound(s)
     affine = np.all(straight(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
@@ -195,7 +197,9 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     unknowns = Unknowns.of(solution, samples, switches)
     every = itertools.product(*(s.orders() for s in switches.values()))
     found = [
-        _of_order(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
+        _second_order_for_switch_order(
+            solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
+        )
         for orders in every
     ]
     worst = min(found, key=lambda f: (f.result is not ConditionResult.FAIL, f.least - f.error))
@@ -213,7 +217,7 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     return condition(worst.result, value, -worst.error, f"phase {phases}: {place}")
 
 
-def _of_order(
+def _second_order_for_switch_order(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -227,14 +231,16 @@ def _of_order(
     if not (coarse.finite and fine.finite):
         return SecondOrder(np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions
-    gradient, jacobian = _extrapolated(fine.gradient, coarse.gradient), conditions.jacobian
-    jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)
+    gradient, jacobian = _extrapolate_richardson(fine.gradient, coarse.gradient), conditions.jacobian
+    jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
     cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
     at_lower, at_upper = conditions.active
     active, rows, norms, multipliers = least_squares(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
-    precedences = _precedences(unknowns, orders, switches)[:, free]
-    residual, precedence_multipliers = _explained(gradient[free] + rows.T @ multipliers, precedences)
+    precedences = _switch_order_constraints(unknowns, orders, switches)[:, free]
+    residual, precedence_multipliers = _explain_residual_by_order(
+        gradient[free] + rows.T @ multipliers, precedences
+    )
     wrong = np.maximum(-sides * multipliers, 0.0) / cost
     violation = float(np.max(np.concatenate([np.abs(residual) / unknowns.worth[free], wrong]), initial=0.0))
     every = np.zeros(conditions.values.size)
@@ -249,7 +255,7 @@ def _of_order(
     if not null.shape[1]:
         return SecondOrder(np.inf, 0.0, 0, True)
     (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
-    hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
+    hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
@@ -287,12 +293,12 @@ def least_squares(
     return active, rows, norms[active], guess + step
 
 
-def _extrapolated(fine: Array, coarse: Array) -> Array:
+def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
     """Richardson's extrapolation from two grids."""
     return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
 
 
-def _precedences(
+def _switch_order_constraints(
     unknowns: Unknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
 ) -> Array:
     """Combinations of the unknowns that must not be negative for the order of the switches to hold (k, n)."""
@@ -305,7 +311,7 @@ def _precedences(
     return np.vstack(rows)
 
 
-def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
+def _explain_residual_by_order(residual: Array, precedences: Array) -> tuple[Array, Array]:
     """Return the gradient less the multipliers of the order of simultaneous switches, and these multipliers."""
     if not precedences.size:
         return residual, np.zeros(precedences.shape[0])
@@ -315,10 +321,10 @@ def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     """Whether every control sits on a bound all along."""
-    return bool(samples) and all(np.all(_on_bound(s)) for s in samples)
+    return bool(samples) and all(np.all(_controls_on_bound(s)) for s in samples)
 
 
-def _on_bound(s: PhaseSamples) -> Mask:
+def _controls_on_bound(s: PhaseSamples) -> Mask:
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     return at_lower | at_upper
 
@@ -328,7 +334,7 @@ def obstacle(samples: list[PhaseSamples]) -> str:
     for s in samples:
         if not s.has_length:
             return f"phase {s.leg.name} has no length"
-        on_bound = _on_bound(s)
+        on_bound = _controls_on_bound(s)
         if not np.all(on_bound):
             i, j = worst_index((~on_bound).astype(float))
             return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"

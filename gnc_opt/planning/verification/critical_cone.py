@@ -102,7 +102,7 @@ def held_from_their_start(cone: CriticalCone, samples: Sequence[PhaseSamples]) -
     found = []
     for s in samples:
         part = point.transcription.parts[s.leg.name]
-        rows, starts = np.nonzero(_begins(cone, s, part))
+        rows, starts = np.nonzero(_arc_entries(cone, s, part))
         if not rows.size:
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
@@ -117,7 +117,7 @@ def held_from_their_start(cone: CriticalCone, samples: Sequence[PhaseSamples]) -
     return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
 
 
-def _begins(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
+def _arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhasePart) -> Mask:
     """At which boundaries (n_paths, K) an arc begins: held at all points of the segment, and not of the one before."""
     collocation = part.collocation
     held = cone.strong[cone.point.x.size :][collocation.path_rows]
@@ -159,7 +159,7 @@ class CriticalCone:
         limit is held if it shares a segment with one that is pushed there.
         """
         strong, weak = [], []
-        of_variables, of_rows = _lines(point)
+        of_variables, of_rows = _variables_by_line(point)
         for limits, values, multipliers, lines in (
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
             (point.rows, point.values, point.multiplier_densities[1], of_rows),
@@ -167,7 +167,7 @@ class CriticalCone:
             told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
             doubtful = told.weak(values, multipliers)
             held = told.active & ~doubtful
-            _close_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
+            _hold_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
             strong.append(held)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
@@ -182,15 +182,15 @@ class CriticalCone:
             for side in ("lower", "upper")
         )
         outwards = np.where(values - lower < upper - values, -changes, changes)
-        between = [self._outwards_between(s, direction) for s in samples]
+        between = [self._largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= CONE_EXIT_SHARE))
 
-    def _outwards_between(self, s: PhaseSamples, direction: Array) -> Array:
+    def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
         """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
-        dx = s.sample(_through_nodes(breaks, part.collocation, change))
+        dx = s.sample(_interpolate_nodes(breaks, part.collocation, change))
         rules = part.collocation.rules
         du = s.sample(piecewise(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
@@ -210,18 +210,21 @@ class CriticalCone:
         return np.concatenate(worst)
 
 
-def _lines(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
+def _variables_by_line(point: ProgramPoint) -> tuple[list[Indices], list[Indices]]:
     """Variables of each state along each segment, ends included, and of each control; rows of each path constraint."""
     variables, rows = [], []
     for part in point.transcription.parts.values():
         collocation = part.collocation
         for k in range(collocation.mesh.segments):
-            variables += [*_nodes(collocation, k), *_at_points(collocation, collocation.point_controls, k)]
-            rows += [*_at_points(collocation, collocation.path_rows, k)]
+            variables += [
+                *_state_node_variables(collocation, k),
+                *_variables_in_segment(collocation, collocation.point_controls, k),
+            ]
+            rows += [*_variables_in_segment(collocation, collocation.path_rows, k)]
     return variables, rows
 
 
-def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask) -> None:
+def _hold_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, doubtful: Mask) -> None:
     """Hold, in place, what is at the same limit as a pushed node of its line."""
     for line in lines:
         if not (np.any(pushed[line]) and np.any(doubtful[line])):
@@ -234,22 +237,22 @@ def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, d
         held[line[same]], doubtful[line[same]] = True, False
 
 
-def _at_points(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
+def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
     """Those of all places (n, n_points) that lie in a segment."""
     return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
 
 
-def _nodes(collocation: PhaseCollocation, k: int) -> Indices:
+def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
     """Variables of the states at the start, the points and the end of a segment, each once (n_states, nodes)."""
-    points = _at_points(collocation, collocation.point_states, k)
+    points = _variables_in_segment(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
     family = collocation.family
     middle = points[:, int(family.starts_at_point) : points.shape[1] - int(family.ends_at_point)]
     return np.asarray(np.hstack([start, middle, end]))
 
 
-def _through_nodes(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
+def _interpolate_nodes(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
     """Return the polynomials through the varied states at the start, the points and the end of each segment."""
-    values = tuple(change[_nodes(collocation, k)] for k in range(collocation.mesh.segments))
+    values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
     return PiecewisePolynomial(breaks, nodes, values)

@@ -59,9 +59,9 @@ def dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> C
     """The applied control moves the states along the trajectory, from segment to segment and inside of them."""
     worst = NOTHING
     for s in samples:
-        worst = worst.or_worse(_missing_number(s) or NOTHING)
+        worst = worst.or_worse(_find_missing_number(s) or NOTHING)
         for at in (s, s.finer(SCANNED)):
-            worst = worst.or_worse(_worst_defect(s, at, scales, tolerance))
+            worst = worst.or_worse(_find_worst_defect(s, at, scales, tolerance))
     return condition_of(
         "dynamics",
         worst,
@@ -71,7 +71,7 @@ def dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> C
     )
 
 
-def _worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
+def _find_worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     leg, ellipsoid = s.leg, scales.phases[s.leg.name].along
     rates = defined(at.functions.rates, at.times, at.x, at.u, leg.control_bounds)
     residual = at.x_rate - rates
@@ -109,7 +109,7 @@ def _worst_defect(s: PhaseSamples, at: PhaseSamples, scales: Scales, tolerance: 
     return worst
 
 
-def _missing_number(s: PhaseSamples) -> Worst | None:
+def _find_missing_number(s: PhaseSamples) -> Worst | None:
     """The first sample at which a number is missing."""
     if not np.all(np.isfinite(s.functions.q)):
         return Worst(np.inf, "a free parameter is not finite")
@@ -122,13 +122,13 @@ def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tole
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
     values = solution.parameter_values
-    worst = _worst_miss(values, box, scales.parameters, labels, solution.free_parameters.units)
+    worst = _worst_excess(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.or_worse(_worst_control(s, scales)).or_worse(_worst_state(s, scales))
+        worst = worst.or_worse(_control_violation(s, scales)).or_worse(_state_violation(s, scales))
         if s.leg.path_labels:
             for at in (s, s.finer(SCANNED_PATHS)):
-                worst = worst.or_worse(_worst_path(s, at, scales))
-            worst = worst.or_worse(_path_price(s, scales))
+                worst = worst.or_worse(_path_violation(s, at, scales))
+            worst = worst.or_worse(_path_violation_price(s, scales))
     return condition_of(
         "limits",
         worst,
@@ -138,7 +138,7 @@ def limits(solution: Solution, samples: list[PhaseSamples], scales: Scales, tole
     )
 
 
-def _worst_control(s: PhaseSamples, scales: Scales) -> Worst:
+def _control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """At the nodes: between them the applied control keeps its bounds."""
     leg = s.leg
     if not leg.controls.size:
@@ -152,7 +152,7 @@ def _worst_control(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(violation[i, j]), s.place_at(leg.point_times[j], leg.controls.labels[i]))
 
 
-def _worst_state(s: PhaseSamples, scales: Scales) -> Worst:
+def _state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = violations(s, Limits.of(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
@@ -164,13 +164,13 @@ def _worst_state(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(shares[i]), s.place_at(found.times[i], what))
 
 
-def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
+def _path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """By the distance to the limit along the constraint's own gradient, at peaks and at samples that violate it."""
     limits = Limits.of(s.functions.paths, s.leg.path_bounds)
     found = violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
-    shares = _path_shares(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
+    shares = _path_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
     most = float(shares[i])
     excess = limits.excess(at.times, at.x, at.u)
@@ -178,7 +178,7 @@ def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     beyond = beyond[:: max(1, beyond.size // MOST_BESIDE)]
     for k in range(limits.rows.size) if beyond.size else ():
         here = limits.some(np.full(beyond.size, k))
-        beside = _path_shares(
+        beside = _path_distances(
             s, scales, here, excess[k, beyond], (at.times[beyond], at.x[:, beyond], at.u[:, beyond])
         )
         most = max(most, float(np.max(beside)))
@@ -186,7 +186,7 @@ def _worst_path(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     return Worst(most, s.place_at(found.times[i], what))
 
 
-def _path_shares(
+def _path_distances(
     s: PhaseSamples, scales: Scales, limits: Limits, excess: Array, at: tuple[Array, Array, Array]
 ) -> Array:
     """Return distances to limits (n,) in shares of the reach, each at a time of its own."""
@@ -207,7 +207,7 @@ def path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 
 
-def _path_price(s: PhaseSamples, scales: Scales) -> Worst:
+def _path_violation_price(s: PhaseSamples, scales: Scales) -> Worst:
     """What the violations of a path constraint gain in the cost by its multiplier."""
     values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
@@ -244,7 +244,9 @@ def boundary(
             ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
-            worst = worst.or_worse(_worst_end(values, interval, ellipsoid, labels, leg.states.units))
+            worst = worst.or_worse(
+                _end_state_violation(values, interval, ellipsoid, labels, leg.states.units)
+            )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
         interval = Interval(
@@ -252,14 +254,14 @@ def boundary(
         )
         lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.or_worse(_worst_miss(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.or_worse(_worst_excess(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
         slack = _DRAWN + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.or_worse(_worst_miss(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.or_worse(_worst_constraint(solution, ends, scales))
+        worst = worst.or_worse(_worst_excess(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.or_worse(_boundary_constraint_violation(solution, ends, scales))
     return condition_of(
         "boundary conditions",
         worst,
@@ -269,7 +271,7 @@ def boundary(
     )
 
 
-def _worst_end(
+def _end_state_violation(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     """Misses of the states of an end, together."""
@@ -289,7 +291,7 @@ def _worst_end(
     return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
 
 
-def _worst_constraint(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """By the distance at which a boundary constraint holds, from its first and second differences over the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
     if not values.size:
@@ -355,7 +357,7 @@ def integrals_of(s: PhaseSamples) -> Array:
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
-def _worst_miss(
+def _worst_excess(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     """Return the worst excess beyond limits, in shares of a scale (n,)."""

@@ -103,13 +103,13 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
-        singular = _singular_and_free(cone, s)
-        strong[_junctions(s, part, singular)] = True
+        singular = _undetermined_singular_segments(cone, s)
+        strong[_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
-                last = part.collocation.boundary_states[_moved_at_once(s, i), -1]
+                last = part.collocation.boundary_states[_states_driven_by_control(s, i), -1]
                 squares[last] = 0.5 * part.collocation.mesh.widths[-1]
-            block, places = _integrated(squares.size, part, i, singular[i])
+            block, places = _integral_variations(squares.size, part, i, singular[i])
             itself[places] = False
             blocks.append(block)
     if not blocks:
@@ -119,16 +119,18 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
     return replace(cone, strong=strong, unit=unit)
 
 
-def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:
+def _undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
     part = cone.point.transcription.parts[s.leg.name]
     singular = singular_segments(s)
     if np.any(singular):
-        singular &= ~_not_affine(cone.point.problem, s)
-    return singular[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
+        singular &= ~_segments_with_control_curvature(cone.point.problem, s)
+    return singular[
+        :, _containing_segments(s.leg.mesh, part.collocation.mesh)
+    ] & _segments_without_held_limits(cone, part)
 
 
-def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
+def _segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
     """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little."""
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
@@ -139,13 +141,13 @@ def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
     return found
 
 
-def _coarse(mesh: Mesh, fine: Mesh) -> Indices:
+def _containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
     """The segment of a mesh in which each one of a finer mesh lies."""
     middles = 0.5 * (np.asarray(fine.breaks[:-1]) + np.asarray(fine.breaks[1:]))
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
-def _free(cone: CriticalCone, part: PhasePart) -> Mask:
+def _segments_without_held_limits(cone: CriticalCone, part: PhasePart) -> Mask:
     """Segments (n_controls, K) along which neither a control nor a state or path constraint is held."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
@@ -155,7 +157,7 @@ def _free(cone: CriticalCone, part: PhasePart) -> Mask:
     return ~np.logical_or.reduceat(held, collocation.mesh.offsets[:-1], axis=1)
 
 
-def _junctions(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
+def _junction_time_variables(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
     """Variables of the times at which singular arcs begin or end, and no control jumps from bound to bound."""
     movable, switches = s.leg.mesh.movable, inner_switches(s)[0]
     beside = np.any(singular, axis=0)
@@ -174,8 +176,8 @@ def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free; where that is negative, a pulse just
     before the end gains.
     """
-    channels = np.flatnonzero(_singular_and_free(cone, s)[:, -1])
-    if not channels.size or not _felt(cone.point.problem, s, channels):
+    channels = np.flatnonzero(_undetermined_singular_segments(cone, s)[:, -1])
+    if not channels.size or not _end_depends_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
@@ -202,9 +204,9 @@ def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     )
 
 
-def _felt(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
+def _end_depends_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Whether anything at the end but the costates depends on the states that controls move."""
-    moved = np.concatenate([_moved_at_once(s, i) for i in map(int, channels)])
+    moved = np.concatenate([_states_driven_by_control(s, i) for i in map(int, channels)])
     ends, final = end_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have coordinates that straighten out all of them.
@@ -227,13 +229,13 @@ def _mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
     return problem.once(("mixed derivatives", s.leg.name), build)
 
 
-def _moved_at_once(s: PhaseSamples, control: int) -> Indices:
+def _states_driven_by_control(s: PhaseSamples, control: int) -> Indices:
     """States in whose rates a control appears."""
     moves = s.functions.functions["rates"].jac_sparsity(0, 2)
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 
 
-def _integrated(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
+def _integral_variations(n: int, part: PhasePart, control: int, singular: Mask) -> tuple[Any, Indices]:
     """Variations y of a control of a phase (n, n_variations), and the variables that they stand for."""
     collocation, count = part.collocation, 0
     mesh, entries, squares = collocation.mesh, [], []

@@ -49,8 +49,8 @@ def from_problem(solution: Solution) -> Solution:
         The solution has no problem, or one with other phases, variables or constraints.
     """
     problem = solution.need_problem("verify")
-    _refuse_other_sizes(problem, solution)
-    stated = {name: _stated(problem, solution, name) for name in problem.phases}
+    _require_problem_sizes(problem, solution)
+    stated = {name: _phase_from_problem(problem, solution, name) for name in problem.phases}
     checked = replace(
         solution,
         maximised=problem.sense < 0,
@@ -85,9 +85,9 @@ def missing_number(stored: Solution, told: bool) -> Worst:
     told : bool
         Whether there are costates; where not, their numbers may be missing.
     """
-    worst = _missing(stored, "", told)
+    worst = _find_not_finite(stored, "", told)
     for name, leg in stored.phases.items():
-        worst = worst.or_worse(_missing(leg, f"phase {name}, ", told))
+        worst = worst.or_worse(_find_not_finite(leg, f"phase {name}, ", told))
     return worst
 
 
@@ -106,8 +106,8 @@ def stored_numbers(stored: Solution, checked: Solution, missing: Worst, toleranc
         worst = worst.or_worse(Worst(np.inf, "whether the objective is maximised"))
     for name, leg in checked.phases.items():
         for what in _EXACT:
-            for a, b in zip(_vectors(stored.phases[name], what), _vectors(leg, what), strict=True):
-                off = float(np.max(_difference(a, b), initial=0.0))
+            for a, b in zip(_as_vectors(stored.phases[name], what), _as_vectors(leg, what), strict=True):
+                off = float(np.max(_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
     return condition_of(
@@ -158,10 +158,12 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
     if not all(np.all(np.isfinite(v)) for v in values):
         return False
     weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
-    return weighed or all(_worth_of_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples)
+    return weighed or all(
+        _largest_end_cost_change(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
+    )
 
 
-def _worth_of_ends(s: PhaseSamples, ends: EndGradients) -> float:
+def _largest_end_cost_change(s: PhaseSamples, ends: EndGradients) -> float:
     """The most that the cost changes when an end value or time of a phase changes by its magnitude."""
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
@@ -169,7 +171,7 @@ def _worth_of_ends(s: PhaseSamples, ends: EndGradients) -> float:
     return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
 
 
-def _stated(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+def _phase_from_problem(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
     leg, stored = problem.phases[name], solution.phases[name]
     initial_time, final_time = leg.times()
     return replace(
@@ -192,7 +194,7 @@ def _stated(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
     )
 
 
-def _refuse_other_sizes(problem: Problem, solution: Solution) -> None:
+def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
     found = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
     asked = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
     found["boundary constraints"] = solution.constraint_multipliers.size
@@ -216,7 +218,7 @@ def _refuse_other_sizes(problem: Problem, solution: Solution) -> None:
             )
 
 
-def _missing(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:
+def _find_not_finite(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:
     """The first number of a solution or of a phase that is not finite."""
     for field in fields(owner):
         value = getattr(owner, field.name)
@@ -233,12 +235,12 @@ def _missing(owner: Solution | PhaseSolution, place: str, told: bool) -> Worst:
     return NOTHING
 
 
-def _vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _as_vectors(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(leg, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 
 
-def _difference(a: Array, b: Array) -> Array:
+def _relative_difference(a: Array, b: Array) -> Array:
     """|a - b| in shares of the larger one; endless where just one is infinite or a number is missing."""
     if a.shape != b.shape:
         return np.array([np.inf])

@@ -130,8 +130,8 @@ def critical_cone(
     ``rounding`` is the cost below which differences are rounding; ``sizes`` returns variations of 1 in the states (n,)
     and controls (m,) of a phase (default: the magnitudes of the program).
     """
-    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
-    meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
+    meshes = {name: _enrich_mesh(leg.mesh) for name, leg in solution.phases.items()}
+    meshes |= {s.leg.name: _mesh_for_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = scale_variables(transcription, problem, x)
@@ -177,53 +177,55 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
     ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
+    steep = DOWNWARDS_SINGULAR if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
     beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
     if least < -DOWNWARDS:
         return result_with(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = least_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
-        jumping = "" if solution.structure else _jumping_control(samples)
+        jumping = "" if solution.structure else _find_jumping_control(samples)
         beyond = jumping or beyond
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
             return result_with(
                 result, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0
             )
-        return result_with(result, -free.value, beyond or _place(cone.point, solution, free.direction))
+        return result_with(
+            result, -free.value, beyond or _locate_direction(cone.point, solution, free.direction)
+        )
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
     bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
-            place = _place(cone.point, solution, found.direction)
-            return result_with(ConditionResult.FAIL, -found.value, place + _gained(found))
-    place = _place(cone.point, solution, free.direction)
-    return result_with(ConditionResult.INCONCLUSIVE, -free.value, place + _doubt(free, steep))
+            place = _locate_direction(cone.point, solution, found.direction)
+            return result_with(ConditionResult.FAIL, -found.value, place + _gain_text(found))
+    place = _locate_direction(cone.point, solution, free.direction)
+    return result_with(ConditionResult.INCONCLUSIVE, -free.value, place + _flat_curvature_text(free, steep))
 
 
-def _gained(curvature: Curvature) -> str:
+def _gain_text(curvature: Curvature) -> str:
     return (
         f": a step of {100 * GAIN_STEP_SHARE:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
     )
 
 
-def _doubt(curvature: Curvature, steep: float) -> str:
+def _flat_curvature_text(curvature: Curvature, steep: float) -> str:
     if curvature.downwards(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
-        return f"{_gained(curvature)}, which is rounding"
+        return f"{_gain_text(curvature)}, which is rounding"
     return f": flat (curvatures between -{steep:.0e} and {UPWARDS:.0e} count as zero)"
 
 
-def _rich(mesh: Mesh) -> Mesh:
+def _enrich_mesh(mesh: Mesh) -> Mesh:
     """Return a mesh with room for variations, where that of a solution that is simple has none."""
     least = -(-PHASE_MIN_POINTS // mesh.segments)
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
-def _with_room(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+def _mesh_for_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
     """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
     singular = np.any(singular_segments(s), axis=0)
     if not np.any(singular) or with_touches(solution).phases[s.leg.name].numbers.arcs is not None:
@@ -231,13 +233,13 @@ def _with_room(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
     return cut(mesh, singular)
 
 
-def _jumping_control(samples: list[PhaseSamples]) -> str:
+def _find_jumping_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
         open_to_both = straight(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
-            s.times[1:], _variable_times(s)
+            s.times[1:], _variable_breakpoints(s)
         )
         jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
         jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.fixed
@@ -247,17 +249,17 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
     return ""
 
 
-def _variable_times(s: PhaseSamples) -> Array:
+def _variable_breakpoints(s: PhaseSamples) -> Array:
     """Segment boundaries that are variables, at which a control may switch."""
     return np.asarray(s.leg.breaks[list(s.leg.mesh.movable)])
 
 
-def _partly_singular(s: PhaseSamples) -> bool:
+def _has_partly_singular_segment(s: PhaseSamples) -> bool:
     """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
     return bool(np.any(singular_samples(s) & ~singular_segments(s)[:, s.segments]))
 
 
-def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     """Return where along time a direction is largest."""
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():

@@ -130,11 +130,13 @@ def singular_arcs(
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
-            found.append(_singular_arc(problem, s, channels, regular, np.arange(first, last), tolerance))
+            found.append(
+                _analyse_singular_arc(problem, s, channels, regular, np.arange(first, last), tolerance)
+            )
     return found
 
 
-def _singular_arc(
+def _analyse_singular_arc(
     problem: Problem, s: PhaseSamples, channels: Indices, regular: Indices, here: Indices, tolerance: float
 ) -> SingularArc:
     labels = ", ".join(s.leg.controls.labels[i] for i in channels)
@@ -151,7 +153,7 @@ def _singular_arc(
     )
     derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        least = _along_both(s, channels, regular, here)
+        least = _joint_curvature(s, channels, regular, here)
         bends = (
             f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
         )
@@ -161,7 +163,7 @@ def _singular_arc(
         function = derivatives.by_controls(j)
         if function is None:
             return arc(0, 0.0, f"{TOO_LARGE} {j}")
-        matrices = _evaluated(s, channels, here, function) * (last - first) ** j
+        matrices = _evaluate_scaled(s, channels, here, function) * (last - first) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
         flat = size if j == 0 else flat
         if size <= tolerance:
@@ -176,7 +178,7 @@ def _singular_arc(
     return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
-def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+def _joint_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
     """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
     hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
@@ -186,7 +188,7 @@ def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indi
     return float(np.min(np.linalg.eigvalsh(schur)))
 
 
-def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
+def _evaluate_scaled(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
     """Matrices (n_samples, m, m) at samples of an arc, over ranges of controls and in shares of H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]

@@ -59,14 +59,14 @@ def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -
         kinks = kinks_of(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
-        values = _arguments(s, kinks, s.times_within, s.x, s.u)
+        values = _kink_arguments(s, kinks, s.times_within, s.x, s.u)
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # a sample on the surface itself is on neither side
             for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
-                found = _jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
+                found = _find_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
-        rest = _rest(s, kinks, values)
+        rest = _find_rest_on_kink(s, kinks, values)
         rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
     return rests
 
@@ -108,15 +108,15 @@ def concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | Non
     differences of the Lagrangian that are proportional to the step.
     """
     found = [scales.ends.kink(scales.reach, scales.parameters, step) for step in STEPS]
-    share = _falls(found[0], found[1], scales.cost)
+    share = _largest_decrease(found[0], found[1], scales.cost)
     if share > 0:
         return Roughness(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
     for s in samples:
         principal = scales.phases[s.leg.name].along.directions
         coarse = second_differences(s, principal, STEPS[0])
-        if not np.any(_may_fall(coarse, scales.cost)):
+        if not np.any(_may_decrease(coarse, scales.cost)):
             continue
-        share = _falls(coarse, second_differences(s, principal, STEPS[1]), scales.cost)
+        share = _largest_decrease(coarse, second_differences(s, principal, STEPS[1]), scales.cost)
         if share > 0:
             return Roughness(
                 share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
@@ -124,31 +124,31 @@ def concave_kink(samples: list[PhaseSamples], scales: Scales) -> Roughness | Non
     return None
 
 
-def _falls(coarse: Array, fine: Array, cost: float) -> float:
+def _largest_decrease(coarse: Array, fine: Array, cost: float) -> float:
     """Return the largest fall at a kink, beside the cost scale (at most 1); zero if there is none."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
-    kink = (ratio >= SAME_RATIO) & _may_fall(coarse, cost) & np.all(np.isfinite(fine), axis=0)
+    kink = (ratio >= SAME_RATIO) & _may_decrease(coarse, cost) & np.all(np.isfinite(fine), axis=0)
     fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
     return fall / (cost + fall)
 
 
-def _may_fall(coarse: Array, cost: float) -> Mask:
+def _may_decrease(coarse: Array, cost: float) -> Mask:
     """Whether second differences at the larger step are negative and not rounding (n,)."""
     return np.asarray(-coarse[1] >= LEAST_FALL * np.maximum(np.abs(coarse[0]), cost))
 
 
-def _arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
+def _kink_arguments(s: PhaseSamples, kinks: Kinks, times: Array, x: Array, u: Array) -> Array:
     numbers = s.functions.p, s.functions.q
     return evaluate_columns(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
-def _jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
+def _find_jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: float) -> Roughness | None:
     """What dx/dt and integrands jump by where an argument changes its sign between two times."""
     left, right = between
 
     def at(time: float) -> float:
         times = np.array([time])
-        return float(_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
+        return float(_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.flown(times))[i, 0])
 
     rising = at(right - _JUMP_OFFSET_SHARE * s.span) > at(left + _JUMP_OFFSET_SHARE * s.span)
     for _ in range(_BISECTIONS):
@@ -169,7 +169,7 @@ def _jump(s: PhaseSamples, kinks: Kinks, i: int, between: Array, tolerance: floa
     )
 
 
-def _rest(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
+def _find_rest_on_kink(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
     """The longest time for which an argument stays at zero, if that is no passing."""
     sizes = magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]

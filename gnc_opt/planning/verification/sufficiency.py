@@ -58,7 +58,7 @@ def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = N
     legs = list(problem.phases.values())
     points = [leg.ends(end) for leg in legs for end in ("initial", "final")]
     conditions = problem.constraint_expression()
-    rows = _numbers(ca.jacobian(conditions, ca.vertcat(*points)))
+    rows = _constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
     if rows is None:
         return False
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
@@ -67,12 +67,12 @@ def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = N
     )  # what depends on integrals says nothing of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.constraint_interval().fixed & of_ends]
-    same = np.concatenate([_uniqueness_given(leg) for leg in legs])
-    waiting, places = legs, _places(legs)
+    same = np.concatenate([_given_end_states(leg) for leg in legs])
+    waiting, places = legs, _end_state_indices(legs)
     while waiting:
-        settled = [leg for leg in waiting if _starts_alike(equal, same, places[leg.name][0])]
+        settled = [leg for leg in waiting if _fixes_start(equal, same, places[leg.name][0])]
         if not settled or not all(
-            _left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
+            _is_left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
         ):
             return False
         for leg in settled:
@@ -81,12 +81,12 @@ def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = N
     return True
 
 
-def _uniqueness_given(leg: Phase) -> Mask:
+def _given_end_states(leg: Phase) -> Mask:
     """Which initial and final states of a phase are numbers."""
     return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
 
 
-def _places(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _end_state_indices(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     """Where initial and final states of each phase are among all of them."""
     found, at = {}, 0
     for leg in legs:
@@ -96,12 +96,12 @@ def _places(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     return found
 
 
-def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
+def _fixes_start(equal: Array, same: Mask, initial: Indices) -> bool:
     """Whether equations between states at ends leave all solutions the same start of a phase."""
     left = initial[~same[initial]]
     others = np.setdiff1d(np.flatnonzero(~same), left)
     rows = equal[~np.any(equal[:, others] != 0, axis=1)]
-    return left.size == 0 or _full_column_rank(rows[:, left])
+    return left.size == 0 or _has_full_column_rank(rows[:, left])
 
 
 def determined_by_slope(s: PhaseSamples) -> Mask:
@@ -113,7 +113,7 @@ def determined_by_slope(s: PhaseSamples) -> Mask:
     return np.asarray(~np.any(opens | between, axis=1))
 
 
-def _left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
+def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
     _, x, u, p = leg.model.arguments()
     if determined is not None:
         u = u[np.flatnonzero(~determined).tolist()]
@@ -128,15 +128,15 @@ def _left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> b
             curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
     values = leg.model.parameter_values
     parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
-    a, b, h = (_numbers(ca.substitute(part, p, ca.DM(values))) for part in parts)
+    a, b, h = (_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
         return False
     s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
     pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
-    return _full_column_rank(pencil)
+    return _has_full_column_rank(pencil)
 
 
-def _full_column_rank(matrix: Array) -> bool:
+def _has_full_column_rank(matrix: Array) -> bool:
     for axis in (1, 0):
         sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
         matrix = matrix / np.where(sizes > 0, sizes, 1.0)
@@ -145,7 +145,7 @@ def _full_column_rank(matrix: Array) -> bool:
     return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)
 
 
-def _numbers(expression: Any) -> Array | None:
+def _constant_matrix(expression: Any) -> Array | None:
     """The numbers of an expression, or None if it depends on something."""
     simple = ca.simplify(expression)
     return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
@@ -153,25 +153,29 @@ def _numbers(expression: Any) -> Array | None:
 
 def is_convex(problem: Problem) -> bool:
     """Whether a problem is convex in its trajectory, as far as constant Hessians tell."""
-    return all(map(_fixed_times, problem.phases.values())) and _ends(problem) and _along(problem)
+    return (
+        all(map(_has_fixed_times, problem.phases.values()))
+        and _are_ends_convex(problem)
+        and _are_phases_affine(problem)
+    )
 
 
-def _fixed_times(leg: Phase) -> bool:
+def _has_fixed_times(leg: Phase) -> bool:
     return all(bool(time.fixed[0]) for time in leg.times())
 
 
-def _along(problem: Problem) -> bool:
+def _are_phases_affine(problem: Problem) -> bool:
     """Whether dynamics and path constraints are affine along every phase."""
     for leg in problem.phases.values():
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
         rows = problem.bind(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
-        if not _affine(rows, z):
+        if not _is_affine(rows, z):
             return False
     return True
 
 
-def _ends(problem: Problem) -> bool:
+def _are_ends_convex(problem: Problem) -> bool:
     """Whether end conditions are affine, and the cost is convex, in end points, parameters and integrals."""
     legs = problem.phases.values()
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
@@ -180,29 +184,29 @@ def _ends(problem: Problem) -> bool:
     conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
     for leg in legs:
         conditions, cost = problem.bind(leg, conditions), problem.bind(leg, cost)
-    if not _affine(conditions, z) or not _convex(cost, z):
+    if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:
         _, x, u, _ = leg.model.arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in leg.integrands.values():
             expression = problem.bind(leg, integrand)
-            if _affine(expression, along):
+            if _is_affine(expression, along):
                 continue
             weight = ca.jacobian(cost, symbol)
             grows = (
                 weight.is_constant() and float(ca.DM(weight)) >= 0 and not ca.depends_on(conditions, symbol)
             )
-            if not grows or not _convex(expression, along):
+            if not grows or not _is_convex_quadratic(expression, along):
                 return False
     return True
 
 
-def _affine(expression: Any, z: Any) -> bool:
+def _is_affine(expression: Any, z: Any) -> bool:
     return not any(ca.which_depends(expression, z, 2, True)) if expression.numel() else True
 
 
-def _convex(expression: Any, z: Any) -> bool:
+def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     """Whether the Hessian of a scalar expression is constant and positive semidefinite, and it has no kinks."""
     hessian = ca.hessian(expression, z)[0]
     if not hessian.is_constant() or has_kinks(expression):
@@ -213,17 +217,17 @@ def _convex(expression: Any, z: Any) -> bool:
 
 def least_cost(problem: Problem) -> float:
     """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
-    return float(_least(problem, [problem.sense * problem.cost])[0])
+    return float(_least_values(problem, [problem.sense * problem.cost])[0])
 
 
-def _least(problem: Problem, expressions: Sequence[Any]) -> Array:
+def _least_values(problem: Problem, expressions: Sequence[Any]) -> Array:
     """Return what expressions of the ends are at least."""
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
-        p = _given(leg)
+        p = _parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
-        boxes += [*ends, *leg.times(), _integrals(problem, leg, q), p]
-    return ranges_of(_of_ends(problem, expressions), [*boxes, q]).lower
+        boxes += [*ends, *leg.times(), _integral_intervals(problem, leg, q), p]
+    return ranges_of(_end_function(problem, expressions), [*boxes, q]).lower
 
 
 def reaches_least_cost(
@@ -234,20 +238,20 @@ def reaches_least_cost(
     above = problem.sense * cost - least_cost(problem)
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
-    return bool(near and np.all(_above_least(solution) <= tolerance**2))
+    return bool(near and np.all(_excess_over_least(solution) <= tolerance**2))
 
 
-def _above_least(solution: Solution) -> Array:
+def _excess_over_least(solution: Solution) -> Array:
     """Return how far each term of the cost is above its least value, in shares of its scale."""
     problem = solution.need_problem("verify").clone()
-    terms = list(_addends(problem.sense * problem.cost))
+    terms = list(_split_sum(problem.sense * problem.cost))
     for leg in problem.phases.values():
         for symbol, integrand in list(leg.integrands.values()):
-            shares = [leg.integral(part) for part in _addends(integrand)]
+            shares = [leg.integral(part) for part in _split_sum(integrand)]
             terms = [
                 part
                 for term in terms
-                for part in _addends(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+                for part in _split_sum(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
@@ -267,37 +271,37 @@ def _above_least(solution: Solution) -> Array:
     )
     apart = from_problem(apart)
     amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
-    return np.asarray((ends_of(apart).constraints - _least(problem, terms)) / amounts)
+    return np.asarray((ends_of(apart).constraints - _least_values(problem, terms)) / amounts)
 
 
-def _addends(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+def _split_sum(expression: Any, factor: float = 1.0) -> Iterator[Any]:
     """Yield what a sum is made of, multiplied out where a factor is a number."""
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
-        yield from _addends(first, factor)
-        yield from _addends(second, -factor if expression.op() == ca.OP_SUB else factor)
+        yield from _split_sum(first, factor)
+        yield from _split_sum(second, -factor if expression.op() == ca.OP_SUB else factor)
     elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
-        yield from _addends(expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor)
+        yield from _split_sum(expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor)
     elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
-        yield from _addends(expression.dep(1), factor * float(expression.dep(0)))
+        yield from _split_sum(expression.dep(1), factor * float(expression.dep(0)))
     elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
-        yield from _addends(expression.dep(0), factor * float(expression.dep(1)))
+        yield from _split_sum(expression.dep(0), factor * float(expression.dep(1)))
     elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
-        yield from _addends(expression.dep(0), factor / float(expression.dep(1)))
+        yield from _split_sum(expression.dep(0), factor / float(expression.dep(1)))
     else:
         yield factor * expression
 
 
-def _given(leg: Phase) -> Interval:
+def _parameter_interval(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
-def _integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
+def _integral_intervals(problem: Problem, leg: Phase, q: Interval) -> Interval:
     """Between which values the integrals of a phase lie."""
     (initial, final), numbers = leg.times(), leg.numbers
     times = Interval(initial.lower, final.upper)
-    integrands = leg.once("integrands by all", lambda: _integrands(problem, leg))
-    rates = ranges_of(integrands, [times, numbers.states, numbers.controls, _given(leg), q])
+    integrands = leg.once("integrands by all", lambda: _integrand_function(problem, leg))
+    rates = ranges_of(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
@@ -305,12 +309,12 @@ def _integrals(problem: Problem, leg: Phase, q: Interval) -> Interval:
     return ranges_of(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
 
 
-def _integrands(problem: Problem, leg: Phase) -> Any:
+def _integrand_function(problem: Problem, leg: Phase) -> Any:
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
 
 
-def _of_ends(problem: Problem, expressions: Sequence[Any]) -> Any:
+def _end_function(problem: Problem, expressions: Sequence[Any]) -> Any:
     column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
     for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):

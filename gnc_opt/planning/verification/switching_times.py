@@ -38,7 +38,7 @@ def switching_times(
     """No shift of switching times lowers the cost to second order."""
     jumps = jumps_of(samples) if all(s.has_length for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
-    if jumps and _are_unknowns(jumps, samples, scales):
+    if jumps and _are_jumps_unknowns(jumps, samples, scales):
         jumps, place = [], f"{place}: see second order"
     fall = worst_fall(solution, samples, ends, scales, jumps)
     value, place = (0.0, place) if fall is None else (fall.value, fall.where)
@@ -46,7 +46,7 @@ def switching_times(
     return Condition("switching times", result, value, 0.0, place, _MEANING, sufficient=True)
 
 
-def _are_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: Scales) -> bool:
+def _are_jumps_unknowns(jumps: list[Jump], samples: list[PhaseSamples], scales: Scales) -> bool:
     """Whether the second order has every jump as an unknown of its own: bang-bang arcs, or boundaries of a movable mesh
     at which one control jumps and no limit of the states acts."""
     if any(jump.beyond for jump in jumps):
@@ -77,7 +77,7 @@ def worst_fall(
 ) -> Fall | None:
     """Return the direction of switching times in which the Lagrangian falls most, or None."""
     found = []
-    for group in _groups(jumps):
+    for group in _group_jumps(jumps):
         fall = ShiftedTrajectory.of(solution, samples, ends, scales, group).fall()
         if fall is not None:
             found.append(fall)
@@ -105,7 +105,7 @@ def jumps_of(samples: list[PhaseSamples]) -> list[Jump]:
         size = np.abs(after - before)
         for i in np.flatnonzero(size > VISIBLE * np.maximum(change, size)):
             straight = not (_is_held(s, int(i), a.breaks[-1]) or _is_held(following, int(i), b.breaks[0]))
-            on_bounds = all(_on_bound(p, v, int(i)) for p, v in ((s, before), (following, after)))
+            on_bounds = all(_is_on_bound(p, v, int(i)) for p, v in ((s, before), (following, after)))
             if straight and on_bounds:
                 jumps.append((s, float(a.breaks[-1]), int(i), b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
@@ -124,7 +124,7 @@ def _shorter_arc(
     return float(min(abs(time - t) for t in [first, last, *others] if t != time))
 
 
-def _on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
+def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     scale = max(float(np.ptp(s.u[i])), abs(float(u[i])), TINY)
     bounds = s.leg.control_bounds
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
@@ -145,7 +145,7 @@ def _is_held(s: PhaseSamples, i: int, time: float) -> bool:
     return bool(np.any((jacobian != 0) & (np.abs(s.mu[:, at]) > 0)))
 
 
-def _groups(jumps: list[Jump]) -> list[list[Jump]]:
+def _group_jumps(jumps: list[Jump]) -> list[list[Jump]]:
     """Return all jumps together if they are few, else those that coincide, and the others one by one."""
     if len(jumps) <= MOST_TOGETHER:
         return [jumps] if jumps else []

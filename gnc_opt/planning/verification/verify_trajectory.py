@@ -47,12 +47,12 @@ def restated_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, Samples], q: Array
 ) -> dict[str, Samples]:
     """Return samples of a problem as those of ``restated(problem)``, of which q are the first parameters."""
-    return {name: _of_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
+    return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
 
 
-def _of_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
+def _reformulate_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
     stated = leg.model if leg.restatement is None else leg.restatement.model
-    own = _by_name(own, problem.phases[leg.name].model, stated)
+    own = _reorder_samples(own, problem.phases[leg.name].model, stated)
     if leg.restatement is None:
         return own
     arguments = [*stated.arguments(), problem.parameter_symbols()]
@@ -68,7 +68,7 @@ def _of_phase(problem: Problem, leg: Phase, own: Samples, q: Array) -> Samples:
     return replace(own, u=u)
 
 
-def _by_name(own: Samples, given: Model, model: Model) -> Samples:
+def _reorder_samples(own: Samples, given: Model, model: Model) -> Samples:
     """Samples of a model with the same variables, of which some are states instead of controls."""
     if given.states.names == model.states.names:
         return own
@@ -83,10 +83,10 @@ def _by_name(own: Samples, given: Model, model: Model) -> Samples:
 
 def _directions(size: Array, direction: Array) -> Array:
     """Directions (n, n_times) of vectors of a size (n_times,), where it is zero those nearby."""
-    return _held(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
+    return _continue_directions(np.where(size <= AT_LIMIT * np.max(size), np.nan, direction))
 
 
-def _held(directions: Array) -> Array:
+def _continue_directions(directions: Array) -> Array:
     """Directions (n, n_times) that go on where there are none: as they were before, at first as they will be."""
     known = np.flatnonzero(np.all(np.isfinite(directions), axis=0))
     if not known.size:
@@ -169,31 +169,31 @@ def verify_trajectory(
     True
     """
     expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
-    q = _parameters(problem, p)
+    q = _read_parameters(problem, p)
     check_unused_controls(problem)
-    samples = _unwound(problem, _read_phases(problem, t, x, u), q)
-    verdict, twin = _judged(problem, samples, q, tol), restated(problem)
-    if verdict.minimum or twin is problem or _beyond_turns(problem, twin, samples):
+    samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
+    verdict, twin = _check_samples(problem, samples, q, tol), restated(problem)
+    if verdict.minimum or twin is problem or _exceeds_whole_turns(problem, twin, samples):
         return verdict
-    other = _judged_restated(problem, twin, samples, q, tol)
+    other = _check_reformulated(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
     return verdict if prefers_stated else other
 
 
-def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
-    verdict = verify(_solution(problem, samples, q), tol=tol)
+def _check_samples(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
+    verdict = verify(_build_solution(problem, samples, q), tol=tol)
     for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
-        other = verify(_solution(problem, samples, q, near=near), tol=tol)
+        other = verify(_build_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
     for parts in PARTS:
         if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
-        verdict = verify(_solution(problem, samples, q, parts), tol=tol)
-    return replace(_beyond_samples(verdict, problem, samples, q, tol), estimated=True)
+        verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
+    return replace(_excuse_interpolation_errors(verdict, problem, samples, q, tol), estimated=True)
 
 
-def _beyond_samples(
+def _excuse_interpolation_errors(
     verdict: Verdict, problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
     """The same with failures inconclusive that are errors of interpolation: they grow with every second sample."""
@@ -201,7 +201,9 @@ def _beyond_samples(
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
     if not failed or few or any(not c.value <= RESOLVED_VIOLATION for c in failed):
         return verdict
-    coarse = verify(_solution(problem, {k: _thinned(leg) for k, leg in samples.items()}, q), tol=tol)
+    coarse = verify(
+        _build_solution(problem, {k: _thin_samples(leg) for k, leg in samples.items()}, q), tol=tol
+    )
     doubted = {c.name for c in failed if coarse[c.name].value >= INTERPOLATION_GROWTH * c.value}
     if doubted != {c.name for c in failed}:
         return verdict
@@ -215,7 +217,7 @@ def _beyond_samples(
     )
 
 
-def _thinned(samples: Samples) -> Samples:
+def _thin_samples(samples: Samples) -> Samples:
     """Every second sample, the ends, and both sides of jumps."""
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
@@ -225,17 +227,17 @@ def _thinned(samples: Samples) -> Samples:
     return Samples(t[kept], samples.x[:, kept], samples.u[:, kept])
 
 
-def _judged_restated(
+def _check_reformulated(
     problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
 ) -> Verdict:
     """As a default call judges it: along controls without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = restated_samples(problem, twin, stated, q)
-    q = _with_added(twin, samples, q)
-    return _judged(twin, _unwound(twin, samples, q), q, tol)
+    q = _add_kink_parameters(twin, samples, q)
+    return _check_samples(twin, _unwrap_angles(twin, samples, q), q, tol)
 
 
-def _beyond_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+def _exceeds_whole_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
     """Whether angles leave bounds of a whole turn, which are no limits to a twin."""
     for name, leg in twin.phases.items():
         if leg.numbers.turns is not None:
@@ -246,30 +248,30 @@ def _beyond_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]
     return False
 
 
-def _with_added(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
+def _add_kink_parameters(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
     """Parameters and those in place of kinks at the ends, as small as their constraints allow."""
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:
         return q
     none = np.append(q, np.zeros(len(added)))
-    q, at_zero = none.copy(), _solution(twin, samples, none)
+    q, at_zero = none.copy(), _build_solution(twin, samples, none)
     rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
     for name in added:
         missing = [-rows[label] for label in twin.constraints[name].labels]
         q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
-    priced = abs(_solution(twin, samples, q).objective - at_zero.objective)
+    priced = abs(_build_solution(twin, samples, q).objective - at_zero.objective)
     return q if priced > EQUAL * abs(at_zero.objective) else none  # else it is rounding, on the kink
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------
 
 
-def _solution(
+def _build_solution(
     problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit(samples[name], _functions(problem, name, q).rates).split(parts)
+        fitted[name] = fit(samples[name], _build_phase_functions(problem, name, q).rates).split(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -289,7 +291,7 @@ def _solution(
         violations=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={"fingerprint": problem.fingerprint()},
-        structure=tuple(arc for leg in phases.values() for arc in _arcs(leg)),
+        structure=tuple(arc for leg in phases.values() for arc in _find_bound_arcs(leg)),
         problem=problem.frozen(),
     )
 
@@ -308,22 +310,22 @@ def _with_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
     )
 
 
-def _functions(problem: Problem, name: str, q: Array) -> PhaseFunctions:
+def _build_phase_functions(problem: Problem, name: str, q: Array) -> PhaseFunctions:
     leg = problem.phases[name]
     return phase_functions(problem, name, model_parameters(problem, leg, q), q, np.zeros(len(leg.integrands)))
 
 
-def _unwound(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
+def _unwrap_angles(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
     """The samples with angles that other tools keep within a turn as they run on."""
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwound(_functions(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        controls = unwound(_build_phase_functions(problem, name, q), bounds, leg.t, leg.x, leg.u)
         found[name] = replace(leg, u=controls)
     return found
 
 
-def _arcs(leg: PhaseSolution) -> list[Arc]:
+def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
     """Arcs of controls that are on a bound throughout, between their jumps; none if one is not."""
     arcs: list[Arc] = []
     breaks = leg.breaks[list(leg.mesh.anchors)]
@@ -366,7 +368,9 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
 
 
 def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
-    times = _finite(read_numbers(t, f"the times of {leg.where}", ProblemError), f"the times of {leg.where}")
+    times = _require_finite(
+        read_numbers(t, f"the times of {leg.where}", ProblemError), f"the times of {leg.where}"
+    )
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
         raise ProblemError(
             f"the times of {leg.where} have shape {times.shape}: give a vector of two or more."
@@ -382,16 +386,18 @@ def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> Samples:
             f"the times of {leg.where} repeat one more than twice, or at an end: give a time twice only where a "
             "control jumps."
         )
-    return _distinct(
+    return _remove_duplicates(
         Samples(
             times,
-            _rows(leg, leg.model.states, x, times.size, "state"),
-            _rows(leg, leg.model.controls, _in_parts(leg, u, times.size), times.size, "control"),
+            _read_rows(leg, leg.model.states, x, times.size, "state"),
+            _read_rows(
+                leg, leg.model.controls, _split_vector_controls(leg, u, times.size), times.size, "control"
+            ),
         )
     )
 
 
-def _distinct(samples: Samples) -> Samples:
+def _remove_duplicates(samples: Samples) -> Samples:
     """The samples without those that repeat another one, its time a rounding later."""
     t, u = samples.t, samples.u
     near = (np.diff(t) > 0) & (np.diff(t) <= SAME_TIME * (t[-1] - t[0]))
@@ -402,7 +408,7 @@ def _distinct(samples: Samples) -> Samples:
     return Samples(times[kept], samples.x[:, kept], u[:, kept])
 
 
-def _in_parts(leg: Phase, u: Values, n_times: int) -> Values:
+def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
     """Controls by name, those that are made of others as these: parts, or a magnitude and a direction."""
     if not isinstance(u, Mapping):
         return u
@@ -410,14 +416,14 @@ def _in_parts(leg: Phase, u: Values, n_times: int) -> Values:
     for control in leg.model.composed_controls.values():
         if control.name in found:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.where}"
-            parts = control.decompose(_shaped(found.pop(control.name), shape, what))
+            parts = control.decompose(_read_shape(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
                 parts = parts[0], _directions(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)
     return found
 
 
-def _rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+def _read_rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
     what = f"the {kind}s of {leg.where}"
     if isinstance(given, Mapping):
         for name in given:
@@ -427,14 +433,14 @@ def _rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) ->
         if missing:
             raise ProblemError(f"{kind} '{missing[0]}' of {leg.where} is missing: give its samples.")
         rows = [
-            _shaped(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.where}")
+            _read_shape(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.where}")
             for name in layout.names
         ]
         return np.vstack(rows) if rows else np.zeros((0, n_times))
-    return _shaped(given, (layout.size, n_times), what)
+    return _read_shape(given, (layout.size, n_times), what)
 
 
-def _shaped(value: Values, shape: tuple[int, int], what: str) -> Array:
+def _read_shape(value: Values, shape: tuple[int, int], what: str) -> Array:
     array = read_numbers(value, what, ProblemError)
     if shape[0] == 0 and array.size == 0:
         return np.zeros(shape)
@@ -442,16 +448,16 @@ def _shaped(value: Values, shape: tuple[int, int], what: str) -> Array:
         array = array[None, :]
     if array.shape != shape:
         raise ProblemError(f"{what} has shape {array.shape} where {shape} is needed: one column per time.")
-    return _finite(array, what)
+    return _require_finite(array, what)
 
 
-def _finite(array: Array, what: str) -> Array:
+def _require_finite(array: Array, what: str) -> Array:
     if not np.all(np.isfinite(array)):
         raise ProblemError(f"{what}: not every number is finite; give a complete trajectory.")
     return array
 
 
-def _parameters(problem: Problem, p: Values) -> Array:
+def _read_parameters(problem: Problem, p: Values) -> Array:
     layout, what = problem.parameters, f"the free parameters of '{problem.name}'"
     if p is None:
         if layout.size:
@@ -467,10 +473,10 @@ def _parameters(problem: Problem, p: Values) -> Array:
             raise ProblemError(
                 f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
             )
-        return _finite(values, what)
+        return _require_finite(values, what)
     values = read_numbers(p, what, ProblemError).reshape(-1)
     if values.size != layout.size:
         raise ProblemError(
             f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."
         )
-    return _finite(values, what)
+    return _require_finite(values, what)

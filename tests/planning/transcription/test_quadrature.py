@@ -17,8 +17,8 @@ from testing.internals import Scheme
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     Array,
+    _build_rule,
     _decimal_points_and_weights,
-    _rule,
     barycentric_weights,
     collocation_rule,
     differentiation_matrix,
@@ -349,7 +349,7 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
     with localcontext(Context(prec=5)):
         before = repr(getcontext())
         scaled = barycentric_weights(nodes)
-        table = _rule.__wrapped__("LGL", 9).differentiation
+        table = _build_rule.__wrapped__("LGL", 9).differentiation
         x, w = _decimal_points_and_weights.__wrapped__("LG", 9)
         assert repr(getcontext()) == before
     np.testing.assert_allclose(scaled, exact / np.max(np.abs(exact)), rtol=1e-14)

@@ -19,7 +19,7 @@ from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting, parameter_scale
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides, jumps_explained, pushed_beside
 from gnc_opt.planning.optimality.kkt import variation_weights
-from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature, _variables
+from gnc_opt.planning.optimality.multiplier_estimate import _adjoint_rows, _quadrature_weights, _variables
 from gnc_opt.planning.optimality.switches import Switches
 from gnc_opt.planning.optimality.switching_problem import InducedProblem, Unknowns
 from gnc_opt.planning.optimality.trajectory_fit import Samples, fit
@@ -29,9 +29,14 @@ from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import least_squares
 from gnc_opt.planning.verification.control_conditions import undetermined
 from gnc_opt.planning.verification.costate_conditions import _unexplained
-from gnc_opt.planning.verification.critical_cone import CriticalCone, _close_arcs, _lines, _nodes
-from gnc_opt.planning.verification.recomputed import _difference, ends_of, from_problem, has_costates
-from gnc_opt.planning.verification.reduced_hessian import Curvature, _doubt, _place
+from gnc_opt.planning.verification.critical_cone import (
+    CriticalCone,
+    _hold_arcs,
+    _state_node_variables,
+    _variables_by_line,
+)
+from gnc_opt.planning.verification.recomputed import _relative_difference, ends_of, from_problem, has_costates
+from gnc_opt.planning.verification.reduced_hessian import Curvature, _flat_curvature_text, _locate_direction
 from gnc_opt.planning.verification.singular_arcs import generalised_legendre_clebsch, singular_arcs
 
 Array = NDArray[np.float64]
@@ -106,9 +111,9 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
 
 def test_difference_in_shares_of_the_larger() -> None:
     a, b = np.array([1.0, 4.0, np.inf, np.inf, 0.0, -3.0]), np.array([1.0, 5.0, np.inf, 2.0, 0.0, 3.0])
-    np.testing.assert_allclose(_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
-    np.testing.assert_allclose(_difference(a[:2], a[:3]), [np.inf])
-    assert _difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
+    np.testing.assert_allclose(_relative_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
+    np.testing.assert_allclose(_relative_difference(a[:2], a[:3]), [np.inf])
+    assert _relative_difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
 
 
 # --- what cost and integrals amount to --------------------------------------------------------------------
@@ -329,7 +334,10 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
-    exact, weights = _adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}), _quadrature(transcription)
+    exact, weights = (
+        _adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
+        _quadrature_weights(transcription),
+    )
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
     for places in (collocation.point_states, collocation.point_controls):
@@ -345,7 +353,7 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
     times = np.full(transcription.n_variables, np.nan)
     times[collocation.boundary_states], times[collocation.point_states] = mesh.breaks, collocation.fractions
     for k, degree in enumerate(mesh.degrees):
-        nodes = _nodes(collocation, k)
+        nodes = _state_node_variables(collocation, k)
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
         assert np.all(np.diff(times[nodes], axis=1) > 0)
         np.testing.assert_allclose(times[nodes[:, [0, -1]]], [mesh.breaks[k : k + 2]] * 2)
@@ -356,9 +364,11 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
-    lines = [list(map(int, line)) for line in _lines(SimpleNamespace(transcription=transcription))[0]]
+    lines = [
+        list(map(int, line)) for line in _variables_by_line(SimpleNamespace(transcription=transcription))[0]
+    ]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
-    states = [list(map(int, row)) for k in range(2) for row in _nodes(collocation, k)]
+    states = [list(map(int, row)) for k in range(2) for row in _state_node_variables(collocation, k)]
     assert sorted(lines) == sorted(states + controls)
 
 
@@ -368,7 +378,7 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
     values = np.array([1.0, 1.0, -1.0, 0.5, 1.0, 1.0, 2.0, 2.0])
     pushed = np.array([True, False, False, False, False, False, True, False])
     held, doubtful = pushed.copy(), np.array([False, True, True, False, True, True, False, False])
-    _close_arcs(lines, values, pushed, held, doubtful)
+    _hold_arcs(lines, values, pushed, held, doubtful)
     np.testing.assert_array_equal(held, [True, True, False, False, False, False, True, False])
     np.testing.assert_array_equal(doubtful, [False, False, True, False, True, True, False, False])
 
@@ -473,18 +483,19 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     direction = np.full(transcription.n_variables, 0.1)
     direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
     time = 2.0 + 4.0 * collocation.fractions[5]
-    assert _place(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    assert _locate_direction(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
     direction[transcription.parameter_places] = -1.0
     assert (
-        _place(point, solution, direction) == transcription.variable_labels[transcription.parameter_places[0]]
+        _locate_direction(point, solution, direction)
+        == transcription.variable_labels[transcription.parameter_places[0]]
     )
 
 
 def test_doubt_says_whether_it_is_flat() -> None:
     for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
         curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
-        assert ("flat" in _doubt(curvature, 1e-4)) is flat
-    assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
+        assert ("flat" in _flat_curvature_text(curvature, 1e-4)) is flat
+    assert "flat" in _flat_curvature_text(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
 
@@ -515,9 +526,9 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     direction[collocation.point_controls] = points
     point: Any = SimpleNamespace(transcription=transcription, scaling=SimpleNamespace(variables=scales))
     cone = CriticalCone(point, np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
-    found = cone._outwards_between(s, side * direction / scales)
+    found = cone._largest_limit_violation(s, side * direction / scales)
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    small = cone._outwards_between(s, 1e-3 * side * direction / scales)
+    small = cone._largest_limit_violation(s, 1e-3 * side * direction / scales)
     np.testing.assert_allclose(small, expected, atol=1e-9)  # in shares of the direction's largest
 
 

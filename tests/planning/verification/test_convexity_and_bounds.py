@@ -18,7 +18,7 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, theorem_of
 from gnc_opt.planning.study.relaxation import relaxations
 from gnc_opt.planning.verification.engine import _of_convex
-from gnc_opt.planning.verification.sufficiency import _addends, has_one_solution, is_convex, least_cost
+from gnc_opt.planning.verification.sufficiency import _split_sum, has_one_solution, is_convex, least_cost
 from gnc_opt.report import summary_dict
 
 # Convex problems: where the first order suffices, nothing may be told to curve downwards.
@@ -599,7 +599,7 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
 
 def test_sums_are_taken_apart() -> None:
     x = ca.SX.sym("x", 3)
-    parts = ca.vertcat(*_addends(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
+    parts = ca.vertcat(*_split_sum(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
     assert ca.DM(ca.substitute(parts, x, ca.DM([3.0, 4.0, 8.0]))).full().ravel().tolist() == [
         6,
         -6,

@@ -81,7 +81,7 @@ def arcs(monkeypatch: pytest.MonkeyPatch) -> Any:
         assert tol == TOLERANCE and np.all(np.diff(here) == 1)
         return channels.tolist(), regular.tolist(), float(s.times[here[0]]), float(s.times[here[-1]])
 
-    monkeypatch.setattr(singular, "_singular_arc", judge)
+    monkeypatch.setattr(singular, "_analyse_singular_arc", judge)
     none: Any = None
     return lambda s: singular_arcs(none, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
 

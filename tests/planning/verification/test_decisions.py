@@ -108,8 +108,8 @@ def test_curvature_on_the_mesh(
         return free if not held[1] or bound is None else bound
 
     monkeypatch.setattr(reduced_hessian, "least_curvature", least)
-    monkeypatch.setattr(reduced_hessian, "_place", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_jumping_control", lambda samples: jumps)
+    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
+    monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: jumps)
     solution: Any = SimpleNamespace(structure=())
     condition = reduced_hessian.reduced_hessian(solution, [], cone)
     assert condition.result is result and condition.sufficient and condition.name == "second order"
@@ -124,14 +124,14 @@ def test_curvature_on_the_mesh(
 def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of several phases with such a control is enough."""
     monkeypatch.setattr(reduced_hessian, "least_curvature", lambda *given: curved(-5e-3))
-    monkeypatch.setattr(reduced_hessian, "_place", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_jumping_control", lambda samples: "")
+    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
+    monkeypatch.setattr(reduced_hessian, "_find_jumping_control", lambda samples: "")
     cone: Any = SimpleNamespace(
         point=None, unit=None, further=None, strong=None, weak=np.zeros(1), admits=lambda *given: True
     )
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
-    monkeypatch.setattr(reduced_hessian, "_partly_singular", lambda s: s)
+    monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)
     monkeypatch.setattr(reduced_hessian, "open_end", lambda cone, s: ("", np.inf))
     assert reduced_hessian.reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL

@@ -20,22 +20,33 @@ from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.cost_scale import Magnitudes, integral_spans, lasting
 from gnc_opt.planning.optimality.kkt import FOUND, LANCZOS_RESIDUAL_TOLERANCE, NullSpace, _settled, lanczos
-from gnc_opt.planning.optimality.multiplier_estimate import _or_one, estimate
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, _vanishing
+from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, _controls_with_vanishing_switching
 from gnc_opt.planning.optimality.switching_problem import Unknowns
-from gnc_opt.planning.optimality.trajectory_fit import Samples, _Controls, _Jump, _kinks_of, _place, fit
+from gnc_opt.planning.optimality.trajectory_fit import (
+    Samples,
+    _Controls,
+    _find_control_kinks,
+    _Jump,
+    _place_jumps,
+    fit,
+)
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.bang_bang_second_order import _on_bound, _worst_crossing, least_squares
-from gnc_opt.planning.verification.feasibility import _worst_miss
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    _controls_on_bound,
+    _find_worst_crossing,
+    least_squares,
+)
+from gnc_opt.planning.verification.feasibility import _worst_excess
 from gnc_opt.planning.verification.goh import straight
 from gnc_opt.planning.verification.recomputed import ends_of, from_problem, has_costates, missing_number
 from gnc_opt.planning.verification.reduced_hessian import _least_direction
-from gnc_opt.planning.verification.verify_trajectory import _shaped, _solution
+from gnc_opt.planning.verification.verify_trajectory import _build_solution, _read_shape
 
 Array = NDArray[np.float64]
 
@@ -107,11 +118,13 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
                 return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
 
             s = bang(cost=cost, unit=unit, lam=lam)
-            assert _vanishing(s, sample).tolist() == ([1] if vanishes else [])
+            assert _controls_with_vanishing_switching(s, sample).tolist() == ([1] if vanishes else [])
     still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
-    assert _vanishing(still, 0).tolist() == [2]
+    assert _controls_with_vanishing_switching(still, 0).tolist() == [2]
     given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
-    assert _vanishing(PhaseSamples.of(given, still.functions), 0).tolist() == []  # it has no range
+    assert (
+        _controls_with_vanishing_switching(PhaseSamples.of(given, still.functions), 0).tolist() == []
+    )  # it has no range
 
 
 def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
@@ -133,7 +146,7 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
             breaks=edges,
             control_bounds=by_hand.interval(-1.0, 1.0),
         )
-        worst = _worst_crossing(s)
+        worst = _find_worst_crossing(s)
         assert worst is not None and worst.where == "phase leg, t = 1 s, u"
         assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
 
@@ -271,7 +284,7 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
     u = np.where(t < switch, first, second)
     samples = Samples(t, way(t)[None], u[None])
     jump = _Jump(1, 0.3, (0,))
-    _place(samples, _Controls(samples, [jump]), [jump], rates)
+    _place_jumps(samples, _Controls(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
 
 
@@ -282,13 +295,13 @@ def test_misses_are_told_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
-    worst = _worst_miss(values, box, scale, ["a", "b"], ["m", "kg"])
+    worst = _worst_excess(values, box, scale, ["a", "b"], ["m", "kg"])
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
-    assert _worst_miss(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
-    assert _worst_miss(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
-    gone = _worst_miss(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
+    assert _worst_excess(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
+    assert _worst_excess(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
+    gone = _worst_excess(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
     assert gone.value == np.inf and gone.where.startswith("b off by")
-    assert _worst_miss(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
+    assert _worst_excess(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value == 0.0
 
 
 def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
@@ -399,12 +412,12 @@ def test_integrals_without_integrands_have_no_span() -> None:
 
 
 def test_a_trajectory_without_controls_needs_none() -> None:
-    assert _shaped([], (0, 5), "controls").shape == (0, 5)
+    assert _read_shape([], (0, 5), "controls").shape == (0, 5)
     with pytest.raises(go.ProblemError, match=r"has shape \(1,\) where \(0, 5\)"):
-        _shaped([3.0], (0, 5), "controls")
-    np.testing.assert_array_equal(_shaped([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
+        _read_shape([3.0], (0, 5), "controls")
+    np.testing.assert_array_equal(_read_shape([1.0, 2.0], (1, 2), "x"), [[1.0, 2.0]])
     with pytest.raises(go.ProblemError, match="not every number is finite"):
-        _shaped([1.0, np.inf], (1, 2), "x")
+        _read_shape([1.0, np.inf], (1, 2), "x")
 
 
 @pytest.mark.parametrize("maximised", [False, True])
@@ -417,7 +430,7 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     t = np.linspace(0.0, 1.0, 5)
     sign = 1.0 if maximised else -1.0
     samples = {"leg": Samples(t, sign * t[None], sign + 0 * t[None])}
-    found = _solution(problem, samples, np.zeros(0), parts=1)
+    found = _build_solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
 
@@ -447,7 +460,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
 
 
 def test_ones_take_the_place_of_nothing() -> None:
-    np.testing.assert_array_equal(_or_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+    np.testing.assert_array_equal(_replace_zeros_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -474,7 +487,7 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
         s = bang(unit=unit)
         box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
         s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
-        assert bool(np.all(_on_bound(s)[1])) is told and np.all(_on_bound(s)[[0, 2]])
+        assert bool(np.all(_controls_on_bound(s)[1])) is told and np.all(_controls_on_bound(s)[[0, 2]])
 
 
 def test_given_times_do_not_change_the_cost() -> None:
@@ -513,11 +526,11 @@ def test_the_first_sample_without_a_number_ends_the_flight() -> None:
         return by_hand.rest(t, k) * np.array([[1.0], [np.nan if k else 1.0]])
 
     s = by_hand.samples(problem, hole)
-    worst = feasibility._missing_number(s)
+    worst = feasibility._find_missing_number(s)
     assert worst is not None and worst.value == np.inf and worst.where == "phase leg, t = 0.5 s: not finite"
-    assert feasibility._missing_number(by_hand.samples(problem)) is None
+    assert feasibility._find_missing_number(by_hand.samples(problem)) is None
     lost = replace(s.functions, q=np.array([np.nan]))
-    gone = feasibility._missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
+    gone = feasibility._find_missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
     assert gone is not None and gone.where == "a free parameter is not finite"
 
 
@@ -534,7 +547,7 @@ def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool
     """In 0.1 s by a thousandth of the range of 2."""
     t = np.linspace(0.0, 2.0, 21)
     u = t + turn * np.maximum(t - 1.03, 0.0)
-    found = _kinks_of(t, u, 5, 2)
+    found = _find_control_kinks(t, u, 5, 2)
     assert len(found) == seen
     for kink in found:
         assert kink.after == 15 and kink.time == pytest.approx(1.03, abs=1e-6)

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 from gnc_opt.planning.optimality import kkt as null_space
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.kkt import NullSpace, lanczos, quadratic
-from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _sort_out
+from gnc_opt.planning.optimality.multiplier_estimate import _Limits, _select_multipliers
 from gnc_opt.planning.optimality.program_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.interval import Interval
-from gnc_opt.planning.verification.bang_bang_second_order import _explained, _extrapolated
+from gnc_opt.planning.verification.bang_bang_second_order import (
+    _explain_residual_by_order,
+    _extrapolate_richardson,
+)
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.reduced_hessian import least_curvature
 
@@ -115,19 +118,19 @@ def test_lanczos_takes_no_more_steps_than_it_is_told_and_than_settle_the_ends() 
 
 def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:
     coarse, fine = 2.0 + 3.0 * 0.2**ORDER, 2.0 + 3.0 * 0.1**ORDER
-    assert _extrapolated(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
+    assert _extrapolate_richardson(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
 
 
 def test_what_an_order_explains_of_a_gradient() -> None:
     """An order pushes one way only."""
     precedences = np.array([[-1.0, 1.0, 0.0]])
-    residual, pushes = _explained(np.array([-2.0, 2.0, 0.5]), precedences)
+    residual, pushes = _explain_residual_by_order(np.array([-2.0, 2.0, 0.5]), precedences)
     np.testing.assert_allclose(residual, [0.0, 0.0, 0.5], atol=1e-12)
     np.testing.assert_allclose(pushes, [2.0])
-    residual, pushes = _explained(np.array([2.0, -2.0, 0.5]), precedences)
+    residual, pushes = _explain_residual_by_order(np.array([2.0, -2.0, 0.5]), precedences)
     np.testing.assert_allclose(residual, [2.0, -2.0, 0.5])
     np.testing.assert_allclose(pushes, [0.0])
-    residual, pushes = _explained(np.array([1.0]), np.zeros((0, 1)))
+    residual, pushes = _explain_residual_by_order(np.array([1.0]), np.zeros((0, 1)))
     np.testing.assert_allclose(residual, [1.0])
     assert pushes.shape == (0,)
 
@@ -155,19 +158,19 @@ def none_at(n: int, lower: bool = False, upper: bool = False) -> _Limits:
 def test_limits_that_would_pull_are_let_go() -> None:
     """min z^2 / 2 - g z under the row z <= 0, at z = 0: the multiplier is g if that pushes, else none."""
     matrix, exact = sparse(np.ones((1, 1))), np.zeros(1, dtype=bool)
-    held = _sort_out(
+    held = _select_multipliers(
         matrix, np.array([-2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
     )
     assert held == pytest.approx([2.0])
-    free = _sort_out(
+    free = _select_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
     )
     assert free == pytest.approx([0.0])
-    lower = _sort_out(
+    lower = _select_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, lower=True)
     )
     assert lower == pytest.approx([-2.0])
-    assert _sort_out(
+    assert _select_multipliers(
         matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1)
     ) == pytest.approx([0.0])
 
@@ -177,18 +180,18 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     matrix, exact = sparse(np.ones((2, 1))), np.zeros(2, dtype=bool)
     rows = none_at(1, lower=True, upper=True)
     at_lower = _Limits(np.array([False, True]), np.zeros(2, dtype=bool))
-    assert _sort_out(
+    assert _select_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-1.0])
     # -(g - 1) > 0 is no multiplier of a lower limit: its row is imposed as well, and the least squares are -0.5.
-    assert _sort_out(
+    assert _select_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-0.5])
     at_upper = _Limits(np.zeros(2, dtype=bool), np.array([False, True]))
-    assert _sort_out(
+    assert _select_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-1.0])
-    assert _sort_out(
+    assert _select_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-2.0])
 

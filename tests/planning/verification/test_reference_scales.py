@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.verification.recomputed import from_problem
-from gnc_opt.planning.verification.verify_trajectory import _solution
+from gnc_opt.planning.verification.verify_trajectory import _build_solution
 
 # Reference magnitudes do not depend on how a problem is written.
 
@@ -161,7 +161,7 @@ def measured(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
     given = Samples(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
-    solution = from_problem(_solution(problem, {"leg": given}, np.zeros(0)))
+    solution = from_problem(_build_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [
         frame.cost[0] * inverse.T @ costates((0.5 * (a + b) + 0.5 * (b - a) * nodes) / frame.time, n)

@@ -22,16 +22,16 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning import ArcKind, ConditionResult
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
 from gnc_opt.planning.optimality.cost_scale import least_for_long, without_switches
-from gnc_opt.planning.optimality.switches import GRAZES, Switches, _joined
+from gnc_opt.planning.optimality.switches import GRAZES, Switches, _merge_equal_times
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh import CUTS, SINGULAR_SEGMENT_MIN_POINTS, cut, singular_segments
 from gnc_opt.planning.verification.reduced_hessian import (
-    _jumping_control,
-    _partly_singular,
-    _rich,
+    _enrich_mesh,
+    _find_jumping_control,
+    _has_partly_singular_segment,
 )
 from gnc_opt.planning.verification.singular_arcs import chatters
-from gnc_opt.planning.verification.verify_trajectory import _arcs
+from gnc_opt.planning.verification.verify_trajectory import _find_bound_arcs
 from problems import rendezvous
 
 # Switches of bang-bang controls by hand: where they are, in which orders they come, and how steeply.
@@ -267,7 +267,7 @@ def test_orders_pieces_and_precedences() -> None:
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
     times = np.array([5e-8, 0.3, 0.3 + 6e-8, 0.3 + 1.2e-7, 0.5, 1 - 5e-8])
     before = times.copy()
-    joined = _joined(times, 1e-7, np.array([0.0, 1.0]))
+    joined = _merge_equal_times(times, 1e-7, np.array([0.0, 1.0]))
     np.testing.assert_array_equal(joined, [0.0, 0.3, 0.3, 0.3 + 1.2e-7, 0.5, 1.0])
     np.testing.assert_array_equal(times, before)
 
@@ -281,13 +281,13 @@ def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     """H is straight in all controls; w does not jump if it stays, nor does what has no curvature in between."""
     once = ((-1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
     late = "switch times that are not variables of the mesh do not vary"
-    assert _jumping_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
-    assert _jumping_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
-    assert _jumping_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
+    assert _find_jumping_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
+    assert _find_jumping_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
+    assert _find_jumping_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
     between = ((-1.0, 0.5, -1.0), (-2.0, 0.0, -2.0))
-    assert _jumping_control([flight(STRAIGHT, FALLS, between)]) == ""
-    assert not _partly_singular(flight(STRAIGHT, FALLS, between))  # but all along a segment
-    assert not _partly_singular(flight(STRAIGHT, FALLS))
+    assert _find_jumping_control([flight(STRAIGHT, FALLS, between)]) == ""
+    assert not _has_partly_singular_segment(flight(STRAIGHT, FALLS, between))  # but all along a segment
+    assert not _has_partly_singular_segment(flight(STRAIGHT, FALLS))
 
 
 @pytest.mark.parametrize("cost", [1e-9, 1e9])
@@ -305,12 +305,12 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
         weights=(1.0,),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    assert bool(_jumping_control([s])) is (bend <= 1e-8)
+    assert bool(_find_jumping_control([s])) is (bend <= 1e-8)
 
 
 def test_simple_meshes_get_thirty_points() -> None:
-    assert _rich(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
-    fine = _rich(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
+    assert _enrich_mesh(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
+    fine = _enrich_mesh(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
     assert (
         fine.degrees == (8, 9, 8, 8) and fine.movable == (1, 3) and fine.breaks == (0.0, 0.2, 0.5, 0.7, 1.0)
     )
@@ -320,15 +320,15 @@ def test_arcs_of_a_trajectory_between_its_jumps() -> None:
     """Neighbours on one bound are one arc; a control between its bounds, or no jump at all, and there are none."""
     s = flight(STRAIGHT, FALLS)
     leg = replace(s.leg, mesh=go.Mesh.at_times(ENDS, 4, movable=True))
-    found = [(a.channel, a.kind, a.start, a.end) for a in _arcs(leg) if a.channel != "v"]
+    found = [(a.channel, a.kind, a.start, a.end) for a in _find_bound_arcs(leg) if a.channel != "v"]
     lower, upper = ArcKind.LOWER, ArcKind.UPPER
     assert found == [
         ("u", upper, 0.0, 0.8), ("u", lower, 0.8, 1.4), ("u", upper, 1.4, 2.0),
         ("w", lower, 0.0, 1.4), ("w", upper, 1.4, 2.0),
     ]  # fmt: skip
-    assert _arcs(s.leg) == []
+    assert _find_bound_arcs(s.leg) == []
     between = flight(STRAIGHT, FALLS, ((1.0, -1.0, 1.0), (-2.0, 0.0, 3.0))).leg
-    assert _arcs(replace(between, mesh=leg.mesh)) == []
+    assert _find_bound_arcs(replace(between, mesh=leg.mesh)) == []
 
 
 def test_obstacles_are_told_by_their_phase() -> None:
@@ -849,7 +849,7 @@ def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
             weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
         )  # fmt: skip
         np.testing.assert_array_equal(singular_segments(s), [[not partly, True]])
-        assert _partly_singular(s) is partly
+        assert _has_partly_singular_segment(s) is partly
 
 
 @pytest.mark.parametrize(("limit", "push", "held"), [(1.0, 0.3, True), (1.0, 0.0, False), (2.0, 0.0, False)])
@@ -866,7 +866,7 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
         state_bounds=by_hand.interval(-1.0, limit), states=lambda t, k: np.array([push + 0 * t]),
     )  # fmt: skip
     np.testing.assert_array_equal(singular_segments(s), [[not held, not held]])
-    assert not _partly_singular(s)
+    assert not _has_partly_singular_segment(s)
 
 
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:

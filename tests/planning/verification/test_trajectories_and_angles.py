@@ -18,11 +18,11 @@ from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     Samples,
-    _carried,
     _Controls,
     _interpolants,
+    _intersection_time,
     _Jump,
-    _meeting,
+    _propagate_states,
     fit,
 )
 from gnc_opt.planning.problem.angles import Turns
@@ -41,7 +41,9 @@ def pushed(t: Array, x: Array, u: Array) -> Array:
 def test_runge_kutta_is_exact_for_cubics_in_time() -> None:
     """x' = t^3 from a = (-1, 0.5) to b = (2, 3)."""
     a, b = np.array([-1.0, 0.5]), np.array([2.0, 3.0])
-    ends = _carried(np.array([[1.0, 2.0]]), a, b, lambda t, m: np.zeros((1, 2)), lambda t, x, u: t**3 + 0 * x)
+    ends = _propagate_states(
+        np.array([[1.0, 2.0]]), a, b, lambda t, m: np.zeros((1, 2)), lambda t, x, u: t**3 + 0 * x
+    )
     np.testing.assert_allclose(ends, [[1.0, 2.0] + (b**4 - a**4) / 4], rtol=1e-13)
 
 
@@ -49,7 +51,7 @@ def test_runge_kutta_multiplies_by_the_exponential_series_to_fourth_order() -> N
     """x' = -2 x + u in four steps over 2 s, u = 3 where the middle of the interval is 1 s."""
     z = -2.0 * 0.5
     factor = (1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) ** 4
-    ends = _carried(
+    ends = _propagate_states(
         np.array([[5.0]]),
         np.zeros(1),
         np.full(1, 2.0),
@@ -73,14 +75,14 @@ def test_where_two_lines_meet() -> None:
     def line(slope: float, zero: float) -> Any:
         return lambda t: slope * (t - zero)
 
-    assert _meeting(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _meeting(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _meeting(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
-    assert _meeting(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
+    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _intersection_time(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
+    assert _intersection_time(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
     # Within the slack of an end, at the end.
-    assert _meeting(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
-    assert _meeting(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
-    assert _meeting(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
+    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
+    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
+    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
 
 
 # --- the whole --------------------------------------------------------------------------------------------
