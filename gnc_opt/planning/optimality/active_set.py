@@ -18,7 +18,8 @@ zero multiplier determines no control.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -34,6 +35,7 @@ from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.solution.samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.scales import STILL_STATE_SHARE
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, RANK
 
 
@@ -221,15 +223,43 @@ def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs
     )
 
 
-def _touches(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
-    """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
-    boundaries = s.leg.mesh.movable
+def _pushing(rows: StateConstraints, boundaries: Sequence[int]) -> tuple[Mask, Mask]:
+    """Which constraints are at their limits, and which push there (2, n_rows, n_boundaries): lower and upper ones."""
+    s = rows.samples
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.flown(times)
     near, pushes = rows.near(rows.values(*point)), rows.pushes(*point)
-    found = []
-    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), near, strict=True):
-        for row, k in np.argwhere(here & (kind.sign * pushes > ACTIVE * s.cost_scale)):
+    pushing = [
+        here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
+    ]
+    return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
+
+
+def with_movable_touches(solution: Solution) -> Solution:
+    """Return a solution with variable times where limits are touched, if other times of the mesh vary.
+
+    A mesh stretches between its variable times: a touch that it carries along would be held beside the peak.
+    """
+    phases = dict(solution.phases)
+    for name, s in solution.samples().items():
+        mesh = s.leg.mesh
+        if not mesh.movable or mesh.segments < 3:
+            continue
+        rows = StateConstraints(solution.need_problem("linearise"), s)
+        near, pushing = _pushing(rows, range(1, mesh.segments))
+        near = np.pad(near, ((0, 0), (0, 0), (1, 1)))
+        alone = pushing & ~near[:, :, :-2] & ~near[:, :, 2:]
+        touched = 1 + np.flatnonzero(np.any(alone, axis=(0, 1)))
+        movable = tuple({*mesh.movable, *map(int, touched)})
+        phases[name] = replace(s.leg, mesh=Mesh(mesh.breaks, mesh.degrees, movable))
+    return replace(solution, phases=phases)
+
+
+def _touches(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
+    """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
+    boundaries, found = s.leg.mesh.movable, []
+    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), _pushing(rows, boundaries)[1], strict=True):
+        for row, k in np.argwhere(here):
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))

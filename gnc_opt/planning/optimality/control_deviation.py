@@ -18,6 +18,9 @@ STEADY_SHARE = 1e-7
 PEAK_SHARE = 1e-2
 """Least rms deviation of a control, in shares of its largest one."""
 
+AT_REST_SHARE = 1e-4
+"""Deviation of controls that are zero, in shares of what steers the states by as much as they move by themselves."""
+
 MEAN_SHARE = 0.1
 """Least deviation of a control at any time, in shares of its mean over the phase."""
 
@@ -82,7 +85,7 @@ def _at_rest(s: PhaseSamples, size: Array) -> Array:
     share = np.divide(own, beside, out=np.ones_like(own), where=beside > own)
     if not np.all(size <= share * np.fmax(STEADY_SHARE * asked, rounding)):
         return np.zeros_like(size)
-    return np.asarray(np.where(asked > rounding, PEAK_SHARE * asked, s.control_span))
+    return np.asarray(np.where(asked > rounding, AT_REST_SHARE * asked, s.control_span))
 
 
 def resolved_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:

@@ -165,6 +165,22 @@ def _gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | N
     return _Gramian(start[:n, :n], mean[:n, :n], whole[:n, :n], whole, growth)
 
 
+def end_response(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return derivatives of the end with respect to the controls (n, m, n_cells) at centres of cells, and these."""
+    edges = cells_of(s.leg.breaks)
+    times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
+    at = times, s.leg.x(times), s.leg.flown(times)
+    by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
+    by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
+    halves, onwards = exponentials(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
+    found = np.zeros((onwards.shape[0], *at[2].shape))
+    for k in reversed(range(widths.size)):
+        onwards = onwards @ halves[k]
+        found[:, :, k] = onwards @ by_control[k]
+        onwards = onwards @ halves[k]
+    return times, found
+
+
 def exponentials(matrices: Array) -> Array:
     """Return matrix exponentials (n_matrices, n, n); those of large norm, of matrices that are reduced to it."""
     sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)

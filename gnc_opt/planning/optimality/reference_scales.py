@@ -48,6 +48,7 @@ from gnc_opt.planning.optimality.reach import (
     Reach,
     cells_of,
     end_arguments,
+    end_response,
     link_jacobians,
     reach_gramians,
     reach_of,
@@ -68,6 +69,12 @@ VANISHED_SHARE = 1e-6
 SINGULAR_SHARE = 1e-3
 """Where H is affine in all controls, first-order changes of the cost below this share of its second-order change over
 the reach of the states are those of singular arcs."""
+
+CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
+"""Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
+
+RESOLVED_MISS = 1e-2
+"""Distance to the minimum of a curved H, in shares of a control's deviation, that no error of multipliers explains."""
 
 ROUGH_SAMPLES = 5
 """One of so many samples is used for a magnitude that need not be exact."""
@@ -169,6 +176,23 @@ class Scales:
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(phases, cost, changed, parameters, ends, reach, links, ends.constraints(reach, parameters))
+
+    def miss_of_cheap_controls(self, s: PhaseSamples, gap: Array) -> float:
+        """Return by how much a gap of the costates (n,) at the end of a phase moves cheap controls, in deviations.
+
+        Shares of the cost scale, which is that of all controls, hide the parts that cost little of it.
+        """
+        own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
+        shares = own.control_cost / self.cost
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0)
+        if not (np.any(gap) and np.any(cheap)):
+            return 0.0
+        times, response = end_response(s)
+        moved = np.einsum("i,imt->mt", gap, response) * s.span / np.where(cheap, bends, 1.0)[:, None]
+        deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation])
+        share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
+        miss = float(np.max(np.sqrt(np.mean(share**2, axis=1)), where=cheap, initial=0.0))
+        return miss if miss > RESOLVED_MISS else 0.0
 
 
 def _control_costs(s: PhaseSamples, deviation: Array) -> Array:

@@ -217,7 +217,7 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
-        most = float(np.nanmax(self._hamiltonian_terms, initial=0.0))
+        most = float(np.nanmax(self._costate_terms, initial=0.0))
         asked = steering(self.leg, self.functions)
         curvature = self._curvature_matrix.curvature
         spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
@@ -324,10 +324,16 @@ class PhaseSamples:
         return worth if worth > 0 else 1.0
 
     @cached_property
-    def _hamiltonian_terms(self) -> Array:
-        """Sum of the magnitudes of what costates contribute to H (n_samples,)."""
+    def _costate_terms(self) -> Array:
         rates = self.functions.rates(self.times, self.x, self.u)
         return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
+
+    @cached_property
+    def hamiltonian_terms(self) -> Array:
+        """Sum of the magnitudes of H's terms (n_samples,)."""
+        integrands = self.functions.integrands(self.times, self.x, self.u)
+        terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        return np.asarray(self._costate_terms + terms)
 
     @cached_property
     def hamiltonian_scale(self) -> float:
@@ -336,7 +342,7 @@ class PhaseSamples:
         Where the duration is given, integrands count by what they are above their least value: a constant means
         nothing.
         """
-        terms = self._hamiltonian_terms
+        terms = self._costate_terms
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.lasts_as_told and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)

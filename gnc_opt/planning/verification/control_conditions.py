@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.active_set import left, left_free
 from gnc_opt.planning.optimality.cost_scale import lasting, least_for_long, without_switches
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.reference_scales import CHEAP_AFFINE, CHEAP_CURVED, RESOLVED_MISS, Scales
 from gnc_opt.planning.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -38,10 +38,6 @@ SLOPE_MIN_SHARE = 1e-3
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
-"""Least scale of a control in which H is affine, or curves, in shares of the cost scale: below, it is rounding."""
-
-
 def control_worth(s: PhaseSamples, scales: Scales) -> Array:
     """Return by what gains in H of each control alone are measured (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
@@ -59,9 +55,11 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
     worst = NOTHING
     for s in samples:
         loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
-        loss = np.where(loss * s.span > RESOLVED_GAIN_SHARE * scales.cost, loss, 0.0)
-        share = loss / control_worth(s, scales)[:, None]
-        gain = np.where(on_bound, 0.0, np.minimum(share, _miss(s, scales)))
+        miss = _miss(s, scales)
+        clear = np.isfinite(miss) & (miss > RESOLVED_MISS)  # no error of the multipliers, however cheap it is
+        clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
+        share = np.where(clear, loss, 0.0) / control_worth(s, scales)[:, None]
+        gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         means = lasting(s.times, np.abs(_segment_means(s, np.copysign(gain, s.control_gradient))))
         root_mean = np.sqrt(means**2 @ s.weights / max(s.span, TINY))
         # The place is that of the largest mean.

@@ -153,6 +153,8 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, scales: Scal
             left = push.gap - push.explained
             left = np.copysign(_unexplained(left, s.x[:, at], push.limits, s.state_scale), left)
             violation = float(ellipsoid.change(left)) / scales.cost
+            if end == "end":
+                violation = max(violation, scales.miss_of_cheap_controls(s, left))
             i = int(np.argmax(np.abs(left) * ellipsoid.radius))
             place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
             worst = worst.or_worse(Worst(violation, place))

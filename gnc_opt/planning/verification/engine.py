@@ -8,6 +8,7 @@ import numpy as np
 
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.planning.optimality.active_set import with_movable_touches
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.expressions import table_uses
@@ -289,6 +290,9 @@ def _singular_parts(problem: Problem, samples: list[PhaseSamples], tol: float) -
 def _second_variation(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> list[Condition]:
     if not second_order.obstacle(samples):
         return [second_order.second_order(solution, samples, ends)]
+    solution = with_movable_touches(solution)
+    changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
+    samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:

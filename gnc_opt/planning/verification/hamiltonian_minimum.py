@@ -321,7 +321,8 @@ class _Search:
     def _gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         """What controls with these values of H gain, and its share."""
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
-        least = max(ROUNDING * self.s.hamiltonian_scale, RESOLVED_GAIN_SHARE * self.cost_rate)
+        terms = np.fmax(self.s.hamiltonian_terms[self.chosen[at]], np.abs(value))
+        least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
         return gain, gain / (self._largest_change(better - self._flown[:, at]) + gain)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.evaluation import evaluate_columns
-from gnc_opt.planning.optimality.reach import cells_of, exponentials
+from gnc_opt.planning.optimality.reach import cells_of, end_response
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.functions import EndGradients, end_values
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -383,11 +383,8 @@ def _applied(leg: Any, t: Array, middle: Array) -> Array:
 def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
     """Return variations of controls between their limits that move the end of a phase in each of its directions."""
     leg, own = s.leg, scales.phases[s.leg.name]
-    edges = cells_of(leg.breaks)
-    times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
+    times, response = end_response(s)
     x, u = leg.x(times), leg.flown(times)
-    by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(times, x, u)), 2, 0)
-    by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(times, x, u)), 2, 0)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1, initial=0.0)
     lower, upper = leg.control_bounds.near(u, 1e-2 * most)
@@ -398,15 +395,7 @@ def _regular_variations(s: PhaseSamples, scales: Scales) -> list[tuple[str, Arra
         inside &= ~np.any((jacobian != 0) & active[:, None], axis=0)
     if not np.any(inside):
         return []
-    halves = exponentials(0.5 * widths[:, None, None] * by_state)
-    onwards = np.eye(x.shape[0])
-    shapes = np.zeros((x.shape[0], *u.shape))
-    for k in reversed(range(widths.size)):
-        half = halves[k]
-        onwards = onwards @ half
-        response = onwards @ by_control[k]
-        shapes[:, :, k] = response * (deviation[:, k] ** 2 * inside[:, k])
-        onwards = onwards @ half
+    shapes = response * (deviation**2 * inside)
     found = []
     for shape in shapes:
         largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None])

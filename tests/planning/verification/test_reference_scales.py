@@ -836,3 +836,60 @@ def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
     solution = from_problem(go.solve(problem, mesh="3x4", tol=None))
     scales = Scales.of(solution, list(solution.samples().values()))
     assert 0.5e6 <= scales.cost <= 2e6
+
+
+@pytest.mark.parametrize("bound", [10.0, 1e5, 1e8])
+def test_a_wrong_well_of_the_hamiltonian_fails_within_any_bounds(bound: float) -> None:
+    """H = (u^2 - 1)^2 + 0.3 u has its least value near -1; u = 0.96 is its other minimum."""
+    model = go.Model("two wells")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem, leg = one_phase("two wells", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-bound, bound))
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + 0.3 * u))
+    wells = np.sort(np.roots([4, 0, -4, 0.3]).real)
+    t = np.linspace(0, 1, 61)
+    passes = [
+        go.verify_trajectory(problem, t, {"x": w * t}, {"u": w + 0 * t}).ok for w in (wells[0], wells[-1])
+    ]
+    assert passes == [True, False]
+
+
+@pytest.mark.parametrize("weight", [1e2, 1e8, 1e11])
+def test_a_cheap_part_beside_an_expensive_one_is_checked(weight: float) -> None:
+    """Two carts that share nothing but the cost: the cheap one on a detour, or moved without need."""
+    model = go.Model("two carts")
+    x, z, u, w = model.state("x"), model.state("z"), model.control("u"), model.control("w")
+    model.ode({x: u, z: w})
+    t = np.linspace(0, 1, 61)
+    for end, right, wrong in ((1.0, t, t**2), (None, 0 * t, t)):
+        problem, leg = one_phase("two carts", model, 0.0, 1.0)
+        leg.initial(x=0.0, z=0.0)
+        leg.final(x=1.0, z=end)
+        problem.minimize(leg.integral(weight * u**2 + w**2))
+        passes = [
+            go.verify_trajectory(problem, t, {"x": t, "z": path}, {"u": 1 + 0 * t, "w": rate}).ok
+            for path, rate in ((right, np.gradient(right, t)), (wrong, 2 * t if end else 1 + 0 * t))
+        ]
+        assert passes == [True, False]
+
+
+def test_an_orbit_that_is_left_alone_misses_a_target_just_ahead() -> None:
+    """In inertial metres, a target 0.3 m ahead: the miss is 4e-8 of the radius, and the whole task."""
+    gravity, radius, lasts = 3.986e14, 7e6, 1500.0
+    model = go.Model("orbit")
+    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
+    model.ode({r: v, v: -gravity * r / (r[0] ** 2 + r[1] ** 2) ** 1.5 + a})
+    rate = np.sqrt(gravity / radius**3)
+    t = np.linspace(0, lasts, 241)
+    c, s = np.cos(rate * t), np.sin(rate * t)
+    states = np.array([radius * c, radius * s, -radius * rate * s, radius * rate * c])
+    for ahead, ok in ((0.0, True), (0.3, False)):
+        angle = rate * lasts + ahead / radius
+        problem, leg = one_phase("orbit", model, 0.0, lasts)
+        leg.initial(r=[radius, 0.0], v=[0.0, radius * rate])
+        leg.final(r=[radius * np.cos(angle), radius * np.sin(angle)])
+        problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2))
+        verdict = go.verify_trajectory(problem, t, states, np.zeros((2, t.size)))
+        assert (verdict["boundary conditions"].result.value == "PASS") == ok
