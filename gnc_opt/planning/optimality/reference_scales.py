@@ -82,6 +82,9 @@ ROUGH_SAMPLES = 5
 SECOND_DIFFERENCE_STEP_SHARE = 1e-4
 """Step of second differences by parameters, in shares of their size."""
 
+KINK_STEP_RATIO = 10.0
+"""Ratio of the steps whose second differences tell kinks from curvature."""
+
 
 @dataclass(frozen=True, eq=False)
 class PhaseScales:
@@ -215,21 +218,21 @@ def _cost_of_controls(s: PhaseSamples, deviation: Array) -> float:
 
 def _cost_of_states(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the largest half second difference of the integral of H over the reach of the states, roughly."""
-    changes = (
-        second_differences(s, ellipsoid.principal, SECOND_DIFFERENCE_STEP_SHARE, ROUGH_SAMPLES)[1]
-        / SECOND_DIFFERENCE_STEP_SHARE
-    )
-    return float(np.max(np.abs(finite(changes)), initial=0.0))
+    return float(np.max(np.abs(_curved_changes(s, ellipsoid.principal)), initial=0.0))
 
 
 def _cost_of_each_state(s: PhaseSamples, ellipsoid: Ellipsoid) -> float:
     """Return the sum of the half second differences of the integral of H over the reach of each state alone."""
-    moves = np.diag(ellipsoid.radius)
-    changes = (
-        second_differences(s, moves, SECOND_DIFFERENCE_STEP_SHARE, ROUGH_SAMPLES)[1]
-        / SECOND_DIFFERENCE_STEP_SHARE
-    )
-    return float(np.sum(np.abs(finite(changes))))
+    return float(np.sum(np.abs(_curved_changes(s, np.diag(ellipsoid.radius)))))
+
+
+def _curved_changes(s: PhaseSamples, moves: Array) -> Array:
+    """Return half second differences of the integral of H along moves (n,), from small steps: at a kink in proportion
+    to them, else to their squares."""
+    steps = KINK_STEP_RATIO * SECOND_DIFFERENCE_STEP_SHARE, SECOND_DIFFERENCE_STEP_SHARE
+    coarse, fine = (finite(second_differences(s, moves, step, ROUGH_SAMPLES)[1]) for step in steps)
+    smooth = np.abs(coarse) > np.sqrt(KINK_STEP_RATIO) * np.abs(fine)
+    return np.asarray(np.where(smooth, fine / SECOND_DIFFERENCE_STEP_SHARE, fine))
 
 
 def second_differences(s: PhaseSamples, moves: Array, step: float, every: int = 1) -> Array:

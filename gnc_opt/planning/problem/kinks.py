@@ -74,6 +74,31 @@ def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
     return problem.once(("kinks", leg.name), find)
 
 
+def centres_of(problem: Statement, leg: Phase) -> Any:
+    """Return ``(t, x, u, p, q)`` -> differences of a time or a state and a constant; None if nothing is compared so.
+
+    Narrow features, as gusts and windows, lie where they vanish.
+    """
+
+    def find() -> Any:
+        t, x, u, p = leg.model.arguments()
+        expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression(), leg.path_expression())
+        moving, found = ca.vertcat(t, x), {}
+        for node in nodes_of(expression):
+            if node.op() in (ca.OP_ADD, ca.OP_SUB):
+                parts = [node.dep(0), node.dep(1)]
+                given = [part.is_constant() and not part.is_zero() for part in parts]
+                of_one = [part.is_symbolic() and ca.depends_on(part, moving) for part in parts]
+                if any(given) and any(of_one):
+                    found[node.element_hash()] = node
+        if not found:
+            return None
+        stacked = problem.bind(leg, ca.densify(ca.vertcat(*found.values())))
+        return ca.Function("centres", [t, x, u, p, problem.parameter_symbols()], [stacked])
+
+    return problem.once(("centres", leg.name), find)
+
+
 def _argument(node: Any, operation: int) -> Any:
     if operation in _OF_ONE:
         return node.dep(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -60,6 +60,8 @@ class PhaseSamples:
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
         What the cost amounts to (module `magnitude`); 0 if unknown.
+    feature_edges : array (n,)
+        Edges of further cells of finer samples (s).
     """
 
     leg: PhaseSolution
@@ -68,6 +70,7 @@ class PhaseSamples:
     segments: Indices
     weights: Array
     cost_magnitude: float = 0.0
+    feature_edges: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
@@ -81,9 +84,10 @@ class PhaseSamples:
         times[ends] = leg.breaks[1:]  # without rounding
         return cls(leg, functions, times, segments, halves * weights)
 
-    def with_cost_magnitude(self, amount: float) -> PhaseSamples:
+    def with_cost_magnitude(self, amount: float, feature_edges: Array | None = None) -> PhaseSamples:
         """Return the same samples with another cost magnitude, and what is known already that does not depend on it."""
-        other = replace(self, cost_magnitude=amount)
+        edges = self.feature_edges if feature_edges is None else feature_edges
+        other = replace(self, cost_magnitude=amount, feature_edges=edges)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
         vars(other).update(cached)
         return other
@@ -93,17 +97,23 @@ class PhaseSamples:
 
         With ``least`` steps per segment at least.
         """
-        widths = np.diff(self.leg.breaks)
+        breaks = self.leg.breaks
+        widths = np.diff(breaks)
         steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
         pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
-        shares = [np.concatenate([[0.0], ((np.arange(n)[:, None] + pair) / n).ravel(), [1.0]]) for n in steps]
-        weights = [np.concatenate([[0.0], np.full(2 * n, 0.5 / n), [0.0]]) for n in steps]
-        segments = np.repeat(np.arange(steps.size), [share.size for share in shares])
-        times = self.leg.breaks[segments] + np.concatenate(shares) * widths[segments]
-        times[np.flatnonzero(np.diff(segments, append=steps.size))] = self.leg.breaks[1:]  # without rounding
-        return replace(
-            self, times=times, segments=segments, weights=np.concatenate(weights) * widths[segments]
-        )
+        parts, weights = [], []
+        for k, n in enumerate(steps):
+            edges = breaks[k] + widths[k] / n * np.arange(n + 1)
+            inside = self.feature_edges[
+                (self.feature_edges > breaks[k]) & (self.feature_edges < breaks[k + 1])
+            ]
+            edges = np.union1d(edges, inside) if inside.size else edges
+            cells = np.diff(edges)
+            points = (edges[:-1, None] + cells[:, None] * pair).ravel()
+            parts.append(np.concatenate([[breaks[k]], points, [breaks[k + 1]]]))
+            weights.append(np.concatenate([[0.0], np.repeat(0.5 * cells, 2), [0.0]]))
+        segments = np.repeat(np.arange(steps.size), [part.size for part in parts])
+        return replace(self, times=np.concatenate(parts), segments=segments, weights=np.concatenate(weights))
 
     @cached_property
     def at_end(self) -> Mask:

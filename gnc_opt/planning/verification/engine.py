@@ -10,6 +10,7 @@ from gnc_opt.environment import one_thread
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_set import with_movable_touches
 from gnc_opt.planning.optimality.cost_scale import Magnitudes
+from gnc_opt.planning.optimality.narrow_features import feature_edges
 from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.problem.expressions import table_uses
 from gnc_opt.planning.problem.functions import EndGradients
@@ -132,9 +133,10 @@ def _checked(solution: Solution, tol: float) -> Verdict:
     ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = missing_number(stored, with_costates)
-    samples = [s.with_cost_magnitude(amounts.cost) for s in samples]
+    problem = solution.need_problem("verify")
+    samples = [s.with_cost_magnitude(amounts.cost, feature_edges(problem, s)) for s in samples]
     scales = Scales.of(solution, samples)
-    problem, lasting = solution.need_problem("verify"), [s for s in samples if s.has_length]
+    lasting = [s for s in samples if s.has_length]
     kept = missing.or_worse(costates_kept_twice(samples) if with_costates else NOTHING)
     limits = [feasibility.limits(solution, samples, scales, tol)]
     if any(table_uses(problem, leg) for leg in problem.phases.values()):

@@ -64,3 +64,25 @@ def test_a_cost_between_samples() -> None:
     verdict = judged(spike=lambda t, q: 100 * ca.exp(-(((t - 0.4109) / 3e-4) ** 2)))
     assert "cost" in {c.name for c in verdict.failed}
     assert judged(spike=lambda t, q: 100 * ca.exp(-(((t - 1.1) / 3e-4) ** 2))).minimum
+
+
+@pytest.mark.parametrize("width", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("kind", ["gust", "price", "window", "place"])
+def test_a_feature_of_any_width_is_found_at_the_constants_of_the_problem(kind: str, width: float) -> None:
+    """A gust of 1 at t = 0.5137; a price or a limit of x then, or a limit at x = 0.5137, none of them heeded."""
+    model = go.Model("narrow")
+    x, u, t = model.state("x"), model.control("u"), model.time
+    bell = ca.exp(-(((t - 0.5137) / width) ** 2))
+    density = bell / (width * np.sqrt(np.pi))
+    model.ode({x: u + density if kind == "gust" else u})
+    problem, leg = one_phase("narrow", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    if kind == "window":
+        leg.path("window", ca.if_else(ca.fabs(t - 0.5137) < width, x, 0.0), upper=0.4)
+    if kind == "place":
+        leg.path("place", ca.exp(-(((x - 0.5137) / width) ** 2)) * (1 + t), upper=1.2)
+    price = density * (x - 0.2) ** 2 if kind == "price" else 0.0
+    problem.minimize(leg.integral(u**2 + price))
+    times = np.linspace(0.0, 1.0, 61)
+    assert not go.verify_trajectory(problem, times, {"x": times}, {"u": 1 + 0 * times}).ok

@@ -156,3 +156,18 @@ def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
     assert verdict.ok and verdict.minimum is (result == "PASS")
     assert told.value == pytest.approx(max(0.0, 1.0 - top) / top, abs=1e-9)
     assert ("'price' flown outside" in told.where) is (result != "PASS")
+
+
+@pytest.mark.parametrize("reach", [1.0, 1e3])
+def test_a_concave_kink_does_not_enlarge_the_scale_by_which_it_is_measured(reach: float) -> None:
+    """Without effort nothing but -|x| costs: x = 0 is the worst path, and its second difference is no curvature."""
+    model = go.Model("kink")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: u, y: -ca.fabs(x)})
+    problem, leg = one_phase("kink", model, 0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.bounds(u=(-reach, reach))
+    problem.minimize(leg.final_state("y"))
+    t = np.linspace(0.0, 1.0, 61)
+    verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t})
+    assert verdict["kinks"].result.value == "FAIL"

@@ -1,0 +1,51 @@
+"""Times at which narrow features of a problem lie: where a time or a state equals a constant of its expressions.
+
+A gust, price or window of any width w is a function of (t - t_c) / w or (x - x_c) / w: samples at log-uniform distances
+from where the difference vanishes resolve it, those at even distances do not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.planning.problem.kinks import centres_of
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.samples import PhaseSamples
+
+MOST_CENTRES = 20
+"""Centres of features per phase, at most."""
+
+NEAREST, FARTHEST, DISTANCES = 1e-10, 1e-2, 40
+"""Least and largest distance from a centre at which the scan has cells, in shares of the phase, and their number."""
+
+_BISECTIONS = 60
+
+
+def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
+    """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
+    centres = centres_of(problem, problem.phases[s.leg.name])
+    if centres is None or not s.has_length:
+        return np.zeros(0)
+
+    def at(times: Array) -> Array:
+        numbers = s.functions.p, s.functions.q
+        x, u = s.leg.x(times), s.leg.flown(times)
+        return np.asarray(evaluate_columns(centres, times.size, times[None], x, u, *numbers))
+
+    times = s.times[np.append(True, np.diff(s.times) > 0)]
+    signs = np.sign(at(times))
+    rows, places = np.nonzero(signs[:, 1:] * signs[:, :-1] < 0)
+    met = times[np.nonzero(signs == 0)[1]]
+    rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
+    left, right = times[places], times[places + 1]
+    first = signs[rows, places]
+    for _ in range(_BISECTIONS if rows.size else 0):
+        middle = 0.5 * (left + right)
+        before = np.sign(at(middle)[rows, np.arange(rows.size)]) == first
+        left, right = np.where(before, middle, left), np.where(before, right, middle)
+    found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
+    distances = s.span * np.geomspace(NEAREST, FARTHEST, DISTANCES)
+    edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
+    return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])
