@@ -1,22 +1,8 @@
-"""solve_mesh: one solve on one mesh, and everything that is tried when it fails.
+"""solve_mesh: one solve on one mesh, and what is tried when it fails.
 
-The tries, in this order:
-====================  ======================================  ====================================================
-try                   after                                   how
-====================  ======================================  ====================================================
-`CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
-`ADAPTIVE`            endings without a verdict, limit of     IPOPT's adaptive barrier, from the same start
-                      iterations of a cold start
-`TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
-`CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
-                      a guess                                 afterwards
-`LINES_ITERATIONS`    so many iterations from straight lines  IPOPT's adaptive barrier for a few; from a flight with
-                                                              the guessed controls; next from where the constraints
-                                                              are met in the guessed times; only then to the end from
-                                                              the lines
-====================  ======================================  ====================================================
-
-All tries of one solve share its limit on wall time.
+A start from a solution that loses its way is repeated from the trajectory alone, without its multipliers. A cold start
+that fails is repeated with IPOPT's adaptive barrier; where the guess is no trajectory, then from a simulation, and from
+points that meet the constraints without the cost. All tries of one solve share its limit on wall time.
 """
 
 from __future__ import annotations
@@ -24,16 +10,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.planning.direct.mesh_problem import Attempt
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
-from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
+from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.monitor import ProgressCallback
+from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.problem.guess.perturbation import with_random_guess
 from gnc_opt.planning.problem.guess.simulation import with_flown_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -50,27 +36,15 @@ from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
-CAREFUL = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
-"""Endings that rounding in the linear solver can cause."""
-
-ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
-"""Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
-solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
-
-COLD_START_MAX_ITERATIONS = 1000
-"""Iterations, SolverOptions' limit, after which a cold start has lost its way."""
-
-LINES_ITERATIONS = 150
-"""Iterations after which a start from straight lines gives way to a flight, which follows the dynamics if nothing else:
-an entry through an atmosphere that is exponential in height goes on for thousands from a line, and takes 80 from a
-flight. (Of 84 problems that are solved from straight lines none takes more than 143.) As many are enough to meet the
-constraints alone, where that can be done."""
+TRY_MAX_ITERATIONS = 200
+"""Iterations of a try from a guess that is no trajectory, while others follow. Of 84 problems that are solved from
+straight lines none takes more than 143."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
 
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
-"""Endings that are looked into once more where the guess is not a trajectory.
+"""Endings from a point that meets the constraints after which the next one is tried.
 
 A cost pulls the iterates, a free final time above all, into a corner where the constraints cannot be met and their
 violation is stationary: there a solver stops and reports that the problem is infeasible, though it is not. Without
@@ -79,13 +53,6 @@ too short are the usual trap, so longer ones are tried."""
 
 TRAJECTORY_START_BARRIER = 1e-2
 """First barrier parameter when only the trajectory is kept."""
-
-ADAPTIVE_MAX_ITERATIONS = 300
-"""Those of the adaptive barrier where the monotone one has lost its way: above the apex of a cone it takes 20 to 30
-from lines from which the other finds nothing in 1000, for a transfer between orbits with two burns 135."""
-
-CAREFUL_MAX_ITERATIONS = 200
-"""Those that pivoting with care gets to mend last digits, beyond which it crawls."""
 
 HELD_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times at which durations are held while constraints are met."""
@@ -210,48 +177,16 @@ class _Task:
         attempt.solver.set_up(point)  # the limit is on solving, not on setting up
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.limits.deadline, attempt.solver.deadline() - earlier_s)
-        guided = guess is not None or knows_trajectory(self.problem)
-        with attempt.meter() as show:
-            solve_from = _solve_point if guided else partial(_solve_from_lines, attempt)
-            allowance = _Allowance(show, self.limits)
-            result = solve_from(attempt.solver, point, allowance, deadline)
-        if not guided and result.status in CONSTRAINTS_FIRST:
-            result = _constraints_first(attempt, result, allowance, deadline)
+        allowance = _Allowance(None, self.limits)
+        tries = _Tries(attempt, allowance, deadline)
+        tries.run(point, search=guess is None and not knows_trajectory(self.problem))
+        result = tries.result()
         if allowance.spent and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimum_norm_multipliers(attempt.transcription, point, result)
         found = attempt.solution(result)
         return replace(found, statistics=found.statistics.after(after.statistics)) if after else found
-
-
-# --- the same program, the same start -------------------------------------------------------------------
-
-
-def _solve_point(
-    solver: NlpSolver,
-    point: NlpPoint,
-    show: ProgressCallback,
-    deadline: float,
-    first: NlpResult | None = None,
-) -> NlpResult:
-    """Solve a program from one point, with other numerics where they can help; a first try may have been made."""
-    result = solver.solve(point, callback=show, deadline=deadline) if first is None else first
-    if solver.options.solver != "ipopt":
-        return result
-    if result.status in CAREFUL and not solver.options.careful_pivoting:
-        there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
-        patience = _Patience(show, CAREFUL_MAX_ITERATIONS)
-        again = solver.solve(there, "careful", callback=patience, deadline=deadline)
-        result = again.with_effort([result, again]) if again.status.solved else result
-    wandered = (
-        result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= COLD_START_MAX_ITERATIONS
-    )
-    if result.status in ADAPTIVE or (wandered and point.way == "cold"):
-        again = solver.solve(point.cold(), "adaptive", callback=show, deadline=deadline)
-        worse = again.status in ADAPTIVE or (wandered and not again.status.solved)
-        result = (result if worse else again).with_effort([result, again])
-    return result
 
 
 # --- the same program, other starts ---------------------------------------------------------------------
@@ -265,50 +200,76 @@ class FeasibilityStart:
     held: Indices
 
 
-def _constraints_first(
-    attempt: Attempt, failed: NlpResult, allowance: _Allowance, deadline: float
-) -> NlpResult:
-    """Return a solution by way of a point that meets the constraints, or else the failure; with all the effort."""
-    spent = [failed]
-    for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
-        if allowance.spent or time.perf_counter() > deadline:
-            break
-        point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
-        with attempt.meter(with_cost=False) as allowance.show:
-            patience = _Patience(allowance)
-            spent.append(_solve_point(attempt.solver, point, patience, deadline))
-        if spent[-1].status.solved:
-            point = attempt.point(ProgramStart(spent[-1].x * attempt.scaling.variables))
-            with attempt.meter() as allowance.show:
-                spent.append(_solve_point(attempt.solver, point, allowance, deadline))
-            if spent[-1].status not in CONSTRAINTS_FIRST:
-                return spent[-1].with_effort(spent)
-        elif spent[-1].status is Status.INTERRUPTED and not patience.lost:
-            break
-    return failed.with_effort(spent)
+@dataclass(eq=False)
+class _Tries:
+    """Solves of one program, until one is solved, with the effort of all."""
 
+    attempt: Attempt
+    allowance: _Allowance
+    deadline: float
+    spent: list[NlpResult] = field(default_factory=list)
 
-def _solve_from_lines(
-    attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback, deadline: float
-) -> NlpResult:
-    """Solve from the straight lines of a guess; after `LINES_ITERATIONS` iterations, first in other ways."""
-    if solver.options.solver != "ipopt" or solver.options.max_iterations < COLD_START_MAX_ITERATIONS:
-        return _solve_point(solver, point, show, deadline)
-    patience = _Patience(show)
-    first = solver.solve(point, callback=patience, deadline=deadline)
-    if not patience.lost:
-        return _solve_point(solver, point, show, deadline, first)
-    spent = [
-        first,
-        solver.solve(point, "adaptive", callback=_Patience(show, ADAPTIVE_MAX_ITERATIONS), deadline=deadline),
-    ]
-    if not spent[-1].status.solved:
-        spent += _from_simulation(attempt, show, deadline)
-    if not spent[-1].status.solved:
-        spent += _from_feasible_point(attempt, show, deadline)
-    if not spent[-1].status.solved:
-        spent.append(_solve_point(solver, point, show, deadline))
-    return spent[-1].with_effort(spent)
+    def run(self, point: NlpPoint, *, search: bool) -> None:
+        """Solve from a point, then in other ways; where it is no trajectory (search), from other points."""
+        options = self.attempt.solver.options
+        repeat = (
+            options.solver == "ipopt" and point.way == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        )
+        search = search and repeat
+        most = TRY_MAX_ITERATIONS if search else None
+        lost = self._solve(point, most=most).status is Status.ITERATION_LIMIT
+        if self._ended or not repeat:
+            return
+        self._solve(point, "adaptive", most=most)
+        if self._ended or not search:
+            return
+        for start in self._simulated():
+            self._solve(self.attempt.point(start), most=most)
+        if self._ended or self._solve_constraints_first():
+            return
+        if lost and not self._ended:
+            self._solve(point)
+
+    def result(self) -> NlpResult:
+        """Return the last result if it is better than a failure of the first one, which is reported otherwise."""
+        last = self.spent[-1]
+        better = last.status.solved or self.spent[0].status is Status.ITERATION_LIMIT
+        return (last if better else self.spent[0]).with_effort(self.spent)
+
+    @property
+    def _ended(self) -> bool:
+        over = self.allowance.spent or time.perf_counter() > self.deadline
+        return over or self.spent[-1].status.solved or self.spent[-1].status is Status.INTERRUPTED
+
+    def _solve(
+        self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
+    ) -> NlpResult:
+        with self.attempt.meter(with_cost=with_cost) as self.allowance.show:
+            patience = _Patience(self.allowance, most)
+            found = self.attempt.solver.solve(point, way, callback=patience, deadline=self.deadline)
+        if patience.lost and found.status is Status.INTERRUPTED:
+            found = replace(found, status=Status.ITERATION_LIMIT)
+        self.spent.append(found)
+        return found
+
+    def _simulated(self) -> Iterator[ProgramStart]:
+        flown = with_flown_guess(self.attempt.problem)
+        if flown is not None:
+            yield program_start(self.attempt.transcription, flown, None)
+
+    def _solve_constraints_first(self) -> bool:
+        """Solve from points that meet the constraints; whether one ending is none of `CONSTRAINTS_FIRST`."""
+        attempt = self.attempt
+        for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
+            point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
+            met = self._solve(point, most=TRY_MAX_ITERATIONS, with_cost=False)
+            if met.status.solved:
+                self._solve(attempt.point(ProgramStart(met.x * attempt.scaling.variables)))
+                if self.spent[-1].status not in CONSTRAINTS_FIRST:
+                    return True
+            if self._ended:
+                return False
+        return False
 
 
 @dataclass
@@ -334,7 +295,7 @@ class _Allowance:
 
 @dataclass
 class _Patience:
-    """Shows iterations, and ends a solve after so many (`LINES_ITERATIONS`) or the last that all tries may take."""
+    """Shows iterations, and ends a solve after so many or the last that all tries may take."""
 
     show: ProgressCallback
     most: int | None = None
@@ -342,31 +303,8 @@ class _Patience:
 
     def __call__(self, info: IterationInfo) -> bool:
         spent = bool(self.show(info))
-        self.lost = info.iteration >= (LINES_ITERATIONS if self.most is None else self.most)
+        self.lost = self.most is not None and info.iteration >= self.most
         return self.lost or spent
-
-
-def _from_simulation(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
-    """Yield what comes of a start from a flight, if one can be made and there is time."""
-    flown = with_flown_guess(attempt.problem) if time.perf_counter() < deadline else None
-    if flown is not None:
-        start = program_start(attempt.transcription, flown, None)
-        yield attempt.solver.solve(attempt.point(start), callback=_Patience(show), deadline=deadline)
-
-
-def _from_feasible_point(attempt: Attempt, show: ProgressCallback, deadline: float) -> Iterator[NlpResult]:
-    """Yield results: constraints first, at the guessed times; from there the cost, times free."""
-    solver, held = attempt.solver, _free_times(attempt.transcription)
-    if not held.size or time.perf_counter() > deadline:
-        return
-    point = attempt.point(attempt.start, held=held, with_cost=False)
-    met = solver.solve(point, callback=_Patience(show), deadline=deadline)
-    if not met.status.solved:
-        yield met
-        return
-    there = attempt.point(ProgramStart(met.x * attempt.scaling.variables))
-    found = solver.solve(there, callback=_Patience(show), deadline=deadline)
-    yield found.with_effort([met, found])
 
 
 def _free_times(transcription: Transcription) -> Indices:
@@ -378,7 +316,7 @@ def _free_times(transcription: Transcription) -> Indices:
 def feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[FeasibilityStart]:
-    """Yield starts: the guess with free times, with times held at multiples of the guess, a flight, random ones."""
+    """Yield starts: the guess with free times, with times held at multiples of the guess, random ones."""
     times, box = _free_times(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
@@ -390,9 +328,6 @@ def feasibility_starts(
         stretched = start.copy()
         stretched[times] = values
         yield FeasibilityStart(stretched, times)
-    flown = with_flown_guess(problem)
-    if flown is not None:
-        yield FeasibilityStart(start_from_guess(transcription, flown), times[:0])
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
         twin = with_random_guess(problem, FEASIBILITY_SEED, index)
         yield FeasibilityStart(start_from_guess(transcription, twin), times[:0])

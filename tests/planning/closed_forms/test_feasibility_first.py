@@ -120,7 +120,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     times = [float(s.variables[s.held[0]]) for s in held]
     guess = 0.5 * (0.1 + 50.0)
     assert times == pytest.approx([guess, 50.0]), "longer ones are all clipped to the bound, and tried once"
-    assert len(starts) == 1 + len(held) + 1 + 2, "free times, held ones, a flight, two random ones"
+    assert len(starts) == 1 + len(held) + 2, "free times, held ones, two random ones"
     boxless = oscillator(5.0)
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
     start = start_from_guess(transcription, boxless)

@@ -294,8 +294,8 @@ def test_only_plain_endings_are_without_another_try() -> None:
     assert set(tries.TRAJECTORY_ONLY) == set(Status) - {Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED}
 
 
-def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random() -> None:
-    """A final time guessed at 2 s, at most 9 s: free, held at 2, 8 and 9 (once), a flight, then two random ones."""
+def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> None:
+    """A final time guessed at 2 s, at most 9 s: free, held at 2, 8 and 9 (once), then two random ones."""
     problem = cart()
     leg = problem.get_phase()
     leg.time(0.0, (0.5, 9.0))
@@ -304,20 +304,18 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random
     tried = Attempt.prepare(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
     starts = list(tries.feasibility_starts(tried.transcription, problem, tried.start.x))
-    assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], [], []]
+    assert [s.held.tolist() for s in starts] == [[], [place], [place], [place], [], []]
     assert [s.variables[place] for s in starts[:4]] == pytest.approx([2.0, 2.0, 8.0, 9.0])
     assert np.array_equal(starts[0].variables, tried.start.x)
     rest_of = np.delete(np.arange(tried.start.x.size), place)
     assert all(np.array_equal(s.variables[rest_of], tried.start.x[rest_of]) for s in starts[:4])
-    q, v = starts[4].variables[tried.transcription.parts["leg"].collocation.boundary_states[:, -1]]
-    assert v != 0 and q == pytest.approx(v, rel=1e-9), "under a constant push from rest over 2 s: v t / 2"
-    assert not np.allclose(starts[5].variables, starts[6].variables)
+    assert not np.allclose(starts[4].variables, starts[5].variables)
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     still = Attempt.prepare(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [s.held.tolist() for s in tries.feasibility_starts(still.transcription, fixed, still.start.x)] == [
         []
-    ] * 4
+    ] * 3
 
 
 @pytest.mark.parametrize("status", [Status.OPTIMAL, Status.INFEASIBLE])
