@@ -12,6 +12,11 @@ ROUNDING = 1e-12
 singular values relative to the largest, sums whose terms cancel, eigenvalues at zero, asymmetries.
 """
 
+NEGLIGIBLE, SMALL, NOTABLE = 1e-6, 1e-3, 1e-2
+"""Levels of significance of a share of something: an effect below the first one does not count, one below the second
+is that of a mesh, one above the third shows in results.
+"""
+
 AT_LIMIT = 1e-6
 """A value this close to its limit, relative to its range or size, is on it: interior-point iterates are at
 most about this far from it at any solver tolerance in use.

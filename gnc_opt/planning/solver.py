@@ -11,17 +11,12 @@ from gnc_opt.arguments import expect, read_positive, suggesting_keywords
 from gnc_opt.environment import one_thread
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.failure import SolveError, failure_message
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.check import check_numbers
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import restated
-from gnc_opt.planning.refinement.arc_warm_start import (
-    ARC_WARM_START_MAX_ITERATIONS,
-    KnownArcs,
-    WhenChecked,
-    first_meshes,
-)
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, WhenChecked, first_meshes
 from gnc_opt.planning.refinement.budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.engine import StructureChoice, refine, refine_by_stages
 from gnc_opt.planning.refinement.stages import Stages
@@ -148,7 +143,7 @@ class Resolver:
         guess, scheme, limits = (
             on_the_way(start, problem),
             self.solution.scheme,
-            SolveLimits(ARC_WARM_START_MAX_ITERATIONS),
+            SolveLimits(WARM_MAX_ITERATIONS),
         )
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:

@@ -40,6 +40,9 @@ TRY_MAX_ITERATIONS = 200
 """Iterations of a try from a guess that is no trajectory, while others follow. Of 84 problems that are solved from
 straight lines none takes more than 143."""
 
+WARM_MAX_ITERATIONS = 100
+"""Iterations after which a start near a known solution has lost its way."""
+
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
 

@@ -12,10 +12,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_END_MAX_OFFSET_SHARE
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.loop import ARC_SOLVE_TOLERANCE, optimise_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -26,9 +25,7 @@ from gnc_opt.planning.refinement.switching.warm_start import on_the_way
 from gnc_opt.planning.solution.history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
-
-ARC_WARM_START_MAX_ITERATIONS = 50
-"""After which a warm start has lost its way, and the trajectory alone is kept."""
+from gnc_opt.tolerances import NOTABLE
 
 WARM_START_MAX_SOLVES = 6
 """At most so many solves: where more are needed, little is left of what was known."""
@@ -107,7 +104,7 @@ class KnownArcs:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         scheme = next(iter(start.phases.values())).scheme
         found = solve_mesh(
-            problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(ARC_WARM_START_MAX_ITERATIONS)
+            problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(WARM_MAX_ITERATIONS)
         )
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -140,7 +137,7 @@ def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> 
         shortest = int(np.argmin(structure.lengths))
         fewer = structure.without(shortest)
         if (
-            structure.lengths[shortest] > ARC_END_MAX_OFFSET_SHARE * structure.lengths.sum()
+            structure.lengths[shortest] > NOTABLE * structure.lengths.sum()
             or fewer.pieces != structure.pieces - 1
         ):
             break

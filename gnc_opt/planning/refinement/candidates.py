@@ -16,9 +16,7 @@ from gnc_opt.planning.solution.summary import BETTER_COARSE_SOLVE
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_loss
 from gnc_opt.planning.verification.engine import verify
-
-LOSS_MIN_SHARE = 1e-3
-"""Loss of the minimum principle, in shares of the objective, from which an answer is taken for a false extremal."""
+from gnc_opt.tolerances import SMALL
 
 LOCAL_ERROR_RATIO = 1e3
 """The objective's estimated error counts if local errors are at most so many tolerances."""
@@ -87,7 +85,7 @@ class Candidate:
     @property
     def is_false_extremal(self) -> bool:
         """Whether other controls lower H along the costates by much."""
-        return self.loss > LOSS_MIN_SHARE * self.solution.objective_error.scale
+        return self.loss > SMALL * self.solution.objective_error.scale
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -130,7 +128,7 @@ class Candidate:
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""
         ours, theirs = (max(c.estimate, c.loss) if c.solved else math.inf for c in (self, other))
-        least = LOSS_MIN_SHARE * abs(other.cost) if other.passes and not self.passes else 0.0
+        least = SMALL * abs(other.cost) if other.passes and not self.passes else 0.0
         return self.cost + max(margin * ours, least) < other.cost - margin * theirs
 
 

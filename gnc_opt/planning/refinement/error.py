@@ -26,19 +26,13 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.quality import defined
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-
-ABSOLUTE_ERROR_MAGNITUDE = 1e-6
-"""An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
-
+from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE
 
 CONTROL_PEAK_WEIGHT = 1e-3
 """Weight of the peak of a control beyond its bounds: errors below 1e-8 keep it below 1e-5."""
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2: costates affect the cost in second order only."""
-
-ACTIVE_MULTIPLIER_SHARE = 1e-6
-"""A multiplier of this share of H, or an impulse of this share of the cost, says that a constraint is active."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +121,8 @@ class ErrorScales:
             functions,
             samples.state_scale,
             samples.control_scale,
-            np.where(integral > ABSOLUTE_ERROR_MAGNITUDE, integral, 1.0),
-            np.where(path > ABSOLUTE_ERROR_MAGNITUDE, path, 1.0),
+            np.where(integral > BRANCH_ENDED, integral, 1.0),
+            np.where(path > BRANCH_ENDED, path, 1.0),
             has_control,
         )
 
@@ -275,8 +269,8 @@ def _without_state_limits(samples: PhaseSamples, pure_paths: Array, cost_shares:
             np.abs(leg.path_multipliers) * pure_paths[:, None],
         ]
     )
-    pushed = np.any(forces > ACTIVE_MULTIPLIER_SHARE * samples.hamiltonian_scale, axis=0)
-    jumps = np.any(np.abs(leg.state_impulses) * cost_shares[:, None] > ACTIVE_MULTIPLIER_SHARE, axis=0)
+    pushed = np.any(forces > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
+    jumps = np.any(np.abs(leg.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
     held = np.logical_or.reduceat(pushed, leg.mesh.offsets[:-1])
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))

@@ -9,7 +9,7 @@ least  the first mesh again, from the controls that minimise H along the costate
 bar.   the first mesh again, by IPOPT's adaptive barrier strategy
 60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the program with
        the arcs that they show if none has had a solution
-200    200 segments of degree 3, warm, and programs with their arcs, read in two ways
+200    200 segments of degree 3, warm, and the program with their arcs, the shortest included
 hp     hp refinement of the best mesh so far, and programs with its arcs
 =====  ======================================================================================================
 
@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulation import with_flown_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -55,9 +55,6 @@ FINE_SEGMENTS, FINE_MIN_SEGMENTS = 200, 40
 STAGE_DEGREE = 3
 """Collocation points per segment of both."""
 
-PROGRAM_MAX_ITERATIONS = 100
-"""Of a program with arcs: those that lead anywhere begin near their end."""
-
 PROGRAM_MAX_SHARE = 0.1
 """Share of the budget that a program with arcs may cost."""
 
@@ -66,9 +63,6 @@ PROGRAM_MAX_PIECES = 80
 
 PROGRAM_MAX_FAILURES = 4
 """Programs without a solution after which no other is tried."""
-
-RESTART_MAX_ITERATIONS = 100
-"""Of a solve from controls of least H; of one from a trajectory, in addition to those of the first solve."""
 
 HP_FIRST_MAX_SHARE = 0.25
 """Share of the budget of hp refinement on the first stage."""
@@ -203,10 +197,8 @@ class Stages:
             if again is not None:
                 yield again
                 fine = again if again.is_lower(fine) else fine
-            for sharp in (False, True):
-                yield from self._solve_arc_program(
-                    fine.solution, structures_of(fine.solution, sharp=sharp), "200, arcs"
-                )
+            found = structures_of(fine.solution, sharp=True)
+            yield from self._solve_arc_program(fine.solution, found, "200, arcs")
         yield from self._last_stage()
 
     def _first_stage(self, first: Solution, stage: str = "first") -> Iterator[Candidate]:
@@ -226,7 +218,7 @@ class Stages:
         yield found
         flown = with_flown_guess(self.problem)
         if flown is not None:
-            most = RESTART_MAX_ITERATIONS + first.statistics.iterations
+            most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve("60, second start", meshes, None, flown, most)
             yield second
             if second.solved and (not found.solved or second.is_lower(found)):
@@ -299,7 +291,7 @@ class Stages:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         guess = with_least_controls(start)
-        return self._solve(stage, meshes, guess, iterations=RESTART_MAX_ITERATIONS, trajectory_only=True)
+        return self._solve(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
     def _by_other_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess by the adaptive barrier strategy."""
@@ -310,7 +302,7 @@ class Stages:
             return None
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
-        most = RESTART_MAX_ITERATIONS + start.statistics.iterations
+        most = WARM_MAX_ITERATIONS + start.statistics.iterations
         return self._solve(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh(
@@ -343,7 +335,7 @@ class Stages:
         if not self._is_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
-            tolerance=ARC_SOLVE_TOLERANCE, max_iterations=PROGRAM_MAX_ITERATIONS
+            tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS
         )
         solution, history = optimise_switches(
             start,

@@ -16,6 +16,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.tolerances import NOTABLE
 
 FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
 """Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
@@ -48,9 +49,6 @@ COARSE_POINTS = 100
 
 POINT_RATIO = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
-
-ARC_END_MAX_OFFSET_SHARE = 1e-2
-"""Share of the phase by which the ends of pieces that samples show may be off the breaks of their mesh."""
 
 ARC_OVERLAP_SHARE = 0.9
 """Share of both that pieces of two structures have in common to be the same."""
@@ -185,7 +183,7 @@ class Plan:
         found, times = cls.of(structure, uniform_points(mesh)), np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
-        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > ARC_END_MAX_OFFSET_SHARE:
+        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
             return found
         moved = times[0] + breaks[places] * (
             times[-1] - times[0]

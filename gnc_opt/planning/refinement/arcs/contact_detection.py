@@ -14,12 +14,10 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.error import states_at_points
 from gnc_opt.planning.solution.samples import PhaseSamples
-
-CONTACT_MIN_SHARE = 1e-3
-"""Share of the largest push of a constraint that counts as one, ..."""
+from gnc_opt.tolerances import SMALL
 
 CONTACT_MIN_COST_SHARE = 1e-5
-"""... if that is worth this share of the cost."""
+"""A push counts that is worth this share of the cost, and a `SMALL` one of the largest push of its constraint."""
 
 CONTACT_MERGE_SEGMENTS = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
@@ -28,12 +26,11 @@ TOUCH_MAX_NODES = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
 
 CONTACT_MIN_NODES = 3
-"""So many nodes in a row at which a constraint pushes say that a control holds it there."""
+"""So many nodes in a row at which a constraint pushes say that a control holds it there.
 
-OFF_LIMIT_MIN_SHARE = 1e-3
-"""So many nodes in a row that far from a limit of higher order, in shares of what the constraint moves, without a push
-among them, are between two touches if all points of a segment are among them: an arc that need not push between its
-ends stays on the limit, and a polynomial that meets it at some of its points may swing between the others."""
+So many nodes in a row off a limit of higher order without a push are between two touches if all points of a segment are
+among them: an arc that need not push between its ends stays on the limit, and a polynomial that meets it at some of its
+points may swing between the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,13 +228,13 @@ def contact_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
             near = np.abs(values[row] - limit) < ACTIVE_CONSTRAINT_SHARE * constraints.scales[row]
             worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
             worth = np.where(
-                near & (worth > max(CONTACT_MIN_SHARE * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
+                near & (worth > max(SMALL * float(np.max(worth)), CONTACT_MIN_COST_SHARE)),
                 worth,
                 0.0,
             )
             near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             if constraints.order(int(row)) > 1:
-                off = np.abs(values[row] - limit) > OFF_LIMIT_MIN_SHARE * constraints.scales[row]
+                off = np.abs(values[row] - limit) > SMALL * constraints.scales[row]
                 for a, b in mask_runs(off & (worth == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _fills_a_segment(times[a:b], s)
             runs = [(a, b) for a, b in mask_runs(near) if np.any(worth[a:b] > 0)]

@@ -42,16 +42,10 @@ from gnc_opt.planning.refinement.arcs.contact_detection import (
 )
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import NEGLIGIBLE, TINY
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
-
-BOUND_OVERRUN_SHARE = 1e-6
-"""A control that leaves its bound by this share of its range runs into it."""
-
-WRONG_PUSH_MIN_COST_SHARE = 1e-6
-"""A push of the wrong direction worth this share of the cost says that there is no contact."""
 
 
 # --- controls that are determined -------------------------------------------------------------------------------
@@ -160,7 +154,7 @@ def touch_of_wrong_sign(constraints: StateConstraints, structure: PhaseStructure
             gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
             jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
             push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
-            if push < -WRONG_PUSH_MIN_COST_SHARE * s.cost_scale:
+            if push < -NEGLIGIBLE * s.cost_scale:
                 return k, row
     return None
 
@@ -202,7 +196,7 @@ def with_saturated_holder(
         limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)
-        if beyond[-1] > BOUND_OVERRUN_SHARE and within.size:
+        if beyond[-1] > NEGLIGIBLE and within.size:
             last = slice(within[-1], within[-1] + 2)
             ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
             label = samples.leg.controls.labels[row]

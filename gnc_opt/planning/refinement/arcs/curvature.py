@@ -7,14 +7,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearLimits
 from gnc_opt.planning.solution.samples import PhaseSamples
-from gnc_opt.tolerances import CONVEX
-
-HOLLOW = 1e-2
-"""H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
-average: where a costate vanishes or jumps the mesh leaves as much."""
-
-LINEAR_CURVATURE_SHARE = 1e-9
-"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
+from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
 
 def affine_channels(samples: PhaseSamples) -> Mask:
@@ -53,7 +46,7 @@ def linear_limits(samples: PhaseSamples) -> LinearLimits:
 
 
 def _linear(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < LINEAR_CURVATURE_SHARE)
+    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < EQUAL)
 
 
 def regular_channels(samples: PhaseSamples) -> Mask:
@@ -70,7 +63,7 @@ def convex_channels(samples: PhaseSamples) -> Mask:
     """
     bends = curvature(samples)
     above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
-    at_times = np.any(bends > CONVEX, axis=1) & (below < HOLLOW * above)
+    at_times = np.any(bends > CONVEX, axis=1) & (below < NOTABLE * above)
     return np.asarray((at_times & ~_coupled(samples)) | regular_channels(samples))
 
 
@@ -79,7 +72,7 @@ def _coupled(samples: PhaseSamples) -> Mask:
     scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
     shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
     np.fill_diagonal(shares, 0.0)
-    return np.asarray(np.any(shares > LINEAR_CURVATURE_SHARE, axis=1))
+    return np.asarray(np.any(shares > EQUAL, axis=1))
 
 
 def curvature(samples: PhaseSamples) -> Array:

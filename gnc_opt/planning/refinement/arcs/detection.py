@@ -10,6 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.contact_detection import CONTACT_MERGE_SEGMENTS
 from gnc_opt.planning.refinement.arcs.contacts import Determined, determined, with_contacts
 from gnc_opt.planning.refinement.arcs.curvature import (
     affine_channels,
@@ -23,20 +24,13 @@ from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.refinement.arcs.vector_arcs import label_vectors
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX
+from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
 
 CONTROL_AT_BOUND_SHARE = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
 
 STATE_LEFT_BOUND_RATIO = 2.0
 """A state so many times as far from its bound has left it."""
-
-ACTIVE_LIMIT_TOLERANCE = 1e-3
-"""A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
-multiplier says so too."""
-
-ZERO_MULTIPLIER_SHARE = 1e-6
-"""A multiplier this small, relative to its largest value, is rounding."""
 
 HELD_STATE_TOLERANCE = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
@@ -49,12 +43,6 @@ CROSSING_TIME_TOLERANCE = 1e-14
 
 CROSSING_MAX_STEPS = 100
 """Steps that find it in any case; a smooth function needs six or so."""
-
-CONTROL_PROBE_SHARE = 1e-3
-"""Share of a control's range by which it is moved to see whether a rate depends on it."""
-
-SINGULAR_ARC_MERGE_SEGMENTS = 2.0
-"""Bangs beside a singular arc that are shorter than this many segments belong to it."""
 
 
 def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
@@ -83,7 +71,7 @@ def detect(
     rows = [
         _linear_labels(samples, i, held[i], sharp)
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SINGULAR_ARC_MERGE_SEGMENTS)
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else CONTACT_MERGE_SEGMENTS)
         for i in range(leg.controls.size)
     ]
     mixed = _mixed_paths(samples, regular)
@@ -209,7 +197,7 @@ def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
 
 
 def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
-    """Let arcs of a label swallow neighbours shorter than `SINGULAR_ARC_MERGE_SEGMENTS` segments, if all
+    """Let arcs of a label swallow neighbours shorter than `CONTACT_MERGE_SEGMENTS` segments, if all
     of those are candidates."""
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     grown = True
@@ -219,7 +207,7 @@ def _extend_label(samples: PhaseSamples, labels: KindArray, label: ArcKind, cand
         edges = [0, *(np.flatnonzero(changes) + 1), labels.size]
         for first, last in itertools.pairwise(edges):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
-            short = samples.times[last - 1] - samples.times[first] < SINGULAR_ARC_MERGE_SEGMENTS * np.max(
+            short = samples.times[last - 1] - samples.times[first] < CONTACT_MERGE_SEGMENTS * np.max(
                 lengths[first:last]
             )
             if labels[first] != label and candidates[first] and beside and short:
@@ -246,9 +234,7 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
 
 def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
-    at_lower, at_upper = samples.leg.control_bounds.near(
-        samples.u, ACTIVE_LIMIT_TOLERANCE * samples.control_scale
-    )
+    at_lower, at_upper = samples.leg.control_bounds.near(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
     labels = _labels_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
@@ -301,11 +287,9 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
         samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
     )
     bends = curvature(samples) > CONVEX
-    idle = np.abs(samples.mu) <= ZERO_MULTIPLIER_SHARE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
+    idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
-    at_lower, at_upper = samples.leg.path_bounds.near(
-        values, ACTIVE_LIMIT_TOLERANCE * np.max(np.abs(values), axis=1)
-    )
+    at_lower, at_upper = samples.leg.path_bounds.near(values, SMALL * np.max(np.abs(values), axis=1))
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_labels_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
@@ -355,7 +339,7 @@ def _moved_by_singular_controls(samples: PhaseSamples, controls: KindArray) -> M
 def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
     """Where the rate of a state depends on a control, (n_states, n_samples)."""
     moved = samples.u.copy()
-    moved[channel] += CONTROL_PROBE_SHARE * samples.control_scale[channel]
+    moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.rates
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 

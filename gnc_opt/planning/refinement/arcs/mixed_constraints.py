@@ -18,15 +18,13 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
 from gnc_opt.planning.solution.samples import PhaseSamples
-
-CONSTANT_SLOPE_TOLERANCE = 1e-9
-"""Relative change of a slope over `SLOPE_PROBE_SHARE` of the control's range below which it is constant."""
+from gnc_opt.tolerances import EQUAL, NOTABLE
 
 SLOPE_PROBE_SHARE = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
-CONTROL_AT_END_SHARE, PRESSED_SHARE = 0.01, 0.95
-"""Distance from a control's end, in shares of its range, and share of samples for "all along"."""
+PRESSED_SHARE = 0.95
+"""Share of samples at which a control is at its end if it is there all along."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +46,7 @@ class LinearLimits:
         moved = samples.functions.path_control_jacobian(
             samples.times, samples.x, samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
         )
-        same = np.abs(moved - jacobian) <= CONSTANT_SLOPE_TOLERANCE * np.max(
-            np.abs(jacobian), axis=(1, 2), keepdims=True
-        )
+        same = np.abs(moved - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
         depends = np.any(jacobian != 0, axis=2)
         inequality = leg.path_bounds.lower < leg.path_bounds.upper
         for i in np.flatnonzero(linear):
@@ -96,7 +92,7 @@ class LinearLimits:
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)
-        return bool(np.mean(np.abs(off) <= CONTROL_AT_END_SHARE * s.control_scale[control]) > PRESSED_SHARE)
+        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > PRESSED_SHARE)
 
     def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""

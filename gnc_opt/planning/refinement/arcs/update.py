@@ -32,13 +32,10 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.singular_arcs import chatters
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
-from gnc_opt.tolerances import GONE
+from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"
-
-SWAPPED_ARC_SHARE_OF_PHASE = 1e-3
-"""Share of the phase that a swapped piece gets to start from."""
 
 BARRIER_MAX_LENGTH_SHARE = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
@@ -48,15 +45,12 @@ CHATTER_MIN_SWITCHES, CHATTER_MAX_VIOLATION_RATIO = 5, 30.0
 """So many switches of one control where its switching function stays small are no bangs. All but one of them at least
 are between bangs that leave no more than so many times the violation."""
 
-SATURATION_SHARE = 1e-3
-"""A singular control this close to a bound, relative to its range, has reached it."""
-
 SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
-SWITCH_SIGN_ERROR, CURVED_SIGN_ERROR = 1e-5, 1e-6
-"""The same on both sides of a switch of the same control; and where H bends in it: there half of what it bends is left
-on either side of a jump that should be a short interior arc, and no error of the mesh."""
+SWITCH_SIGN_ERROR = 1e-5
+"""The same on both sides of a switch of the same control. Where H bends in it, half of what it bends is left on either
+side of a jump that should be a short interior arc: there more than a `NEGLIGIBLE` one counts."""
 
 
 def improve_plans(
@@ -150,7 +144,7 @@ def _is_held_open_by_barrier(samples: PhaseSamples, plan: Plan, piece: int) -> b
 def _with_room(structure: PhaseStructure, piece: int) -> PhaseStructure:
     """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
-    room = SWAPPED_ARC_SHARE_OF_PHASE * (times[-1] - times[0])
+    room = SMALL * (times[-1] - times[0])
     middle = 0.5 * (times[piece] + times[piece + 1])
     left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
     right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
@@ -170,7 +164,7 @@ def _with_missing_arc(
     violation, asked = _structure_violations(samples, plan.structure, kinds)
     curved = _curved_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
-        _forgive_own_switches(violation[i], kinds[i], CURVED_SIGN_ERROR if curved[i] else SWITCH_SIGN_ERROR)
+        _forgive_own_switches(violation[i], kinds[i], NEGLIGIBLE if curved[i] else SWITCH_SIGN_ERROR)
     if violation.size and (found := _chattering_bangs(samples, plan.structure, violation, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
@@ -286,7 +280,7 @@ def _with_saturated_arc(
     released = plan.structure.beside_takeovers()[: len(singular)]
     singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATION_SHARE * samples.control_scale)
+    at_lower, at_upper = bounds.near(samples.u_polynomial, SMALL * samples.control_scale)
     left_open = zip(plan.resolutions, singular_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)

@@ -21,6 +21,7 @@ from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import EQUAL
 
 SINGULAR_SHARE_OF_H = 2e-2
 """A mean of :math:`H_T` along a segment this small, times the limit of the norm and in shares of H, marks a singular
@@ -28,9 +29,6 @@ arc, ..."""
 
 SINGULAR_MAX_NORM_SHARE = 0.95
 """... if the mean of the vector is shorter than this share of the limit there."""
-
-PRODUCT_TOLERANCE = 1e-9
-"""Share of their terms within which slopes in magnitude and direction are those of the product alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +105,7 @@ def _depends_on_product_only(s: PhaseSamples, v: ProductVector) -> bool:
     def differs(slope: Array) -> bool:
         by_size, by_direction = slope[v.magnitude] * u[v.magnitude], slope[v.direction] * u[v.direction]
         amount = np.abs(by_size) + np.sum(np.abs(by_direction), axis=0)
-        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > PRODUCT_TOLERANCE * amount))
+        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > EQUAL * amount))
 
     return not differs(slopes) and not any(differs(row) for row in others)
 

@@ -10,21 +10,13 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.interval import Interval
 from gnc_opt.planning.refinement.error import PhaseError, states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
 """A switch is trusted to lie this close to its estimate, in shares of its segment."""
 
 KINK_ESTIMATE_ORDER = 2.0
 """Order by which a kink's estimate improves with the length of its gap, in shares of the phase."""
-
-SEGMENT_MIN_SHARE = 1e-9
-"""Segments are not split below this share of the phase."""
-
-LOCATED_KINK_TOLERANCE = 1e-6
-"""A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
-
-CROSSING_MIN_SHARE = 1e-6
-"""A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
 
 SEGMENT_MAX_KINKS = 3
 """More kinks than this in one segment are chatter or noise."""
@@ -95,7 +87,7 @@ def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array
 def _crossings(values: Array, times: Array) -> list[float]:
     """Return the zeros of a switching function, in shares of H, from a straight line between its samples."""
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
-    if not before.size or not (np.max(values) > CROSSING_MIN_SHARE and np.min(values) < -CROSSING_MIN_SHARE):
+    if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
         return []
     share = values[before] / (values[before] - values[before + 1])
     return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
@@ -152,16 +144,16 @@ def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, w
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
     pull = multipliers * scale[:, None] / worth
     limits = (bounds.lower < bounds.upper)[:, None]
-    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CROSSING_MIN_SHARE)), pull, 0.0)
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
 
 
 def kink_boundaries(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
-    least = max(least, SEGMENT_MIN_SHARE * leg.duration)
+    least = max(least, SAME_TIME * leg.duration)
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in _kink_edges(kink, LOCATED_KINK_TOLERANCE * leg.duration)):
+    for edge in (edge for kink in kinks for edge in _kink_edges(kink, NEGLIGIBLE * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]

@@ -15,27 +15,20 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import last_barrier
 from gnc_opt.planning.refinement.error import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, converges_too_slowly, pass_meter, pass_record
-from gnc_opt.planning.refinement.mesh.remesh import (
-    UNRESOLVED_ERROR,
-    Past,
-    Remesh,
-    known_segments,
-)
+from gnc_opt.planning.refinement.mesh.remesh import Past, Remesh, known_segments
 from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-
-MESH_WARM_START_MAX_ITERATIONS = 150
-"""A warm start that takes longer has lost its way."""
+from gnc_opt.tolerances import NOTABLE
 
 WARM_BARRIER = 1e-6
 """Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
-its bounds only to come back in ten iterations. Where no error exceeds `UNRESOLVED_ERROR` it begins at the last
+its bounds only to come back in ten iterations. Where no error exceeds `NOTABLE` it begins at the last
 barrier: each one before costs two iterations or more."""
 
 DEFAULT_ITERATIONS = 20
@@ -188,7 +181,7 @@ class _Refinement:
         error = min(self._state.finite_error, 1.0)
         stage = max(
             self._tol,
-            (STAGE_ERROR_SHARE if error < UNRESOLVED_ERROR else COARSE_MESH_TOLERANCE_SHARE) * error,
+            (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error,
         )
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._refined_meshes(stage)
@@ -250,7 +243,7 @@ class _Refinement:
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._warm_options(),
-            limits=replace(within, warm_iterations=MESH_WARM_START_MAX_ITERATIONS),
+            limits=replace(within, warm_iterations=WARM_MAX_ITERATIONS),
         )
         self._state = self._evaluated(solution, begin, actions)
         if self._is_better(self._state, self._best):
@@ -266,9 +259,7 @@ class _Refinement:
             )
         if options.mu_init is None:
             last = last_barrier(options.tolerance)
-            options = replace(
-                options, mu_init=last if left <= UNRESOLVED_ERROR else max(WARM_BARRIER * left, last)
-            )
+            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
         return options
 
     def _evaluated(self, solution: Solution, begin: float, actions: Actions) -> _State:

@@ -17,16 +17,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error import PhaseError
-from gnc_opt.planning.refinement.mesh.kinks import (
-    SEGMENT_MIN_SHARE,
-    Kink,
-    find_kinks,
-    kink_boundaries,
-    limit_activity,
-)
+from gnc_opt.planning.refinement.mesh.kinks import Kink, find_kinks, kink_boundaries, limit_activity
 from gnc_opt.planning.refinement.mesh.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.planning.solution.history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.tolerances import NOTABLE, SAME_TIME
 
 SEGMENT_MAX_DEGREE = 20
 REMESH_TOLERANCE_SHARE = 0.25
@@ -35,23 +30,15 @@ REMESH_TOLERANCE_SHARE = 0.25
 DECAY_GAIN_PER_HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
 
-LAYER_SHARE = 0.25
-"""Share of a hopelessly coarse first or last segment that is cut off, and again of that: boundary layers are thin."""
-
 UNKNOWN_TRAJECTORY_ERROR = 1.0
 """Where nothing is known of the trajectory, nothing is known of its kinks either."""
-
-MAX_TIME_CONSTANTS = 1e4
-"""At most so many time constants are believed to be in such a segment."""
 
 MIN_DECADES_PER_POINT = 0.12
 """A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
 
 SMOOTHNESS_MIN_DEGREE = 5
-"""Fewer coefficients than this do not tell whether a segment is smooth: its degree is raised first, ..."""
-
-UNRESOLVED_ERROR = 1e-2
-"""... unless its error is so large that it is hopelessly coarse."""
+"""Fewer coefficients than this do not tell whether a segment is smooth: its degree is raised first, unless its error is
+`NOTABLE`."""
 
 Past = Mapping[tuple[float, float], tuple[int, float]]
 """What is known of the segments of earlier meshes, by their ends as fractions: degree and error."""
@@ -104,7 +91,7 @@ class Remesh:
 
     def _refined_segment(self, k: int, own: Piece, rate: float) -> list[Piece]:
         """Return what becomes of an inaccurate segment."""
-        narrow = (own.end - own.start) < SEGMENT_MIN_SHARE * self._leg.duration
+        narrow = (own.end - own.start) < SAME_TIME * self._leg.duration
         if narrow:
             return [own]
         if self._active is None:
@@ -117,7 +104,7 @@ class Remesh:
                 return self._pieces_around_kinks(cuts, kinks, own.degree)
         excess = float(self._decades[k])
         wanted = own.degree + max(1, math.ceil(excess / rate))
-        if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < UNRESOLVED_ERROR:
+        if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < NOTABLE:
             wanted = min(wanted, 2 * own.degree)
         if wanted <= self.max_degree and not self._is_degree_wasted(k, own.degree):
             self.raised += 1
@@ -150,31 +137,18 @@ class Remesh:
             self._density = error_density(self.error)
         low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
-        layers = self._layer_shares(k)
-        if layers:
-            edges = [own.start + share * width for share in layers]
-        elif high - low < 0.3 * width:
+        if high - low < 0.3 * width:
             edges = [low, high]
         else:
             edges = [float(np.clip(middle, own.start + 0.05 * width, own.end - 0.05 * width))]
         cuts = [own.start]
-        cuts += edges if layers else [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
+        cuts += [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
         if len(cuts) == 1:
             cuts.append(0.5 * (own.start + own.end))
         cuts.append(own.end)
         needed = math.ceil((excess + rate * own.degree) / (rate + DECAY_GAIN_PER_HALVING))
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
-
-    def _layer_shares(self, k: int) -> list[float]:
-        """Return where to cut a coarse segment at a phase end, in shares: a geometric sequence."""
-        error = float(min(self._worst[k], MAX_TIME_CONSTANTS))
-        ends = (k == 0, k == self._leg.mesh.segments - 1)
-        if error < UNRESOLVED_ERROR or not any(ends):
-            return []
-        levels = max(1, math.floor(math.log(error) / -math.log(LAYER_SHARE)))
-        shares = [LAYER_SHARE**level for level in range(levels, 0, -1)]
-        return shares if ends[0] else [1.0 - share for share in reversed(shares)]
 
     def _fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))

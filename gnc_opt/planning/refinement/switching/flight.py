@@ -16,12 +16,10 @@ from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.tolerances import NEGLIGIBLE
 
 STEP_PARTS = 3
 """Into which every step of the grid is divided: values and rates at four times make a polynomial of degree 7."""
-
-SIGN_ERROR_MIN_SHARE = 1e-6
-"""Switching function of the wrong sign, in shares of the largest, that asks for another arc."""
 
 NEW_ARC_INSET_SHARE = 0.25
 """Share of an interval of the wrong sign that a new arc leaves at each side, to keep away from other switches."""
@@ -122,7 +120,7 @@ class SwitchFlight:
         for i in range(wrong.shape[0]):
             forgive(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
-        return None if wrong[i, j] < SIGN_ERROR_MIN_SHARE else (i, *wrong_interval(times, wrong[i], j))
+        return None if wrong[i, j] < NEGLIGIBLE else (i, *wrong_interval(times, wrong[i], j))
 
 
 def _nodes() -> tuple[Array, Array]:
@@ -150,7 +148,7 @@ def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolyno
 def forgive(wrong: Array, switches: Indices) -> None:
     """Zero the violations of switches that are not quite converged: largest at the switch itself."""
     for k in switches:
-        most, wrong[k] = abs(wrong[k]) + SIGN_ERROR_MIN_SHARE, 0.0
+        most, wrong[k] = abs(wrong[k]) + NEGLIGIBLE, 0.0
         for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):
             for j in side:
                 if not 0 < wrong[j] <= most:

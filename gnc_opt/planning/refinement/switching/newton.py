@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.switching.flight import SwitchFlight
 from gnc_opt.planning.refinement.switching.step import SwitchStep, newton_step, simplified_newton_step
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, TINY
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY
 
 NEWTON_MAX_STEPS = 40
 """Newton steps of all structures together."""
@@ -41,9 +41,6 @@ SIMPLIFIED_STEPS_PER_FULL_STEP = 3
 
 SIMPLIFIED_NEWTON_MAX_STEPS = 12
 """Steps until switch times are at rest, once they are near."""
-
-LAST_STEP_SHARE_OF_ACCURACY = 1e-2
-"""Share of the accuracy that the last step may be worth."""
 
 NEWTON_REMAINDER_FACTOR = 100.0
 """What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
@@ -185,18 +182,18 @@ def _converged_flight(
         if step is None or _allowed_share(switches, step)[0] < 1:
             return None
         length, away = step.share(switches), _distance_from_rest(step, switches, accuracy)
-        if away < LAST_STEP_SHARE_OF_ACCURACY:
+        if away < NOTABLE:
             return SwitchFlight.of(problem, s, switches, step)
         switches = _moved(switches, step.change)
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
-        if away * shrinks < LAST_STEP_SHARE_OF_ACCURACY:
+        if away * shrinks < NOTABLE:
             flight = SwitchFlight.of(problem, s, switches, step)
             if (
                 flight is None
                 or _distance_from_rest(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
             ):
                 return flight
-        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > LAST_STEP_SHARE_OF_ACCURACY:
+        if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
             step, before = newton_step(problem, s, switches, step.steps), math.inf
         else:
             step, before = simplified_newton_step(problem, s, switches, step, step.steps), length
