@@ -1,17 +1,19 @@
 """The stages of a solve: from a stated problem to an answer that is accurate and whose optimality is checked.
 
-=====  ======================================================================================================
-stage  what is solved
-=====  ======================================================================================================
-first  the first mesh; where it shows arcs, the program with these arcs and free breakpoints, else, or where the
-       objective is accurate already, hp refinement
-least  the first mesh again, from the controls that minimise H along the costates, where these lose much
-bar.   the first mesh again, by IPOPT's adaptive barrier strategy
-60     60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the program with
-       the arcs that they show if none has had a solution
-200    200 segments of degree 3, warm, and the program with their arcs, the shortest included
-hp     hp refinement of the best mesh so far, and programs with its arcs
-=====  ======================================================================================================
+================  =============================================================================================
+stage             what is solved
+================  =============================================================================================
+first mesh        the first mesh; where it shows arcs, the switching-time formulation with these arcs, else, or where
+                  the objective is accurate already, hp refinement
+minimum of H      the first mesh again, from the controls that minimise H along the costates, where these lose much
+adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
+60 segments       60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the
+                  switching-time formulation with the arcs that they show if none has had a solution
+200 segments      200 segments of degree 3, warm, and the switching-time formulation, the shortest arcs included
+hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
+================  =============================================================================================
+
+The switching-time formulation has the ends of the arcs as variables and holds the controls along them.
 
 Every solved answer is a `Candidate`. The first one that passes the optimality check with local errors within the
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within it. A
@@ -56,10 +58,10 @@ STAGE_DEGREE = 3
 """Collocation points per segment of both."""
 
 PROGRAM_MAX_SHARE = 0.1
-"""Share of the budget that a program with arcs may cost."""
+"""Share of the budget that a switching-time formulation may cost."""
 
 PROGRAM_MAX_PIECES = 80
-"""Pieces of a phase up to which a program with arcs is tried."""
+"""Pieces of a phase up to which a switching-time formulation is tried."""
 
 PROGRAM_MAX_FAILURES = 4
 """Programs without a solution after which no other is tried."""
@@ -69,6 +71,10 @@ HP_FIRST_MAX_SHARE = 0.25
 
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
 """Mesh tolerances, in shares, while the check is open and the objective's estimated error halves."""
+
+FIRST, MINIMUM_OF_H, HP = "first mesh", "minimum of H", "hp refinement"
+MIDDLE, FINE = f"{MIDDLE_SEGMENTS} segments", f"{FINE_SEGMENTS} segments"
+"""Names of stages."""
 
 BARRIER_OPTION = "ipopt.mu_strategy"
 
@@ -113,7 +119,7 @@ class Stages:
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the answer by hp refinement alone, from a solution on a mesh."""
-        self._add(Candidate.of_solve(first, self.tol, self.begin, "first"))
+        self._add(Candidate.of_solve(first, self.tol, self.begin, FIRST))
         return self._collect(first, self._refine_mesh(first, 1.0))
 
     def with_fixed_arcs(self, first: Solution) -> Solution:
@@ -130,11 +136,11 @@ class Stages:
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._collect(first, self._solve_arc_program(first, found, "first", share=1.0))
+        return self._collect(first, self._solve_arc_program(first, found, FIRST, share=1.0))
 
     def interrupted(self, first: Solution) -> Solution:
         """Return a solution as the answer of a search that Ctrl-C ended before it began."""
-        candidate = Candidate.of_solve(first, self.tol, self.begin, "first")
+        candidate = Candidate.of_solve(first, self.tol, self.begin, FIRST)
         return answer_of([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
 
     # --- what is solved in which order ------------------------------------------------------------------------
@@ -151,7 +157,7 @@ class Stages:
             ended = RefinementStatus.INTERRUPTED
         settled = ended is RefinementStatus.CONVERGED
         if not settled and not any(c.solved and c.solution is first for c in self.candidates):
-            self.candidates.append(Candidate.of_solve(first, self.tol, self.begin, "first"))
+            self.candidates.append(Candidate.of_solve(first, self.tol, self.begin, FIRST))
         return answer_of(self.candidates, None if settled else ended, self.tol, self.begin, self.check)
 
     def _add(self, candidate: Candidate) -> None:
@@ -179,7 +185,10 @@ class Stages:
 
     def _all_stages(self, first: Solution) -> Iterator[Candidate]:
         yield from self._first_stage(first)
-        for stage, solve in (("least H", self._from_least_controls), ("barrier", self._by_other_barrier)):
+        for stage, solve in (
+            (MINIMUM_OF_H, self._from_least_controls),
+            ("adaptive barrier", self._by_other_barrier),
+        ):
             other = solve(first, stage)
             if other is not None:
                 yield other
@@ -189,37 +198,37 @@ class Stages:
                     yield from self._first_stage(first, stage)
         middle = yield from self._middle_stage(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_arc_program(middle, structures_of(middle), "60, arcs")
-        fine = self._solve("200", self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
+            yield from self._solve_arc_program(middle, structures_of(middle), f"{MIDDLE}, switching times")
+        fine = self._solve(FINE, self._meshes(FINE_SEGMENTS, FINE_MIN_SEGMENTS, middle), middle)
         yield fine
         if fine.solved:
-            again = self._from_least_controls(fine.solution, "200, least H")
+            again = self._from_least_controls(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
                 fine = again if again.is_lower(fine) else fine
             found = structures_of(fine.solution, sharp=True)
-            yield from self._solve_arc_program(fine.solution, found, "200, arcs")
+            yield from self._solve_arc_program(fine.solution, found, f"{FINE}, switching times")
         yield from self._last_stage()
 
-    def _first_stage(self, first: Solution, stage: str = "first") -> Iterator[Candidate]:
+    def _first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
         candidate, found = Candidate.of_solve(first, self.tol, self.begin, stage), structures_of(first)
         arcs = _has_arcs(first, found, at_least=1)
         if arcs:
-            yield from self._solve_arc_program(first, found, f"{stage}, arcs")
-        if stage == "first":
+            yield from self._solve_arc_program(first, found, f"{stage}, switching times")
+        if stage == FIRST:
             yield candidate
         if not arcs or candidate.within(self.tol):
-            yield from self._refine_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, hp")
+            yield from self._refine_mesh(first, HP_FIRST_MAX_SHARE, f"{stage}, {HP}")
 
     def _middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield what the middle stage finds; the generator returns the solution to go on with."""
         meshes = self._meshes(MIDDLE_SEGMENTS, MIDDLE_MIN_SEGMENTS, first)
-        found = self._solve("60", meshes, first)
+        found = self._solve(MIDDLE, meshes, first)
         yield found
         flown = with_flown_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve("60, second start", meshes, None, flown, most)
+            second = self._solve(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
             if second.solved and (not found.solved or second.is_lower(found)):
                 found = second
@@ -231,11 +240,11 @@ class Stages:
         start = min(meshes, key=lambda c: c.rank(self.tol))
         found = yield from self._refine_mesh(start.solution, 1.0)
         arcs = structures_of(found.solution)
-        yield from self._solve_arc_program(found.solution, arcs, "hp, arcs", segments="kept")
+        yield from self._solve_arc_program(found.solution, arcs, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.error <= self.tol or not found.is_nearly_optimal:
                 return
-            finer = yield from self._refine_mesh(found.solution, 1.0, "hp", share * self.tol)
+            finer = yield from self._refine_mesh(found.solution, 1.0, HP, share * self.tol)
             if not finer.estimate <= 0.5 * found.estimate:
                 return
             found = finer
@@ -306,7 +315,7 @@ class Stages:
         return self._solve(stage, meshes, None, iterations=most, options=other)
 
     def _refine_mesh(
-        self, start: Solution, share: float, stage: str = "hp", tol: float | None = None
+        self, start: Solution, share: float, stage: str = HP, tol: float | None = None
     ) -> Generator[Candidate, None, Candidate]:
         """Yield what hp refinement leads to; the generator returns it, too."""
         solution, history = refine_mesh(
@@ -331,7 +340,7 @@ class Stages:
         share: float = PROGRAM_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
-        """Yield what a program with arcs leads to, if it is promising."""
+        """Yield what a switching-time formulation leads to, if it is promising."""
         if not self._is_promising(start, found) and share < 1.0:
             return
         options = self.options or SolverOptions(
