@@ -1,8 +1,9 @@
 """solve_mesh: one solve on one mesh, and what is tried when it fails.
 
 A start from a solution that loses its way is repeated from the trajectory alone, without its multipliers. A cold start
-that fails is repeated with IPOPT's adaptive barrier; where the guess is no trajectory, then from a simulation, and from
-points that meet the constraints without the cost. All tries of one solve share its limit on wall time.
+that fails is repeated with careful pivoting where rounding may be the cause, and with IPOPT's adaptive barrier; where
+the guess is no trajectory, then from a simulation, and from points that meet the constraints without the cost. All
+tries of one solve share its limit on wall time.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
 from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
-TRY_MAX_ITERATIONS = 200
+TRY_MAX_ITERATIONS = 300
 """Iterations of a try from a guess that is no trajectory, while others follow. Of 84 problems that are solved from
 straight lines none takes more than 143."""
 
@@ -46,13 +47,24 @@ WARM_MAX_ITERATIONS = 100
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
 
+ROUNDING = (Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+"""Endings that rounding in the linear solver can cause: it is repeated from there, pivoting with care."""
+
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
-"""Endings from a point that meets the constraints after which the next one is tried.
+"""Endings after which points are tried that meet the constraints, one after the other.
 
 A cost pulls the iterates, a free final time above all, into a corner where the constraints cannot be met and their
 violation is stationary: there a solver stops and reports that the problem is infeasible, though it is not. Without
 the cost nothing pulls; with the durations held, what remains of many problems is close to linear. Durations that are
 too short are the usual trap, so longer ones are tried."""
+
+UNEXPLAINED = (
+    Status.RESTORATION_FAILED,
+    Status.SEARCH_DIRECTION_FAILED,
+    Status.STEP_TOO_SMALL,
+    Status.ITERATION_LIMIT,
+)
+"""Endings that say nothing of the problem."""
 
 TRAJECTORY_START_BARRIER = 1e-2
 """First barrier parameter when only the trajectory is kept."""
@@ -213,31 +225,37 @@ class _Tries:
     spent: list[NlpResult] = field(default_factory=list)
 
     def run(self, point: NlpPoint, *, search: bool) -> None:
-        """Solve from a point, then in other ways; where it is no trajectory (search), from other points."""
+        """Solve from a point, then by other numerics; where it is no trajectory (search), from other points."""
         options = self.attempt.solver.options
         repeat = (
             options.solver == "ipopt" and point.way == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         )
         search = search and repeat
         most = TRY_MAX_ITERATIONS if search else None
-        lost = self._solve(point, most=most).status is Status.ITERATION_LIMIT
+        first = self._solve(point, most=most)
         if self._ended or not repeat:
             return
-        self._solve(point, "adaptive", most=most)
-        if self._ended or not search:
+        if first.status in ROUNDING and not options.careful_pivoting:
+            there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
+            self._solve(there, "careful", most=TRY_MAX_ITERATIONS)
+        lost = first.status is Status.ITERATION_LIMIT
+        if not self._ended:
+            self._solve(point, "adaptive", most=most if lost else None)
+        if self._ended or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
         for start in self._simulated():
             self._solve(self.attempt.point(start), most=most)
-        if self._ended or self._solve_constraints_first():
-            return
+        if not self._ended:
+            self._solve_constraints_first()
         if lost and not self._ended:
             self._solve(point)
 
     def result(self) -> NlpResult:
-        """Return the last result if it is better than a failure of the first one, which is reported otherwise."""
-        last = self.spent[-1]
-        better = last.status.solved or self.spent[0].status is Status.ITERATION_LIMIT
-        return (last if better else self.spent[0]).with_effort(self.spent)
+        """Return the solution; without one the first ending that says why, or else the first failure."""
+        last, first = self.spent[-1], self.spent[0]
+        told = [r for r in self.spent if not r.status.solved and r.status not in UNEXPLAINED]
+        otherwise = last if first.status is Status.ITERATION_LIMIT else first
+        return (last if last.status.solved else told[0] if told else otherwise).with_effort(self.spent)
 
     @property
     def _ended(self) -> bool:
@@ -260,19 +278,19 @@ class _Tries:
         if flown is not None:
             yield program_start(self.attempt.transcription, flown, None)
 
-    def _solve_constraints_first(self) -> bool:
-        """Solve from points that meet the constraints; whether one ending is none of `CONSTRAINTS_FIRST`."""
+    def _solve_constraints_first(self) -> None:
+        """Solve from points that meet the constraints, until an ending is none of `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
             point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
             met = self._solve(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                self._solve(attempt.point(ProgramStart(met.x * attempt.scaling.variables)))
+                there = attempt.point(ProgramStart(met.x * attempt.scaling.variables))
+                self._solve(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
-                    return True
+                    return
             if self._ended:
-                return False
-        return False
+                return
 
 
 @dataclass

@@ -9,7 +9,7 @@ minimum of H      the first mesh again, from the controls that minimise H along 
 adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
 60 segments       60 segments of degree 3 in all phases together, warm; and once from an integrated trajectory; the
                   switching-time formulation with the arcs that they show if none has had a solution
-200 segments      200 segments of degree 3, warm, and the switching-time formulation, the shortest arcs included
+200 segments      200 segments of degree 3, warm, and the switching-time formulation, without and with the shortest arcs
 hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
 ================  =============================================================================================
 
@@ -206,8 +206,9 @@ class Stages:
             if again is not None:
                 yield again
                 fine = again if again.is_lower(fine) else fine
-            found = structures_of(fine.solution, sharp=True)
-            yield from self._solve_arc_program(fine.solution, found, f"{FINE}, switching times")
+            for sharp in (False, True):
+                found = structures_of(fine.solution, sharp=sharp)
+                yield from self._solve_arc_program(fine.solution, found, f"{FINE}, switching times")
         yield from self._last_stage()
 
     def _first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:

@@ -73,7 +73,7 @@ def test_what_succeeds_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert solution.objective == pytest.approx(cost(), rel=1e-9)
 
 
-@pytest.mark.parametrize("ending", [Status.RESTORATION_FAILED, Status.INFEASIBLE, Status.STEP_TOO_SMALL])
+@pytest.mark.parametrize("ending", [Status.RESTORATION_FAILED, Status.INFEASIBLE])
 def test_the_first_failure_is_met_by_the_adaptive_barrier(
     monkeypatch: pytest.MonkeyPatch, ending: Status
 ) -> None:
@@ -91,6 +91,16 @@ def test_an_infeasible_ending_is_met_by_the_constraints_first(monkeypatch: pytes
     )
     assert solution.objective == pytest.approx(cost(), rel=1e-9)
     assert solution.statistics.iterations == sum(watch.costs)
+
+
+@pytest.mark.parametrize("ending", [Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED])
+def test_rounding_is_met_by_careful_pivoting_from_where_it_stopped(
+    monkeypatch: pytest.MonkeyPatch, ending: Status
+) -> None:
+    watch = Stumbling(monkeypatch, ending)
+    solution = solve_mesh(regulator(), "3x4")
+    assert watch.ways == ["cold", "careful"] and solution.status is Status.OPTIMAL
+    assert watch.points[1].x0 == pytest.approx(watch.results[0].x)
 
 
 def hasty() -> go.Problem:
@@ -138,7 +148,7 @@ def test_a_guess_that_leads_on_and_on_gives_way_to_a_simulation(
 ) -> None:
     """Here after two iterations, and two with the adaptive barrier; next come points that meet the constraints."""
     monkeypatch.setattr(sys.modules[solve_mesh.__module__], "TRY_MAX_ITERATIONS", 2)
-    watch = Stumbling(monkeypatch, None, None, ending, Status.OPTIMAL)
+    watch = Stumbling(monkeypatch, None, None, ending, Status.OPTIMAL, Status.OPTIMAL)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
     assert watch.results[0].status is Status.INTERRUPTED and watch.costs[:3] == [2, 2, 2]
     lines, again, flight, *last = watch.points
@@ -215,9 +225,9 @@ def test_an_interrupt_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_given_trajectory_is_tried_with_both_barriers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """What fails then is reported as the first failure."""
     problem = regulator().with_guess("leg", time=[0.0, 0.5, 1.0], x=[[1.0, 0.8, 0.7]])
-    watch = Stumbling(monkeypatch, Status.STEP_TOO_SMALL, Status.RESTORATION_FAILED)
+    watch = Stumbling(monkeypatch, *[Status.STEP_TOO_SMALL] * 2, Status.RESTORATION_FAILED)
     found = solve_mesh(problem, "3x4")
-    assert watch.ways == ["cold", "adaptive"] and found.status is Status.STEP_TOO_SMALL
+    assert watch.ways == ["cold", "careful", "adaptive"] and found.status is Status.STEP_TOO_SMALL
 
 
 def test_a_limit_that_the_user_drew_closer_ends_all_tries(monkeypatch: pytest.MonkeyPatch) -> None:
