@@ -6,14 +6,11 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraints import constraint_order
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
@@ -199,16 +196,11 @@ class Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
 
         What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
-
-        Beside a bang that H bends along, a short interior arc shows on a fine mesh only: there the mesh stays as fine.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
         kept = tuple(self._with_known_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
         plan = replace(plan, resolutions=kept)
-        if structure.bends and structure.pieces > self.structure.pieces:
-            finer = tuple(self._with_known_segments(structure, k, r) for k, r in enumerate(plan.resolutions))
-            return replace(plan, resolutions=finer)
         return plan
 
     def completed(self, structure: PhaseStructure) -> Plan:
@@ -232,16 +224,6 @@ class Plan:
             ):
                 return self.resolutions[k]
         return None
-
-    def _with_known_segments(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
-        """The resolution of a piece of another structure with the segments that this plan has in its place."""
-        times, (left, right) = np.asarray(self.structure.times), structure.times[piece : piece + 2]
-        shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
-        counts = [r.segments for r in self.resolutions] * shared / self.structure.lengths
-        degree = max(r.degree for r in (first, *itertools.compress(self.resolutions, shared > 0)))
-        wanted = math.ceil(np.sum(counts))
-        finer = replace(first, degree=degree)
-        return finer if wanted <= first.segments else replace(finer, segments=wanted, edges=())
 
     def _with_known_degree(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
@@ -287,8 +269,7 @@ class Plan:
         n_controls, n_paths = len(structure.controls), len(structure.paths)
         # An interior control may leave its bounds: by how much tells where its arc has to end.
         controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
-        paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
-        kinds = np.vstack([controls, paths, structure.states])[:, segments]
+        kinds = np.vstack([controls, structure.paths, structure.states])[:, segments]
         free = kinds == ArcKind.INTERIOR
         kinds = choose(free & self._released_rows(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
@@ -298,11 +279,7 @@ class Plan:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._control_polynomials(),
-            junctions=(
-                *self._junctions(),
-                *self._ends_of_segments(problem, phase),
-                *self._start_conditions(problem, phase),
-            ),
+            junctions=self._junctions(),
         )
 
     def _released_rows(self) -> Mask:
@@ -337,43 +314,6 @@ class Plan:
             for k, i, kind, conditions, tangent in found
         )
 
-    def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
-
-        Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
-        that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
-        it, and errors fall with the third power of the length of segments only.
-        """
-        structure, n_controls = self.structure, len(self.structure.controls)
-        found = []
-        for piece, kinds in enumerate(structure.kinds):
-            held = [
-                row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
-            ]
-            for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
-                free = [i for i in structure.holders[row] if not kinds[i].at_limit]
-                singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _move_states_independently(
-                    problem.phases[phase].model, free
-                ):
-                    last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
-                    ends = range(self.piece_ends[piece] + 1, last)
-                    found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
-        return tuple(found)
-
-    def _start_conditions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
-        leg, n_controls = problem.phases[phase], len(self.structure.controls)
-        free, found = ~leg.numbers.initial.fixed, []
-        for row in range(len(self.structure.paths)):
-            kind = self.structure.kinds[0][n_controls + row]
-            if self.structure.orders[n_controls + row] and kind.at_limit:
-                value = constraint_order(problem, leg, row).derivatives[0]
-                depends = ca.jacobian(value, leg.model.arguments()[1]).sparsity().get_col()
-                if np.any(free[np.asarray(depends, dtype=int)]):
-                    found.append(Junction(row, 0, kind, 1))
-        return tuple(found)
-
     def _control_polynomials(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
         found, ends = [], self.piece_ends
@@ -387,12 +327,6 @@ class Plan:
                 ):
                     found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
-
-
-def _move_states_independently(model: Model, controls: list[int]) -> bool:
-    """Whether controls can move the states in more than one direction."""
-    moved = ca.jacobian(model.derivative(), model.arguments()[2])
-    return bool(ca.sprank(moved[:, controls]) > 1)
 
 
 def uniform_points(mesh: Mesh) -> float:

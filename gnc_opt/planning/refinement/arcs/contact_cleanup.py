@@ -1,16 +1,10 @@
 r"""Corrections of contacts that a mesh shows and no trajectory has.
 
 Where a control jumps inside a segment its polynomial swings, and so does the switching function, as multipliers of the
-limit make up for it. What is read from their signs are bangs within a segment, gaps in an arc, and limits that change
-places again and again. Let S have order one, and a bang be beside an arc on S = 0: before the arc it leads to the
-limit, :math:`\dot S \ge 0`, and after it away, :math:`\dot S \le 0`. (It is zero where a limit of the control takes
-over without a jump.) A bang that does neither is of the arc. In the segment in which one limit takes over from another
-both seem to be held by one control.
-
-A mesh of Gauss points has no row for path constraints at the ends of a phase. Where the cost wants a constraint
-:math:`c(t, x) \le 0` to leave its limit there, because another phase begins or the cost counts that state, the mesh
-lets it: beyond the last point the limit binds nothing. An arc that begins with the phase needs the constraint on its
-limit at that end: nothing else keeps its first segment from oscillating about it.
+limit make up for it. What is read from their signs are bangs within a segment and gaps in an arc. Let S have order one,
+and a bang be beside an arc on S = 0: before the arc it leads to the limit, :math:`\dot S \ge 0`, and after it away,
+:math:`\dot S \le 0`. (It is zero where a limit of the control takes over without a jump.) A bang that does neither is
+of the arc. In the segment in which one limit takes over from another both seem to be held by one control.
 """
 
 from __future__ import annotations
@@ -19,12 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Mask
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
-from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 
 CONSTRAINT_RATE_MIN_SHARE = 0.05
@@ -40,8 +31,6 @@ def without_oscillation_arcs(
         for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
             if _is_left_without_bang(structure, piece, arc):
                 return without_oscillation_arcs(_joined_to_arc(structure, piece, arc), constraints, segments)
-        if _back_and_forth(structure, piece):
-            return without_oscillation_arcs(structure.without(piece), constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1):
             for row in _left_limits(structure, piece, arc):
@@ -61,11 +50,6 @@ def _short_pieces(structure: PhaseStructure, constraints: StateConstraints, segm
     return [int(k) for k in np.flatnonzero(structure.lengths < segments * np.diff(breaks)[place])]
 
 
-def _is_same_on_both_sides(structure: PhaseStructure, piece: int) -> bool:
-    """Whether a structure is the same before and after a piece."""
-    return 0 < piece < structure.pieces - 1 and structure.kinds[piece - 1] == structure.kinds[piece + 1]
-
-
 def _is_left_without_bang(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
     rows = structure.changes(max(piece, arc))
@@ -82,11 +66,6 @@ def _joined_to_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStru
     kinds = list(structure.kinds)
     kinds[piece] = kinds[arc]
     return replace(structure, kinds=tuple(kinds)).merged()
-
-
-def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
-    """Whether one limit of a control takes over from another, and that again."""
-    return _is_same_on_both_sides(structure, piece) and bool(structure.handed_over(piece))
 
 
 def _left_limits(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
@@ -163,32 +142,3 @@ def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
     by_state = [i for i in found if structure.orders[i]]
     mixed = [i for i in found if i >= first and structure.regular[i]]
     return [i for i in found if (by_state or mixed) and owners[i] == owners[(by_state or mixed)[0]]]
-
-
-# --- ends of a phase
-
-
-def with_starts_on_limits(structure: PhaseStructure, leg: Phase, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure with path constraints of first order touched at the start of the phase, too, if held there.
-
-    The points of an arc leave the state at its start free. Within the phase a junction puts it on the limit; at the
-    start given states do, and limits of the phase before.
-    """
-    first = len(structure.controls)
-    for row in range(first, first + structure.n_paths):
-        kind = structure.kinds[0][row]
-        if kind.at_limit and structure.orders[row] == 1 and not structure.touches[0]:
-            slope = samples.functions.path_state_jacobian(samples.times[0], samples.x[:, 0], samples.u[:, 0])
-            if np.any(slope[row - first] * samples.state_scale * _free_start_states(leg, samples)):
-                structure = structure.with_touch(row, structure.times[0], kind)
-    return structure
-
-
-def _free_start_states(leg: Phase, samples: PhaseSamples) -> Mask:
-    """Return which states are neither given at the start nor handed over by a phase with path constraints (n,)."""
-    found: Mask = ~samples.leg.initial_bounds.fixed
-    for name in leg.model.states.names:
-        before = leg.handed_over(name)
-        if before is not None and before[0].path_labels:
-            found[leg.model.states.slice(name)] = False
-    return found

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.planning.optimality.state_constraints import ACTIVE_CONSTRAINT_SHARE, StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -63,20 +63,12 @@ class Push:
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
             runs = _joined_runs(runs)
-            if len(structure.holders[self.row]) > 1:
-                runs = self._joined_along_singular_arcs(runs, structure, samples)
         for a, b in runs:
-            at_end = self._end_touched(structure, a, b, samples)
-            if at_end is not None:
-                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
-                continue
             if order == 1:
                 start, end = self._midpoint_before(a, first), self._midpoint_before(b, last)
                 switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
-                if len(structure.holders[self.row]) > 1:
-                    start, end = self._up_to_arcs(structure, start, end, samples)
                 structure = structure.with_arc(
                     self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
                 )
@@ -85,28 +77,6 @@ class Push:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
-
-    def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
-        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
-
-        A mesh of Gauss points has no row there, so that its points beside the end push for it.
-        """
-        leg, path = samples.leg, self.row - len(structure.controls)
-        if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
-            return None
-        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
-        for end, given, node in ends:
-            slope = samples.functions.path_state_jacobian(
-                samples.times[end], samples.x[:, end], samples.u[:, end]
-            )
-            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
-                return end
-        return None
-
-    def known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
-        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
-        end = self._end_touched(structure, 0, self.times.size, samples)
-        return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def beside_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Whether it is in the segments beside a touch of its own: the barrier pushes where points come close to it.
@@ -122,10 +92,6 @@ class Push:
             if np.all((pushing >= first) & (pushing <= last)):
                 return True
         return False
-
-    def possible(self, structure: PhaseStructure) -> bool:
-        """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
-        return structure.orders[self.row] > 1 or bool(self._free_holders(structure))
 
     def _free_holders(self, structure: PhaseStructure) -> list[int]:
         """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
@@ -143,7 +109,7 @@ class Push:
         """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
 
         The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
-        (side 1). It does neither where another arc of its begins or ends.
+        (side 1).
         """
         breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
@@ -153,57 +119,11 @@ class Push:
             at = structure.times[k]
             if abs(at - time) >= reach or structure.kinked(k):
                 continue
-            if len(holders) == 1 and self._shares_holders(structure, *sorted((at, time))):
-                continue
             outer = structure.kinds[k - 1 if side == 0 else k]
             changed = [i for i in structure.changes(k) if i in holders]
             if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
-
-    def _shares_holders(self, structure: PhaseStructure, start: float, end: float) -> bool:
-        """Whether another constraint with the same holders is on a limit for some of a time."""
-        return any(
-            kinds[row].at_limit and structure.times[k] < end and structure.times[k + 1] > start
-            for row in np.flatnonzero(structure.orders)
-            for k, kinds in enumerate(structure.kinds)
-            if row != self.row and structure.holders[row] == structure.holders[self.row]
-        )
-
-    def _up_to_arcs(
-        self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples
-    ) -> tuple[float, float]:
-        """Return the ends of an arc, extended to arcs on the same limit that are close by."""
-        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
-        for k, kinds in enumerate(structure.kinds):
-            if kinds[self.row] is self.kind:
-                entry, leave = structure.times[k : k + 2]
-                if start < entry < end + reach:
-                    end = max(end, entry)
-                if start - reach < leave < end:
-                    start = min(start, leave)
-        return start, end
-
-    def _segments(self, samples: PhaseSamples) -> Indices:
-        """The segments of the nodes."""
-        breaks = samples.leg.breaks
-        return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
-
-    def _joined_along_singular_arcs(
-        self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
-    ) -> list[tuple[int, int]]:
-        """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
-        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
-        joined = runs[:1]
-        for a, b in runs[1:]:
-            before, after = self.times[joined[-1][1] - 1], self.times[a]
-            piece = int(np.searchsorted(structure.times[1:-1], 0.5 * (before + after)))
-            kinds = [structure.kinds[piece][i] for i in structure.holders[self.row]]
-            if after - before < reach and ArcKind.SINGULAR in kinds:
-                joined[-1] = (joined[-1][0], b)
-            else:
-                joined.append((a, b))
-        return joined
 
     def _midpoint_before(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""

@@ -21,7 +21,6 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, uniform_points
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.resolution import resolved
-from gnc_opt.planning.refinement.arcs.split_switches import shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.update import (
     KINKS_MOVED,
@@ -30,7 +29,7 @@ from gnc_opt.planning.refinement.arcs.update import (
     improve_plans,
     without_vanished_piece,
 )
-from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits, with_singular_magnitudes
+from gnc_opt.planning.refinement.arcs.vector_arcs import with_magnitudes_at_limits
 from gnc_opt.planning.refinement.error import estimate_errors
 from gnc_opt.planning.refinement.iterations import PassLimits, pass_meter, pass_record
 from gnc_opt.planning.refinement.switching.collocated_flight import collocated
@@ -38,7 +37,6 @@ from gnc_opt.planning.refinement.switching.newton import settle
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.verification.engine import verify
 
 STALLED_MAX_ITERATIONS = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
@@ -121,8 +119,6 @@ def optimise_switches(
     if best is None:
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
-    if status is RefinementStatus.CONVERGED:
-        solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
     return replace(solution, structure=_arcs(solution, plans)), history
 
 
@@ -130,18 +126,6 @@ def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Pl
     if segments == "few":
         return Plan.of(structure, uniform_points(mesh))
     return Plan.refined(structure, mesh)
-
-
-def _with_unique_costates(
-    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
-) -> Solution:
-    """Return the solution with costates that make every switching function vanish where switches share a time."""
-    if not any(shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
-        return solution
-    apart = solve_with_split_switches(solution, plans, options, deadline)
-    if apart is None or verify(apart).ok:
-        return apart or solution
-    return min(solution, apart, key=lambda each: each.objective_error.value)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
@@ -238,11 +222,10 @@ class _Loop:
             current = {name: _plan_at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve_plans(solution, current, left, self.aim)
             record = _record(solution, begin, action or "structure stands")
-            resolved = _only_rounding_left([*self.records, record], self.aim)
             self._add_try(_Try(solution, current, record))
             if len(self.records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
-            if not action or resolved:
+            if not action:
                 return RefinementStatus.CONVERGED
             changes = set() if _only_adjusts(record) else _arc_order_changes(current, plans)
             again, asked = changes & asked, changes | asked
@@ -292,11 +275,6 @@ def _alternative_plans(
         if structure is not None:
             return {**plans, name: current.restructured(structure)}
     return None
-
-
-def _only_rounding_left(records: list[RefinementIteration], tol: float) -> bool:
-    """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
-    return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
 def _makes_no_progress(records: list[RefinementIteration]) -> bool:
@@ -351,5 +329,5 @@ def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
-        arcs += with_singular_magnitudes(s, plans[name].structure).arcs(name, labels)
+        arcs += plans[name].structure.arcs(name, labels)
     return tuple(arcs)

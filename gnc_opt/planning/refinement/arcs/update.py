@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,36 +13,23 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
-    SINGULAR_GAIN_MAX,
-    defects,
     finer,
     singular_gradient,
 )
 from gnc_opt.planning.refinement.arcs.contacts import (
     touch_of_wrong_sign,
     with_missing_contact,
-    with_saturated_holder,
 )
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
-from gnc_opt.planning.refinement.arcs.detection import SINGULAR_SHARE_OF_H
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
 from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.singular_arcs import chatters
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
 from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"
-
-BARRIER_MAX_LENGTH_SHARE = 3e-5
-"""Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
-at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
-
-CHATTER_MIN_SWITCHES, CHATTER_MAX_VIOLATION_RATIO = 5, 30.0
-"""So many switches of one control where its switching function stays small are no bangs. All but one of them at least
-are between bangs that leave no more than so many times the violation."""
 
 SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
@@ -69,8 +55,6 @@ def improve_plans(
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
         structure, action = _with_saturated_arc(s, plans[name], left)
-        if structure is None:
-            structure, action = _with_overrun_bound(s, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -112,11 +96,7 @@ def without_vanished_piece(
     """Return the structure after a piece has vanished and what was done, or None if none has."""
     structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
-    share = lengths[shortest] / lengths.sum()
-    gone = share < GONE or (
-        share < BARRIER_MAX_LENGTH_SHARE and _is_held_open_by_barrier(samples, plan, shortest)
-    )
-    if structure.pieces == 1 or not gone:
+    if structure.pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
     other = structure.swapped(shortest)
     left.add((samples.leg.name, structure.at(())))
@@ -124,21 +104,6 @@ def without_vanished_piece(
     if other is not None and (samples.leg.name, other.at(())) not in left:
         return _with_room(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.emptied(shortest), f"piece {shortest + 1} dropped"
-
-
-def _is_held_open_by_barrier(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
-    """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
-
-    Beside a singular arc signs are as good as the polynomial of its control.
-    """
-    structure = plan.structure
-    if structure.swapped(piece) is None:
-        return False
-    if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
-        return False
-    pieces = plan.segment_pieces[samples.segments]
-    violation, _ = _structure_violations(samples, structure, structure.matrix()[:, pieces])
-    return bool(np.max(violation[:, pieces == piece], initial=0.0) > SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN)
 
 
 def _with_room(structure: PhaseStructure, piece: int) -> PhaseStructure:
@@ -165,50 +130,7 @@ def _with_missing_arc(
     curved = _curved_rows(samples, violation.shape[0])
     for i in range(violation.shape[0]):
         _forgive_own_switches(violation[i], kinds[i], NEGLIGIBLE if curved[i] else SWITCH_SIGN_ERROR)
-    if violation.size and (found := _chattering_bangs(samples, plan.structure, violation, problem)):
-        i, start, end = found
-        label = samples.leg.controls.labels[i]
-        return plan.structure.with_arc(
-            i, start, end, ArcKind.SINGULAR
-        ), f"{label} singular from {start:.4g} s"
     return _with_worst_arc(samples, plan.structure, violation, asked)
-
-
-def _chattering_bangs(
-    samples: PhaseSamples, structure: PhaseStructure, violation: Array, problem: Problem
-) -> tuple[int, float, float] | None:
-    """Return control, start and end of bangs that stand in for a singular arc, if the largest violation is among them.
-
-    There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is
-    about as large as the violation; bangs beside the arc leave a larger one. Of second order the arc would meet bangs
-    by chattering: few of them will do.
-    """
-    i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
-    if (
-        violation[i, j] < SIGN_ERROR_MIN_SHARE_OF_HAMILTONIAN
-        or i >= samples.leg.controls.size
-        or not affine_channels(samples)[i]
-    ):
-        return None
-    gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
-    switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
-    small = _switches_within(switches, samples.times, gain > SINGULAR_SHARE_OF_H, j)
-    alike = _switches_within(switches, samples.times, gain > CHATTER_MAX_VIOLATION_RATIO * violation[i, j], j)
-    if (
-        len(small) < CHATTER_MIN_SWITCHES
-        or len(alike) < CHATTER_MIN_SWITCHES - 1
-        or chatters(problem, samples, i)
-    ):
-        return None
-    return i, alike[0], alike[-1]
-
-
-def _switches_within(switches: Sequence[float], times: Array, large: Mask, j: int) -> list[float]:
-    """Return the switches around the j-th of all times before and after which nothing is large."""
-    here = _run_around(~large, j)
-    start = times[here.start - 1] if here.start else -np.inf
-    end = times[here.stop] if here.stop < times.size else np.inf
-    return [t for t in switches if start < t < end]
 
 
 def _with_worst_arc(
@@ -295,12 +217,6 @@ def _with_saturated_arc(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
-
-
-def _with_overrun_bound(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
-    if np.max(defects(samples)) > SINGULAR_GAIN_MAX:
-        return None, ""
-    return with_saturated_holder(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
 def _run_around(holds: Mask, j: int) -> slice:

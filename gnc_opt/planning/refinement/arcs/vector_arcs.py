@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.planning.problem.arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure, choose
+from gnc_opt.planning.refinement.arcs.structure import KindArray, choose
 from gnc_opt.planning.solution.polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -138,13 +138,3 @@ def with_magnitudes_at_limits(solution: Solution) -> Solution:
         changed = replace(leg, u=PiecewisePolynomial(u.breaks, u.nodes, tuple(values)))
         solution = replace(solution, phases={**solution.phases, name: changed})
     return solution
-
-
-def with_singular_magnitudes(s: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
-    """Return the structure with magnitudes as singular as their directions: which identifies vectors."""
-    for v in product_vectors(s):
-        for k, kinds in enumerate(structure.kinds):
-            if kinds[v.direction[0]] is ArcKind.SINGULAR:
-                start, end = structure.times[k : k + 2]
-                structure = structure.with_arc(v.magnitude, start, end, ArcKind.SINGULAR)
-    return structure
