@@ -200,8 +200,7 @@ class Plan:
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
         kept = tuple(self._with_known_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
-        plan = replace(plan, resolutions=kept)
-        return plan
+        return replace(plan, resolutions=kept)
 
     def completed(self, structure: PhaseStructure) -> Plan:
         """Return the plan of the structure with one more arc: pieces that are as before keep their segments.

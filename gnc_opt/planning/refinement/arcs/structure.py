@@ -110,12 +110,6 @@ class PhaseStructure:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
-    @property
-    def bends(self) -> bool:
-        """Whether a control is between its bounds along a piece in which H is neither linear nor, all along, convex."""
-        curved = ~np.asarray(self.regular[: self._n_free], dtype=bool)
-        return bool(np.any(self.controls[curved] == ArcKind.INTERIOR))
-
     def after(self, time: float) -> PhaseStructure:
         """Return what of it lies after a time (s)."""
         if time <= self.times[0]:
