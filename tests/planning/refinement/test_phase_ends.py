@@ -58,28 +58,3 @@ def test_an_arc_may_end_with_its_phase(limit: str) -> None:
     (arc,) = [a for a in solution.structure if a.channel in ("speed", "v")]
     assert arc.kind is ArcKind.UPPER and arc.phase == "push"
     assert (arc.start, arc.end) == pytest.approx((TOP, push.final_time), abs=1e-7)
-
-
-@pytest.mark.parametrize("coast", [0.0, 0.5])
-def test_an_arc_may_begin_with_its_phase(coast: float) -> None:
-    """From any speed, least time to rest: at TOP to where braking begins, after a coast that slows down to it."""
-    problem, drag = go.Problem("stop"), 0.3
-    before = problem.phase("coast", carriage("coast", drag)) if coast else None
-    leg = problem.phase("brake", carriage("brake"))
-    if before is None:
-        leg.time(initial=0.0)
-        leg.initial(x=0.0)
-    else:
-        problem.sequence(before, leg, durations={"coast": coast, "brake": (0.1, 5.0)})
-        before.initial(x=0.0)
-        before.bounds(v=(0.0, 3.0))
-    leg.final(x=1.5, v=0.0)
-    leg.bounds(u=(-1.0, 1.0))
-    leg.path("speed", leg.model.symbol("v"), upper=TOP)
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem)
-    coasted = TOP * np.expm1(drag * coast) / drag
-    assert solution.converged
-    assert solution.objective == pytest.approx(coast + (1.5 - coasted - TOP**2 / 2) / TOP + TOP, abs=1e-8)
-    first = solution.phase("brake")
-    assert first.x(first.initial_time)[1] == pytest.approx(TOP, abs=1e-8)

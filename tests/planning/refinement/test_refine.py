@@ -111,10 +111,10 @@ def test_a_verdict_that_fails_is_no_convergence(
     assert history.final.error <= 1e-5
     assert "stationarity 2.0e-04 (tolerance 1e-05) at phase leg, t = 1 s, a" in history.message
     text = str(refined)
-    assert "NOT CONVERGED (verdict fails)" in text and "(optimal)" not in text
+    assert "NOT CONVERGED (conditions fail)" in text and "(optimal)" not in text
     assert "optimality   NOT ok" in text and "open         stationarity 2.0e-04" in text
     loaded = str(go.load(refined.save(tmp_path / "failed.npz")))
-    assert "NOT CONVERGED (verdict fails)" in loaded and "FAILED at the end of the refinement" in loaded
+    assert "NOT CONVERGED (conditions fail)" in loaded and "FAILED at the end of the refinement" in loaded
 
 
 def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
@@ -141,7 +141,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
 def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
     refined = go.refine(cubic, tol=1e-12, limits=go.RefinementLimits(max_passes=1))
     assert told(refined).status is RefinementStatus.ITERATION_LIMIT
-    assert "NOT CONVERGED (pass limit)" in str(refined)
+    assert "NOT CONVERGED (iteration limit)" in str(refined)
 
 
 def test_the_history_goes_to_files_and_back(cart: go.Solution, tmp_path: Path) -> None:
@@ -275,7 +275,7 @@ def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution) -> None:
     refined = go.refine(cart, structure="none", limits=go.RefinementLimits(max_work=1e-9))
     history = told(refined)
     assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 2
-    assert "NOT CONVERGED (work limit)" in str(refined) and "max_work" in history.message
+    assert "NOT CONVERGED (budget limit)" in str(refined) and "max_work" in history.message
     with pytest.raises(go.GncOptError, match="max_work of RefinementLimits"):
         go.RefinementLimits(max_work=0.0)
 

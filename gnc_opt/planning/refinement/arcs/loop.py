@@ -21,6 +21,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan, uniform_points
 from gnc_opt.planning.refinement.arcs.detection import structures_of
 from gnc_opt.planning.refinement.arcs.resolution import resolved
+from gnc_opt.planning.refinement.arcs.split_switches import shared_boundaries, solve_with_split_switches
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.update import (
     KINKS_MOVED,
@@ -37,6 +38,7 @@ from gnc_opt.planning.refinement.switching.newton import settle
 from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.verification.engine import verify
 
 STALLED_MAX_ITERATIONS = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
@@ -119,6 +121,8 @@ def optimise_switches(
     if best is None:
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
+    if status is RefinementStatus.CONVERGED:
+        solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
     return replace(solution, structure=_arcs(solution, plans)), history
 
 
@@ -126,6 +130,18 @@ def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Pl
     if segments == "few":
         return Plan.of(structure, uniform_points(mesh))
     return Plan.refined(structure, mesh)
+
+
+def _with_unique_costates(
+    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+) -> Solution:
+    """Return the solution with costates that make every switching function vanish where switches share a time."""
+    if not any(shared_boundaries(plan.structure) for plan in plans.values()) or verify(solution).ok:
+        return solution
+    apart = solve_with_split_switches(solution, plans, options, deadline)
+    if apart is None or verify(apart).ok:
+        return apart or solution
+    return min(solution, apart, key=lambda each: each.objective_error.value)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]

@@ -1,0 +1,150 @@
+r"""Multipliers where several controls change at one time and not all of them go from bound to bound.
+
+One unknown time for several changes leaves multipliers that are not unique. They are unique if the controls
+are free for an instant on both sides of the time; that program is solved from the other's solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions
+from gnc_opt.planning.problem.arcs import ArcKind, Kinds
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
+from gnc_opt.planning.refinement.arcs.structure import KindArray, PhaseStructure
+from gnc_opt.planning.solution.costates import Iterate
+from gnc_opt.planning.solution.extract import extract_phases
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.warm_start import program_start
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.transcription import transcribe
+
+FREE_SPAN = 3e-6
+"""Length of the instants, as a share of the phase; multipliers of shorter ones are rounding."""
+
+FREE_SPAN_POINTS = 2
+"""Collocation points of each."""
+
+SPLIT_SOLVE_TOLERANCE = 1e-13
+"""Tolerance of the solver: what it leaves is divided by the length of an instant."""
+
+FREE_SPANS_MIN = 10.0
+"""Pieces shorter than so many instants leave no room for one."""
+
+
+def shared_boundaries(structure: PhaseStructure) -> tuple[int, ...]:
+    """Return the boundaries at which several controls change, with pieces next to them that have space."""
+    least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
+    return tuple(
+        k
+        for k in range(1, structure.pieces)
+        if sum(row < len(structure.controls) for row in structure.changes(k)) > 1
+        and not structure.kinked(k)
+        and not structure.touches[k]
+        and min(structure.lengths[k - 1 : k + 1]) > least
+    )
+
+
+def solve_with_split_switches(
+    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+) -> Solution | None:
+    """Return a solution with the multipliers of the program in which shared times come apart; None if that has none."""
+    freed = solution.need_problem("refine")
+    meshes = {}
+    for name, plan in plans.items():
+        freed, meshes[name] = _with_free_spans(plan, freed, name)
+    sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
+    found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
+    return _with_multipliers_of(solution, found, plans) if found.status.solved else None
+
+
+def _with_multipliers_of(solution: Solution, other: Solution, plans: Mapping[str, Plan]) -> Solution:
+    """The trajectory of a solution with the multipliers of another one."""
+    held = solution.need_problem("refine")
+    for name, plan in plans.items():
+        held = plan.hold(held, name)
+    transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
+    own, others = (program_start(transcription, held, s) for s in (solution, other))
+    assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
+    iterate = Iterate(own.x, others.lam_x, others.lam_g)
+    phases, _ = extract_phases(transcription, held, iterate)
+    return replace(
+        solution,
+        phases=phases,
+        parameter_multipliers=iterate.lam_x[transcription.parameter_places],
+        constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
+    )
+
+
+def _with_free_spans(plan: Plan, problem: Problem, name: str) -> tuple[Problem, Mesh]:
+    """The problem as a plan holds it, but for the instants beside shared boundaries, and its mesh."""
+    problem = plan.hold(problem, name)
+    cuts, mesh, held = _Cuts.of(plan), plan.mesh(), problem.phases[name].numbers.arcs
+    assert held is not None, "just held"
+    twin = problem.with_fixed_arcs(
+        name,
+        arcs=cuts.kinds(held.controls),
+        paths=cuts.kinds(held.paths) if held.paths else None,
+        states=cuts.kinds(held.states) if held.states else None,
+        smooth=tuple(replace(s, first=cuts.first(s.first), last=cuts.last(s.last)) for s in held.smooth),
+        junctions=tuple(replace(j, boundary=cuts.boundary(j.boundary)) for j in held.junctions),
+    )
+    return twin, cuts.mesh(mesh)
+
+
+@dataclass(frozen=True)
+class _Cuts:
+    """The segments of a mesh, and boundaries with an instant on either side."""
+
+    segments: int
+    boundaries: tuple[int, ...]
+
+    @classmethod
+    def of(cls, plan: Plan) -> _Cuts:
+        ends = plan.piece_ends
+        return cls(ends[-1], tuple(ends[k] for k in shared_boundaries(plan.structure)))
+
+    def boundary(self, old: int) -> int:
+        """Where a boundary is among the new ones."""
+        return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
+
+    def first(self, old: int) -> int:
+        """The segment with which the old segment of that number begins, after its instant."""
+        return self.boundary(old) + (old in self.boundaries)
+
+    def last(self, old: int) -> int:
+        """One after the segment with which the old segment before that number ends, before its instant."""
+        return self.boundary(old) - (old in self.boundaries)
+
+    def kinds(self, rows: Kinds) -> KindArray:
+        """Kinds by rows and new segments: in the instants free, what changes at their boundary."""
+        return np.array([self._row(row) for row in rows], dtype=object)
+
+    def _row(self, row: tuple[ArcKind, ...]) -> list[ArcKind]:
+        found: list[ArcKind] = []
+        for k, kind in enumerate(row):
+            if k in self.boundaries:
+                same = row[k - 1] is kind
+                found += [kind if same else ArcKind.INTERIOR] * 2
+            found.append(kind)
+        return found
+
+    def mesh(self, old: Mesh) -> Mesh:
+        """The mesh with its instants; shared boundaries stay where they are."""
+        breaks, degrees = [0.0], []
+        for k, (end, degree) in enumerate(zip(old.breaks[1:], old.degrees, strict=True)):
+            if k in self.boundaries:
+                breaks.append(old.breaks[k] + FREE_SPAN)
+                degrees.append(FREE_SPAN_POINTS)
+            degrees.append(degree)
+            if k + 1 in self.boundaries:
+                breaks.append(end - FREE_SPAN)
+                degrees.append(FREE_SPAN_POINTS)
+            breaks.append(end)
+        movable = tuple(self.boundary(k) for k in old.movable if k not in self.boundaries)
+        return Mesh(tuple(breaks), tuple(degrees), movable)
