@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
-from testing.internals import Junction, PhaseCollocation, PhaseStructure
+from testing.internals import Junction, PhaseCollocation, PhaseStructure, Smooth
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
