@@ -38,16 +38,16 @@ from gnc_opt.planning.transcription.scheme import GAUSS, Scheme
 from gnc_opt.planning.transcription.transcription import Transcription
 
 TRY_MAX_ITERATIONS = 300
-"""Iterations of a try from a guess that is no trajectory, while others follow. Of 84 problems that are solved from
-straight lines none takes more than 143."""
+"""Iterations of a try while others follow, where the guess is no trajectory."""
 
-WARM_MAX_ITERATIONS = 100
-"""Iterations after which a start near a known solution has lost its way."""
+WARM_MAX_ITERATIONS = 150
+"""Iterations after which a start near a known solution, or the first one from straight lines, has lost its way. Of 84
+problems that are solved from straight lines none takes more than 143."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
 
-ROUNDING = (Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
 """Endings that rounding in the linear solver can cause: it is repeated from there, pivoting with care."""
 
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
@@ -227,20 +227,18 @@ class _Tries:
     def run(self, point: NlpPoint, *, search: bool) -> None:
         """Solve from a point, then by other numerics; where it is no trajectory (search), from other points."""
         options = self.attempt.solver.options
-        repeat = (
-            options.solver == "ipopt" and point.way == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
-        )
-        search = search and repeat
-        most = TRY_MAX_ITERATIONS if search else None
-        first = self._solve(point, most=most)
-        if self._ended or not repeat:
-            return
-        if first.status in ROUNDING and not options.careful_pivoting:
+        ipopt = options.solver == "ipopt"
+        cold = ipopt and point.way == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        search = search and cold
+        first = self._solve(point, most=WARM_MAX_ITERATIONS if search else None)
+        if first.status in ROUNDING and ipopt and not options.careful_pivoting:
             there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
             self._solve(there, "careful", most=TRY_MAX_ITERATIONS)
+        if self._ended or not (cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))):
+            return
         lost = first.status is Status.ITERATION_LIMIT
-        if not self._ended:
-            self._solve(point, "adaptive", most=most if lost else None)
+        most = TRY_MAX_ITERATIONS if search else None
+        self._solve(point.cold(), "adaptive", most=most if lost else None)
         if self._ended or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
         for start in self._simulated():
@@ -253,14 +251,17 @@ class _Tries:
     def result(self) -> NlpResult:
         """Return the solution; without one the first ending that says why, or else the first failure."""
         last, first = self.spent[-1], self.spent[0]
+        if last.status.solved or first.status.solved:
+            return (last if last.status.solved else first).with_effort(self.spent)
         told = [r for r in self.spent if not r.status.solved and r.status not in UNEXPLAINED]
         otherwise = last if first.status is Status.ITERATION_LIMIT else first
-        return (last if last.status.solved else told[0] if told else otherwise).with_effort(self.spent)
+        return (told[0] if told else otherwise).with_effort(self.spent)
 
     @property
     def _ended(self) -> bool:
         over = self.allowance.spent or time.perf_counter() > self.deadline
-        return over or self.spent[-1].status.solved or self.spent[-1].status is Status.INTERRUPTED
+        solved = self.spent[-1].status.solved or self.spent[0].status.solved
+        return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
     def _solve(
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True

@@ -93,7 +93,7 @@ def test_an_infeasible_ending_is_met_by_the_constraints_first(monkeypatch: pytes
     assert solution.statistics.iterations == sum(watch.costs)
 
 
-@pytest.mark.parametrize("ending", [Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED])
+@pytest.mark.parametrize("ending", [Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED])
 def test_rounding_is_met_by_careful_pivoting_from_where_it_stopped(
     monkeypatch: pytest.MonkeyPatch, ending: Status
 ) -> None:
@@ -101,6 +101,9 @@ def test_rounding_is_met_by_careful_pivoting_from_where_it_stopped(
     solution = solve_mesh(regulator(), "3x4")
     assert watch.ways == ["cold", "careful"] and solution.status is Status.OPTIMAL
     assert watch.points[1].x0 == pytest.approx(watch.results[0].x)
+    monkeypatch.undo()
+    watch = Stumbling(monkeypatch, ending, Status.STEP_TOO_SMALL, Status.STEP_TOO_SMALL)
+    assert solve_mesh(regulator(), "3x4").status is ending, "no other one is better"
 
 
 def hasty() -> go.Problem:
@@ -147,7 +150,8 @@ def test_a_guess_that_leads_on_and_on_gives_way_to_a_simulation(
     monkeypatch: pytest.MonkeyPatch, ending: Status, tries: int
 ) -> None:
     """Here after two iterations, and two with the adaptive barrier; next come points that meet the constraints."""
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "TRY_MAX_ITERATIONS", 2)
+    for limit in ("WARM_MAX_ITERATIONS", "TRY_MAX_ITERATIONS"):
+        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
     watch = Stumbling(monkeypatch, None, None, ending, Status.OPTIMAL, Status.OPTIMAL)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
     assert watch.results[0].status is Status.INTERRUPTED and watch.costs[:3] == [2, 2, 2]
@@ -159,7 +163,8 @@ def test_a_guess_that_leads_on_and_on_gives_way_to_a_simulation(
 
 
 def test_the_guess_has_all_iterations_where_nothing_else_leads_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "TRY_MAX_ITERATIONS", 2)
+    for limit in ("WARM_MAX_ITERATIONS", "TRY_MAX_ITERATIONS"):
+        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
     watch = Stumbling(monkeypatch)
     found = solve_mesh(hasty(), "3x4")
     assert watch.points[-1].x0 == pytest.approx(watch.points[0].x0) and set(watch.costs[:-1]) <= {0, 1, 2}

@@ -88,7 +88,8 @@ def test_a_solve_may_cost_what_is_left_half_of_all_and_some_iterations_on_howeve
 def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
     cart: go.Solution, lost: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "TRY_MAX_ITERATIONS", lost)
+    for limit in ("WARM_MAX_ITERATIONS", "TRY_MAX_ITERATIONS"):
+        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, lost)
     problem = cart.need_problem("solve")
     found = solve_mesh(problem, "7x3", options=CRAWLING, limits=SolveLimits(iterations=12))
     tries = 9  # from lines, with the other barrier, from a simulation, from five points, from lines
