@@ -8,6 +8,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -78,3 +79,27 @@ def test_a_limit_that_depends_on_the_place_is_held_with_drag() -> None:
 
     assert solution.converged and go.verify(solution).ok
     assert math.isclose(solution.objective, least_time(), rel_tol=1e-8)
+
+
+def test_another_control_helps_where_the_first_one_gives_out() -> None:
+    """v - m(t) <= 1/2 with v' = a + b, |a| <= 1: b pays b^2/2 and acts on the limit only where m' > 1.
+
+    There a comes to its bound, and leaves it, as continuously as b begins and ends: b = m' - 1 between.
+    """
+    model, v, _a, b = dynamics("two engines", "v", "a b", lambda v, a, b: {v: a + b})
+    problem, leg = one_phase("moving limit", model, initial=0.0, final=3.5)
+    leg.initial(v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    leg.path("limit", v - 0.8 * model.time + 0.25 * ca.cos(2 * (model.time - 1)), upper=0.5)
+    problem.minimize(leg.integral(b**2 / 2 - v, "cost"))
+
+    solution = go.solve(problem)
+
+    assert solution.converged and go.verify(solution).ok
+    # m' = 0.8 + sin(2 (t - 1)) / 2; before the limit, which a jumps to, b = t1 - t
+    t1 = brentq(lambda t: t + t**2 / 2 - 0.5 - 0.8 * t + 0.25 * math.cos(2 * (t - 1)), 0.5, 1.0)
+    steep = 0.5 * math.asin(0.4)
+    ends = [arc.end for arc in solution.structure if arc.channel == "a"]
+    assert np.allclose(ends, [t1, 1 + steep, 1 + 0.5 * math.pi - steep, 3.5], rtol=0.0, atol=1e-5)
+    most = np.asarray(solution.phases["leg"].control("b")(1 + math.pi / 4))
+    assert np.allclose(most, 0.3, rtol=0.0, atol=1e-6)

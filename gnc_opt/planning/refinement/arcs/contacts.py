@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.arrays import Indices
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -155,6 +156,46 @@ def with_missing_contact(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
     return _with_worst_contact(constraints, structure, _runs_of_pushes(constraints, structure))
+
+
+def with_saturated_holder(
+    samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
+
+    Where a control that enters H linearly comes to its bound while it holds a limit, and others that H determines could
+    hold it as well, H goes on without a jump only if they do, for as long as the costate takes for its own: shortly.
+    Without them the control leaves its bound before the limit is left.
+
+    Parameters
+    ----------
+    samples : PhaseSamples
+    structure : PhaseStructure
+    pieces : int array (n_samples,)
+        The piece of every sample.
+    """
+    bounds = samples.leg.control_bounds
+    for boundary in range(1, structure.pieces):
+        taken = structure.taken_over(boundary)
+        if not taken:
+            continue
+        state, row = taken
+        after = structure.kinds[boundary][state].at_limit
+        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
+        if len(structure.holders[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
+            continue
+        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
+        limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
+        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
+        within = np.flatnonzero(beyond <= 0)
+        if beyond[-1] > NEGLIGIBLE and within.size:
+            last = slice(within[-1], within[-1] + 2)
+            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
+            label = samples.leg.controls.labels[row]
+            return structure.with_arc(
+                row, ends[0], ends[1], kind
+            ), f"{label} at its bound from {ends[0]:.4g} s"
+    return None, ""
 
 
 def _with_worst_contact(

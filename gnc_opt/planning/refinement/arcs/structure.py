@@ -156,7 +156,7 @@ class PhaseStructure:
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._determines(i, boundary))
+            (self.regular[i] or self._determines(i, boundary) or self.gives_out(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
         )
@@ -164,6 +164,24 @@ class PhaseStructure:
     def curved(self) -> Mask:
         """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
         return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
+
+    def gives_out(self, row: int, boundary: int) -> bool:
+        """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
+
+        It comes to its bound as continuously as a control that H determines.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
+        if row >= self._n_free or len(singular) != 1 or row not in self.determined(singular[0]):
+            return False
+        bound = beside[0] if singular[0] == boundary else beside[1]
+        return any(
+            order
+            and row in holders
+            and all(kinds[i].at_limit for kinds in beside)
+            and not all(bound[other].at_limit for other in holders)
+            for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
+        )
 
     def handed_over(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
@@ -218,7 +236,8 @@ class PhaseStructure:
         """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
-            for row in [*self.handed_over(k), *self.taken_over(k)]:
+            given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
+            for row in [*self.handed_over(k), *self.taken_over(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 

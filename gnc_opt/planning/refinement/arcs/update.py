@@ -13,12 +13,15 @@ from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import Plan
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
+    SINGULAR_GAIN_MAX,
+    defects,
     finer,
     singular_gradient,
 )
 from gnc_opt.planning.refinement.arcs.contacts import (
     touch_of_wrong_sign,
     with_missing_contact,
+    with_saturated_holder,
 )
 from gnc_opt.planning.refinement.arcs.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.planning.refinement.arcs.junctions import move_kinks
@@ -55,6 +58,8 @@ def improve_plans(
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
         structure, action = _with_saturated_arc(s, plans[name], left)
+        if structure is None:
+            structure, action = _with_overrun_bound(s, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -217,6 +222,12 @@ def _with_saturated_arc(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
+
+
+def _with_overrun_bound(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+    if np.max(defects(samples)) > SINGULAR_GAIN_MAX:
+        return None, ""
+    return with_saturated_holder(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
 def _run_around(holds: Mask, j: int) -> slice:
