@@ -150,7 +150,7 @@ CASES = [
 
 @pytest.mark.parametrize("wrong", CASES, ids=str)
 def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
-    correct = wrong.correction_function()
+    correct = wrong.correct()
     before = go.verify(correct)
     assert before.minimum, before.explain()
     verdict = go.verify(wrong.wrong(correct, SMALL))
