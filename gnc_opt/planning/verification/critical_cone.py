@@ -205,7 +205,9 @@ class CriticalCone:
             at_lower, at_upper = box.near(values, AT_LIMIT * scale)
             free = ~box.fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
-            largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), TINY)
+            # What a direction hardly moves, as a limit that it goes along, it does not leave.
+            least = np.maximum(CONE_EXIT_SHARE * scale, TINY)
+            largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), least)
             worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
         return np.concatenate(worst)
 
