@@ -6,9 +6,11 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.arcs import ArcKind, Junction, Smooth
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure, choose
@@ -279,7 +281,7 @@ class Plan:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._control_polynomials(),
-            junctions=self._junctions(),
+            junctions=(*self._junctions(), *self._ends_of_segments(problem, phase)),
         )
 
     def _released_rows(self) -> Mask:
@@ -314,6 +316,30 @@ class Plan:
             for k, i, kind, conditions, tangent in found
         )
 
+    def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
+
+        Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
+        that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
+        it, and errors fall with the third power of the length of segments only.
+        """
+        structure, n_controls = self.structure, len(self.structure.controls)
+        found = []
+        for piece, kinds in enumerate(structure.kinds):
+            held = [
+                row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
+            ]
+            for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
+                free = [i for i in structure.holders[row] if not kinds[i].at_limit]
+                singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
+                if 0 < len(singular) < len(free) and _move_states_independently(
+                    problem.phases[phase].model, free
+                ):
+                    last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
+                    ends = range(self.piece_ends[piece] + 1, last)
+                    found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
+        return tuple(found)
+
     def _control_polynomials(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
         found, ends = [], self.piece_ends
@@ -327,6 +353,12 @@ class Plan:
                 ):
                     found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
+
+
+def _move_states_independently(model: Model, controls: list[int]) -> bool:
+    """Whether controls can move the states in more than one direction."""
+    moved = ca.jacobian(model.derivative(), model.arguments()[2])
+    return bool(ca.sprank(moved[:, controls]) > 1)
 
 
 def uniform_points(mesh: Mesh) -> float:
