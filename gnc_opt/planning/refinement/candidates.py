@@ -121,9 +121,16 @@ class Candidate:
         return others <= tol * found.scale and others + self.loss <= tol * found.scale
 
     def rank(self, tol: float) -> tuple[float, float]:
-        """Return relative estimate, not below the tolerance, and local error: the smaller, the better."""
-        relative = self.estimate / self.solution.objective_error.scale if self.solved else math.inf
-        return max(relative, tol), self.error
+        """Return relative estimate, not below the tolerance, and local error: the smaller, the better.
+
+        Where the loss of the minimum principle is less than the estimated one, it counts.
+        """
+        if not self.solved:
+            return math.inf, self.error
+        found, estimate = self.solution.objective_error, self.estimate
+        if estimate > tol * found.scale:
+            estimate -= max(found.suboptimal - self.loss, 0.0)
+        return max(estimate / found.scale, tol), self.error
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Whether it belongs to a lower minimum; by far, if only the other passes the check."""

@@ -405,3 +405,51 @@ def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_compone
     assert [v.name for v in restated(problem).phases["leg"].model.controls.variables] == ["a"]
     assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
     assert go.verify(solution).minimum
+
+
+# --- a direction of given length ----------------------------------------------------------------------------------
+
+
+def landing(most: float | None, limit: str = "square") -> go.Problem:
+    """A lander in the plane, its thrust as magnitude times direction, each component of which is at most ``most``."""
+    model = go.Model("lander")
+    r, w = model.state("r", 2), model.state("w", 2)
+    thrust, d = model.control("thrust"), model.control("d", 2)
+    model.ode({r: w, w: thrust * d - ca.vertcat(0.0, 1.62)})
+    problem = go.Problem("landing")
+    leg = problem.phase("fall", model)
+    leg.time(initial=0.0, final=(10.0, 100.0))
+    leg.initial(r=[300.0, 500.0], w=[0.0, -30.0])
+    leg.final(r=[0.0, 0.0], w=[0.0, 0.0])
+    leg.bounds(thrust=(1.0, 6.0))
+    if most is not None:
+        leg.bounds(d=([-most, -most], [most, most]))
+    lengths = {"square": d.T @ d, "weighted": d[0] ** 2 + 2 * d[1] ** 2, "shifted": ca.sumsqr(d - 0.1)}
+    leg.path("unit direction", lengths[limit], equals=1.0)
+    leg.guess([0.0, 40.0], d=([0.0, 1.0], [0.0, 1.0]), thrust=2.0)
+    problem.minimize(leg.integral(thrust))
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("most", "limit", "left"),
+    [
+        (1.0, "square", np.inf),
+        (1.5, "square", np.inf),
+        (0.9, "square", 0.9),
+        (1.0, "weighted", 1.0),
+        (1.0, "shifted", 1.0),
+    ],
+)
+def test_bounds_that_the_length_of_a_direction_implies_are_dropped(
+    most: float, limit: str, left: float
+) -> None:
+    bounds = restated(landing(most, limit)).phases["fall"].numbers.controls
+    assert bounds.upper.tolist() == [6.0, left, left] and bounds.lower.tolist() == [1.0, -left, -left]
+
+
+def test_a_direction_may_be_straight_up_between_redundant_bounds() -> None:
+    """The gradients of the bound and of the length are one there; without the bound the optimum is the same."""
+    bounded, free = (go.solve(landing(most)) for most in (1.0, None))
+    assert bounded.converged and go.verify(bounded).ok
+    assert bounded.objective == pytest.approx(free.objective, rel=1e-9)

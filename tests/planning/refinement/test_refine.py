@@ -336,12 +336,17 @@ def condition(value: float, *, sufficient: bool = False) -> Condition:
 
 
 def candidate(
-    cost: float, estimate: float, passes: bool = False, loss: float = 0.0, error: float = 0.0
+    cost: float,
+    estimate: float,
+    passes: bool = False,
+    loss: float = 0.0,
+    error: float = 0.0,
+    suboptimal: float = 0.0,
 ) -> Any:
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
     made = SimpleNamespace(solved=True, cost=cost, passes=passes, loss=loss, error=error, stage="60")
     made.solution = SimpleNamespace(
-        objective=cost, objective_error=SimpleNamespace(value=estimate, scale=cost)
+        objective=cost, objective_error=SimpleNamespace(value=estimate, scale=cost, suboptimal=suboptimal)
     )
     made.estimate = Candidate.estimate.fget(made)  # type: ignore[attr-defined]
     made.rank = lambda tol: Candidate.rank(made, tol)
@@ -353,6 +358,7 @@ def candidate(
     ("found", "kept"),
     [
         ([candidate(2.0, 1e-2), candidate(2.001, 1e-4)], 1),  # the one with the least estimate
+        ([candidate(2.0, 90.0, suboptimal=90.0), candidate(2.0, 1.0)], 0),  # the loss is zero, not 90
         ([candidate(2.0, 1e-6), candidate(2.0, 1e-4, passes=True)], 1),  # one that passes the check
         ([candidate(2.0, 1e-4, passes=True), candidate(2.0, 1e-6, passes=True)], 1),
         ([candidate(2.0, 1e-6, passes=True), candidate(1.9, 1e-3)], 1),  # another minimum

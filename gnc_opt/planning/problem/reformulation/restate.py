@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -35,6 +36,7 @@ from gnc_opt.planning.problem.reformulation.vector_norms import (
     without_roots,
 )
 from gnc_opt.planning.problem.statement import Statement
+from gnc_opt.tolerances import ROUNDING
 
 FULL_TURN_BOUND_TOLERANCE = 1e-6
 """Share of a turn that bounds may lack: pi is often written with six digits."""
@@ -58,6 +60,55 @@ def without_full_turns(problem: P) -> P:
         box = Interval(np.where(free, -np.inf, old.lower), np.where(free, np.inf, old.upper))
         leg.numbers = replace(leg.numbers, controls=box, turns=turns)
     return twin
+
+
+def without_implied_bounds(problem: P) -> P:
+    """Return a problem without the bounds of controls that a vector of given length implies; itself if it has none.
+
+    Where a component is the length, the gradients of both limits are one, and their multipliers are not unique.
+    """
+    implied = {
+        name: bounds for name, leg in problem.phases.items() if (bounds := _within_length(problem, leg))
+    }
+    if not implied:
+        return problem
+    twin = problem.clone()
+    for name, bounds in implied.items():
+        leg = twin.phases[name]
+        leg.numbers = replace(leg.numbers, controls=bounds)
+    return twin
+
+
+def _within_length(problem: Statement, leg: Phase) -> Interval | None:
+    """Return the bounds of controls without those that a vector of given length implies; None if there are none."""
+    if leg.numbers.arcs is not None:
+        return None
+    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
+    for name, constraint in leg.paths.items():
+        square = constraint.interval.upper
+        if square.size > 1 or not 0.0 < square[0] == constraint.interval.lower[0]:
+            continue
+        squared = partial(_squared, leg, constraint.expression)
+        places = problem.once(("vector of length", leg.name, name), squared)
+        length = np.sqrt(square[0]) * (1.0 - ROUNDING)
+        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
+        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
+    changed = np.any(lower != leg.numbers.controls.lower) or np.any(upper != leg.numbers.controls.upper)
+    return Interval(lower, upper) if changed else None
+
+
+def _squared(leg: Phase, expression: Any) -> list[int]:
+    """Return the controls whose sum of squares an expression is; empty if it is no such sum."""
+    t, x, u, p = leg.model.arguments()
+    if ca.depends_on(expression, ca.vertcat(t, x, p)) or not ca.is_quadratic(expression, u):
+        return []
+    matrix, linear, constant = ca.quadratic_coeff(expression, u)
+    if not all(part.is_constant() for part in (matrix, linear, constant)):
+        return []
+    weights, rest = np.asarray(ca.DM(matrix)), np.append(np.asarray(ca.DM(linear)), float(ca.DM(constant)))
+    places = np.flatnonzero(np.diag(weights))
+    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(rest)
+    return [int(i) for i in places] if only_squares else []
 
 
 def _full_turns(problem: Statement, leg: Phase) -> Turns:
@@ -115,7 +166,7 @@ def restated(problem: P) -> P:
 
     Variations of a problem with other numbers are reformulated as variations of one another.
     """
-    return without_full_turns(_without_norms(with_algebraic_states(problem)))
+    return without_full_turns(without_implied_bounds(_without_norms(with_algebraic_states(problem))))
 
 
 def _without_norms(problem: P) -> P:
