@@ -117,8 +117,7 @@ class Candidate:
         found = self.solution.objective_error
         if found.relative <= tol:
             return True
-        others = found.value - found.suboptimal
-        return others <= tol * found.scale and others + self.loss <= tol * found.scale
+        return found.infeasible <= tol * found.scale and found.infeasible + self.loss <= tol * found.scale
 
     def rank(self, tol: float) -> tuple[float, float]:
         """Return relative estimate, not below the tolerance, and local error: the smaller, the better.
@@ -128,8 +127,8 @@ class Candidate:
         if not self.solved:
             return math.inf, self.error
         found, estimate = self.solution.objective_error, self.estimate
-        if estimate > tol * found.scale:
-            estimate -= max(found.suboptimal - self.loss, 0.0)
+        if estimate > tol * found.scale and self.loss < found.suboptimal:
+            estimate = found.infeasible + self.loss + self.error**2 * found.scale
         return max(estimate / found.scale, tol), self.error
 
     def is_lower(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:

@@ -81,6 +81,12 @@ class ObjectiveError:
         return self.value / self.scale
 
     @property
+    def infeasible(self) -> float:
+        """Sum of |d| + o: the part of A that defects and exceeded limits contribute."""
+        parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
+        return _finite(float(sum(parts)))
+
+    @property
     def suboptimal(self) -> float:
         """Sum of |g|: the part of A that controls contribute."""
         return _finite(float(sum(np.sum(np.abs(phase.suboptimal)) for phase in self.phases.values())))

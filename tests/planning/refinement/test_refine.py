@@ -346,7 +346,10 @@ def candidate(
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
     made = SimpleNamespace(solved=True, cost=cost, passes=passes, loss=loss, error=error, stage="60")
     made.solution = SimpleNamespace(
-        objective=cost, objective_error=SimpleNamespace(value=estimate, scale=cost, suboptimal=suboptimal)
+        objective=cost,
+        objective_error=SimpleNamespace(
+            value=estimate, scale=cost, suboptimal=suboptimal, infeasible=estimate - suboptimal
+        ),
     )
     made.estimate = Candidate.estimate.fget(made)  # type: ignore[attr-defined]
     made.rank = lambda tol: Candidate.rank(made, tol)
