@@ -56,7 +56,8 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
     for s in samples:
         loss, on_bound = _losses(s, scales.phases[s.leg.name].deviation)
         miss = _miss(s, scales)
-        clear = np.isfinite(miss) & (miss > RESOLVED_MISS)  # no error of the multipliers, however cheap it is
+        # However cheap a control is: multipliers may be rounding, what the cost itself curves by is not.
+        clear = np.isfinite(miss) & (miss > RESOLVED_MISS) & _curves_cost(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / control_worth(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -67,6 +68,13 @@ def stationarity(samples: list[PhaseSamples], scales: Scales, tolerance: float) 
         violation = np.maximum(by_phase, lasting(s.times, gain) * np.sqrt(tolerance))
         worst = worst.or_worse(_worst_control(s, violation, "dH/du of "))
     return worst
+
+
+def _curves_cost(s: PhaseSamples) -> Mask:
+    """Return along which controls the running cost curves by itself, without any multiplier (m,)."""
+    none = np.zeros_like(s.lam), np.zeros_like(s.mu)
+    bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
+    return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
 
 
 def _segment_means(s: PhaseSamples, values: Array) -> Array:

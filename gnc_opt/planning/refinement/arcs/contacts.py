@@ -131,7 +131,12 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    return [run for run in found if not run.beside_touch(structure, constraints.samples)]
+    return [
+        run
+        for run in found
+        if not run.known(structure, constraints.samples)
+        and not run.beside_touch(structure, constraints.samples)
+    ]
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
