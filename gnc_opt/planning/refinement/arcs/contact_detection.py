@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.optimality.state_constraints import ACTIVE_CONSTRAINT_SHARE, StateConstraints
 from gnc_opt.planning.problem.arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.structure import PhaseStructure
@@ -63,6 +63,8 @@ class Push:
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
             runs = _joined_runs(runs)
+            if len(structure.holders[self.row]) > 1:
+                runs = self._joined_along_singular_arcs(runs, structure, samples)
         for a, b in runs:
             at_end = self._end_touched(structure, a, b, samples)
             if at_end is not None:
@@ -150,6 +152,27 @@ class Push:
             if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
+
+    def _segments(self, samples: PhaseSamples) -> Indices:
+        """The segments of the nodes."""
+        breaks = samples.leg.breaks
+        return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
+
+    def _joined_along_singular_arcs(
+        self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
+    ) -> list[tuple[int, int]]:
+        """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
+        reach = CONTACT_MERGE_SEGMENTS * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        joined = runs[:1]
+        for a, b in runs[1:]:
+            before, after = self.times[joined[-1][1] - 1], self.times[a]
+            piece = int(np.searchsorted(structure.times[1:-1], 0.5 * (before + after)))
+            kinds = [structure.kinds[piece][i] for i in structure.holders[self.row]]
+            if after - before < reach and ArcKind.SINGULAR in kinds:
+                joined[-1] = (joined[-1][0], b)
+            else:
+                joined.append((a, b))
+        return joined
 
     def _midpoint_before(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
