@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.samples import PhaseSamples
 MOST_CENTRES = 20
 """Centres of features per phase, at most."""
 
-NEAREST, FARTHEST, DISTANCES = 1e-10, 1e-2, 40
+LEAST_DISTANCE, LARGEST_DISTANCE, DISTANCES = 1e-10, 1e-2, 40
 """Least and largest distance from a centre at which the scan has cells, in shares of the phase, and their number."""
 
 _BISECTIONS = 60
@@ -46,6 +46,6 @@ def feature_edges(problem: Problem, s: PhaseSamples) -> Array:
         before = np.sign(at(middle)[rows, np.arange(rows.size)]) == first
         left, right = np.where(before, middle, left), np.where(before, right, middle)
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
-    distances = s.span * np.geomspace(NEAREST, FARTHEST, DISTANCES)
+    distances = s.span * np.geomspace(LEAST_DISTANCE, LARGEST_DISTANCE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])
